@@ -1,0 +1,66 @@
+"""The clock of a simulation: integer nanoseconds, and what comes first among the events of one instant.
+
+Seconds (float) exist only at the edges. Integers make 7 x 0.01 s and 70 x 0.001 s the same instant, so that
+ties are decided by the `Phase` they belong to and never by rounding or by who was registered first.
+"""
+
+from enum import IntEnum
+from typing import Any
+
+import simpy
+from simpy.events import EventPriority
+
+SECOND = 1_000_000_000
+"""Nanoseconds in a second."""
+
+
+class Phase(IntEnum):
+    """What happens first among the events of one instant: the SimPy priority of each kind of event.
+
+    Decisions add the pursuer's id to their priority: the lowest id decides first. SimPy's own bookkeeping
+    (priorities 0 and 1) precedes everything, so a process resumes within the phase of the event it waited for.
+    """
+
+    FAULT = 1 << 32
+    """Faults and changes of topology."""
+    DELIVERY = 2 << 32
+    """Messages reach their inboxes."""
+    CAPTURE = 3 << 32
+    """The motion that led up to this instant is judged: capture, then the horizon."""
+    DECISION = 4 << 32
+    """Pursuers decide and speak."""
+    MOTION = 5 << 32
+    """Headings are recomputed."""
+    SAMPLE = 6 << 32
+    """Positions are written to the record."""
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return a duration in seconds as the nearest whole number of nanoseconds."""
+    return round(seconds * SECOND)
+
+
+def seconds(nanoseconds: int) -> float:
+    """Return a duration in nanoseconds as seconds."""
+    return nanoseconds / SECOND
+
+
+class Instant(simpy.Event):
+    """An event that happens at a given nanosecond, in a given phase; its value is None.
+
+    Unlike `simpy.Timeout` it takes an absolute time, so that the k-th tick of a period is at k x period and
+    does not drift.
+
+    Raises:
+        ValueError: if the instant has passed.
+    """
+
+    def __init__(self, env: simpy.Environment, when: int, priority: int):
+        self.env = env
+        self.callbacks = []
+        self._ok = True
+        self._value: Any = None
+        wait = when - env.now
+        if wait < 0:
+            raise ValueError(f"the instant {when} ns has passed, it is {env.now} ns")
+        env.schedule(self, EventPriority(priority), wait)

@@ -1,0 +1,129 @@
+"""What can happen on the network, and the trace that everything that happens is appended to.
+
+Times are integer nanoseconds in memory and seconds in the file (one JSON object a line).
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from desim.kernel.clock import SECOND
+
+LOST = -1
+"""The arrival time of a message that never arrives."""
+
+
+class Event(Protocol):
+    """Something that happened: a named tuple whose first field is its time."""
+
+    @property
+    def t(self) -> int:
+        """The nanosecond at which it happened."""
+        ...
+
+    def _asdict(self) -> dict[str, Any]: ...
+
+
+class Broadcast(NamedTuple):
+    """A record was published: one message to everyone in range, all of them in this one event."""
+
+    t: int
+    src: int
+    seq: int
+    dst: tuple[int, ...]
+    arrival: tuple[int, ...]
+    """When it reaches each of `dst`, or `LOST`; one entry for all if it reaches them together."""
+    body: object
+
+
+class Sent(NamedTuple):
+    """A message left for one receiver."""
+
+    t: int
+    src: int
+    dst: int
+    arrival: int
+    """When it reaches the inbox of `dst`, or `LOST`."""
+    body: object
+
+
+class Tally(NamedTuple):
+    """How many messages there were when the run ended, each receiver of a broadcast counted as one message."""
+
+    t: int
+    sent: int
+    delivered: int
+    lost: int
+    in_flight: int
+
+
+Kind = TypeVar("Kind")
+Watcher = Callable[[Event], object]
+"""Called with every event as it happens: it ends the run by returning True, and fails it by raising."""
+
+
+class Trace:
+    """Everything that happened, in order.
+
+    Args:
+        watchers: are shown each event as it happens.
+        messages: whether to keep message events; if not, the watchers see them all the same.
+        stop: called when a watcher asks for the end of the run.
+    """
+
+    def __init__(
+        self, watchers: Iterable[Watcher] = (), *, messages: bool = True, stop: Callable[[], object] | None = None
+    ):
+        self.events: list[Event] = []
+        self._watchers = tuple(watchers)
+        self._keeps_messages = messages
+        self._stop = stop
+        self.wants_messages = messages or bool(self._watchers)
+
+    def append(self, event: Event) -> None:
+        """Record an event and show it to the watchers."""
+        self.events.append(event)
+        if self._watchers:
+            self._show(event)
+
+    def append_message(self, event: Event) -> None:
+        """Show the event of a message to the watchers, and record it if messages are kept."""
+        if self._keeps_messages:
+            self.events.append(event)
+        self._show(event)
+
+    def _show(self, event: Event) -> None:
+        for watch in self._watchers:
+            if watch(event) is True and self._stop is not None:
+                self._stop()
+
+    def __iter__(self) -> Iterator[Event]:
+        return iter(self.events)
+
+    def __len__(self) -> int:
+        return len(self.events)
+
+    def of(self, kind: type[Kind]) -> list[Kind]:
+        """Return the events of one type, in order."""
+        return [event for event in self.events if isinstance(event, kind)]
+
+    def lines(self) -> Iterator[str]:
+        """Yield each event as one line of JSON: its type, then its fields with times in seconds (null: never)."""
+        for event in self.events:
+            fields = {name: _seconds(value) if name in _TIMES else value for name, value in event._asdict().items()}
+            yield json.dumps({"event": type(event).__name__} | fields) + "\n"
+
+    def write(self, path: Path) -> None:
+        """Write the trace as JSON lines."""
+        with path.open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(self.lines())
+
+
+_TIMES = frozenset({"t", "arrival"})
+
+
+def _seconds(time: Any) -> Any:
+    if isinstance(time, tuple):
+        return [_seconds(each) for each in time]
+    return None if time == LOST else time / SECOND

@@ -1,0 +1,1 @@
+"""The pursuit game and its players: mathematics over numpy, but for the agent that plays it."""

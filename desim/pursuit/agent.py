@@ -1,0 +1,149 @@
+"""The agent: all that a pursuer's protocol may know and do.
+
+It senses positions (its own and its teammates', and the evader's), knows the rules of the game, and hears from its
+teammates only what the network has brought it.
+"""
+
+from collections.abc import Callable, Generator
+from math import inf
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import simpy
+
+from desim.kernel.clock import SECOND, Instant, Phase, nanoseconds
+from desim.kernel.network import Message, Network, Table
+from desim.kernel.seeds import stream
+from desim.pursuit import game
+
+
+class Assignment(NamedTuple):
+    """What a pursuer announces: its action."""
+
+    active: bool
+
+
+class World(Protocol):
+    """The part of the world that agents sense and act on."""
+
+    @property
+    def size(self) -> int:
+        """How many pursuers there are."""
+        ...
+
+    def active(self, pursuer: int) -> bool:
+        """Return what a pursuer is doing."""
+        ...
+
+    def capture_times(self) -> list[float]:
+        """Return every pursuer's time of capture now, s."""
+        ...
+
+    def time_left(self) -> float:
+        """Return the time left to the horizon, r, s."""
+        ...
+
+    def order(self, pursuer: int, active: bool) -> None:
+        """Let a pursuer chase or stay from this instant on."""
+        ...
+
+
+Behaviour = Callable[["Agent"], Generator[simpy.Event, Any, None]]
+"""A protocol: the process that a pursuer runs."""
+
+
+class Agent:
+    """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
+
+    Attributes:
+        id: 0 .. team_size - 1.
+        rng: the stream of its decisions.
+    """
+
+    def __init__(self, pursuer: int, env: simpy.Environment, world: World, network: Network, seed: int):
+        self.id = pursuer
+        self.rng = stream(seed, "decisions", pursuer)
+        self._env, self._world, self._network, self._seed = env, world, network, seed
+
+    # What it knows.
+
+    @property
+    def now(self) -> float:
+        """The time, s."""
+        return float(self._env.now / SECOND)
+
+    @property
+    def team_size(self) -> int:
+        """How many pursuers there are."""
+        return self._world.size
+
+    @property
+    def action(self) -> bool:
+        """Whether it is active."""
+        return self._world.active(self.id)
+
+    def capture_time(self) -> float:
+        """Return its own time of capture phi_i, s."""
+        return self._world.capture_times()[self.id]
+
+    def capture_times(self) -> list[float]:
+        """Return everyone's time of capture, from sensed positions, s."""
+        return self._world.capture_times()
+
+    def time_left(self) -> float:
+        """Return the time left to the horizon, r, s."""
+        return self._world.time_left()
+
+    def heard(self) -> Table:
+        """Return the newest announcement that has arrived from each teammate."""
+        return self._network.heard(self.id)
+
+    def gain(self) -> float:
+        """Return what it gains by being active, given whom it believes active; see `desim.pursuit.game.gain`, s."""
+        phi = self._world.capture_times()
+        chasing = [phi[j] for j, (_, record) in self.heard().items() if record.body.active and phi[j] < inf]
+        return game.gain(phi[self.id], chasing, self._world.time_left())
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Return a random stream of its own."""
+        return stream(self._seed, name, self.id)
+
+    def shared_stream(self, name: str) -> np.random.Generator:
+        """Return a random stream that is the same for everyone who asks for it by this name."""
+        return stream(self._seed, f"shared {name}")
+
+    # What it does.
+
+    def assign(self, active: bool) -> None:
+        """Chase or stay from now on."""
+        self._world.order(self.id, active)
+
+    def command(self, pursuer: int, active: bool) -> None:
+        """Let another pursuer chase or stay, at once and past the network: for omniscient benchmarks only."""
+        self._world.order(pursuer, active)
+
+    def announce(self) -> None:
+        """Tell the neighbours its action, as state: they read it when they next decide."""
+        self._network.publish(self.id, Assignment(self.action))
+
+    def send(self, dst: int | None, body: object) -> None:
+        """Send a message to a teammate, or to all neighbours (None)."""
+        self._network.send(self.id, dst, body)
+
+    def mail(self) -> list[Message]:
+        """Return the messages that have arrived and not been read."""
+        return self._network.inbox(self.id).drain()
+
+    # What it waits for.
+
+    def at(self, time: float) -> simpy.Event:
+        """Return an event at a time, s."""
+        return Instant(self._env, nanoseconds(time), Phase.DECISION + self.id)
+
+    def sleep(self, duration: float) -> simpy.Event:
+        """Return an event a duration from now, s."""
+        return Instant(self._env, self._env.now + nanoseconds(duration), Phase.DECISION + self.id)
+
+    def arrival(self) -> simpy.Event:
+        """Return an event that happens as soon as there is mail."""
+        return self._network.inbox(self.id).arrival()

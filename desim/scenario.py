@@ -1,0 +1,186 @@
+"""A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from desim.kernel.links import Links
+from desim.kernel.seeds import stream
+from desim.pursuit.agent import Behaviour
+from desim.pursuit.evasion import PureEvasion, Strategy
+from desim.value import Finite, NonNegative, OneOf, Positive, Probability, Value
+
+Point = tuple[Finite, Finite]
+Box = tuple[Finite, Finite]
+PROTOCOLS = OneOf(group="desim.protocols")
+"""The protocols that are installed."""
+
+
+def _fault(key: str, text: str, got: object) -> PydanticCustomError:
+    """Return the error of a key that is wrong only in the light of its neighbours."""
+    return PydanticCustomError("inconsistent", "{text} (got {got})", {"text": text, "got": got, "key": key})
+
+
+def _check_box(box: Box) -> None:
+    if box[0] > box[1]:
+        raise _fault("box", "should be [lower, upper]", list(box))
+
+
+class Speeds(Value):
+    """One speed for all but the last pursuer, another for the last."""
+
+    default: NonNegative = 1.0
+    """Speed of all pursuers but the last, m/s."""
+    last: NonNegative = 2.0
+    """Speed of the last pursuer, m/s."""
+
+
+def _form_of_speeds(value: Any) -> str:
+    if isinstance(value, dict | Speeds):
+        return "table"
+    return "list" if isinstance(value, list | tuple) else "number"
+
+
+class Team(Value):
+    """The pursuers: how many, from where, how fast, and who chases at first."""
+
+    count: Annotated[int, Field(ge=1)] = 20
+    """Number of pursuers N; follows from `positions` if they are given."""
+    positions: tuple[Point, ...] | None = None
+    """Initial positions, one [x, y] per pursuer, m; if absent they are drawn from `box`, anew for every seed."""
+    box: Box = (0.0, 20.0)
+    """Lower and upper bound of both initial coordinates, m."""
+    speeds: Annotated[
+        Annotated[NonNegative, Tag("number")]
+        | Annotated[tuple[NonNegative, ...], Tag("list")]
+        | Annotated[Speeds, Tag("table")],
+        Discriminator(_form_of_speeds),
+    ] = Speeds()
+    """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
+    active_at_start: Probability = 1.0
+    """Probability p0 with which each pursuer is active at first, in [0, 1]; everyone knows who is."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _count_positions(cls, given: Any) -> Any:
+        if isinstance(given, dict) and isinstance(given.get("positions"), list | tuple) and "count" not in given:
+            return given | {"count": len(given["positions"])}
+        return given
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Self:
+        if self.positions is not None and len(self.positions) != self.count:
+            raise _fault("positions", f"should be one per pursuer: count is {self.count}", len(self.positions))
+        if isinstance(self.speeds, tuple) and len(self.speeds) != self.count:
+            raise _fault("speeds", f"should be one per pursuer: count is {self.count}", len(self.speeds))
+        _check_box(self.box)
+        return self
+
+    def all_speeds(self) -> list[float]:
+        """Return the (N,) speeds, m/s."""
+        if isinstance(self.speeds, Speeds):
+            return [self.speeds.default] * (self.count - 1) + [self.speeds.last]
+        return list(self.speeds) if isinstance(self.speeds, tuple) else [self.speeds] * self.count
+
+    def start(self, seed: int) -> NDArray[np.float64]:
+        """Return the (N, 2) initial positions, m."""
+        if self.positions is not None:
+            return np.array(self.positions)
+        return stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
+
+    def start_profile(self, seed: int) -> NDArray[np.bool_]:
+        """Return (N,) who is active at first."""
+        return stream(seed, "start").random(self.count) < self.active_at_start
+
+
+class Evader(Value):
+    """The evader: from where, how fast, and by what strategy it flees."""
+
+    position: Point | None = None
+    """Initial position [x, y], m; if absent it is drawn from `box`, anew for every seed."""
+    box: Box = (8.0, 12.0)
+    """Lower and upper bound of both initial coordinates, m."""
+    speed: NonNegative = 0.9
+    """Speed v_e, m/s."""
+    strategy: Annotated[Strategy, OneOf(PureEvasion)] = PureEvasion()
+    """How it flees: a table with a kind."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_box(self.box)
+        return self
+
+    def start(self, seed: int) -> NDArray[np.float64]:
+        """Return the (2,) initial position, m."""
+        if self.position is not None:
+            return np.array(self.position)
+        return stream(seed, "evader").uniform(*self.box, size=2)
+
+
+class Capture(Value):
+    """When the evader is captured."""
+
+    radius: Positive = 0.1
+    """Distance eps at which the evader is captured, m."""
+    test: Literal["segment", "sample"] = "segment"
+    """segment: at the very instant the distance falls to the radius; sample: judged at motion steps only."""
+
+
+class Motion(Value):
+    """How motion is integrated."""
+
+    step: Annotated[Positive, Field(ge=1e-6)] = 0.01
+    """Time h between two headings, s."""
+    order: Literal["evader_first", "simultaneous"] = "evader_first"
+    """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it is."""
+    frozen: bool = False
+    """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
+
+
+class Record(Value):
+    """What is recorded beside decisions."""
+
+    trajectory: NonNegative = 0.05
+    """Time between samples of all positions, s; 0 = none."""
+    messages: bool = False
+    """Whether every message is recorded, or only their number."""
+
+
+class Scenario(Value):
+    """A whole experiment; the default is the scenario of Lee & Bakolas with 20 pursuers and an ideal network."""
+
+    name: str = "unnamed"
+    """What it is called in tables and pictures."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of every random stream of the run."""
+    horizon: Positive = 30.0
+    """Time t_f at which the pursuit ends if the evader has not been captured, s."""
+    team: Team = Team()
+    evader: Evader = Evader()
+    capture: Capture = Capture()
+    motion: Motion = Motion()
+    protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=lambda: PROTOCOLS.choices()["sap"]())
+    """How the pursuers negotiate: a table with a kind; `desim protocols` lists them."""
+    network: Links = Links()
+    record: Record = Record()
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield what is legal but hardly meant: the key it concerns, and why."""
+        fastest = max(self.team.all_speeds())
+        if fastest <= self.evader.speed:
+            yield (
+                "team.speeds",
+                f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
+                f" {self.evader.speed} m/s, so every time of capture is inf and nobody will chase",
+            )
+        stride = self.motion.step * fastest
+        if self.capture.test == "sample" and stride > 2 * self.capture.radius:
+            yield (
+                "motion.step",
+                f"a pursuer may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+                f" than 2 x radius = {2 * self.capture.radius:g} m",
+            )

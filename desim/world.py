@@ -1,0 +1,181 @@
+"""The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
+
+from collections.abc import Callable, Generator
+from itertools import count
+from typing import Literal
+
+import numpy as np
+import simpy
+
+from desim.kernel.clock import Instant, Phase, nanoseconds, seconds
+from desim.kernel.events import Trace
+from desim.kernel.seeds import stream
+from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.game import radial_time
+from desim.pursuit.motion import Floats, first_contact, toward, within
+from desim.pursuit.state import State
+from desim.scenario import Scenario
+
+
+class World:
+    """The only thing that changes during a run, beside the network.
+
+    Everyone moves in straight pieces that all began at one instant: the last motion step, or the last order inside
+    it. Capture is foreseen from the pieces and happens at its instant, unless an order comes first.
+    """
+
+    def __init__(self, env: simpy.Environment, scenario: Scenario, seed: int, trace: Trace):
+        self._env, self._trace = env, trace
+        self._capture, self._motion = scenario.capture, scenario.motion
+        self._horizon = nanoseconds(scenario.horizon)
+        self._flee, self._evader_speed = scenario.evader.strategy, scenario.evader.speed
+        self._evader_rng = stream(seed, "evader strategy")
+        self._speeds = np.array(scenario.team.all_speeds())
+        self._closing_speeds = self._speeds - self._evader_speed
+        self._closing_bound = float(self._speeds.max()) + self._evader_speed
+        self._sampling = scenario.record.trajectory
+        self.size = scenario.team.count
+        self.over = env.event()
+        self.end: Ended | None = None
+
+        self._origins, self._since = np.vstack([scenario.team.start(seed), scenario.evader.start(seed)]), 0
+        self._velocities = np.zeros_like(self._origins)
+        self._aim = self._origins[-1]
+        self._step_end = 0
+        self._capture_ahead: simpy.Event | None = None
+        self._active = scenario.team.start_profile(seed)
+        self._enter(State(0, self._origins, self._active))
+        self._active &= np.isfinite(self.capture_times())
+
+    def begin(self) -> None:
+        """Record the start and set motion, record and horizon going."""
+        evader, pursuers = _points(self.state())
+        self._trace.append(Started(0, evader, pursuers, tuple(self._speeds.tolist()), self.profile()))
+        self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
+        if not self._motion.frozen:
+            self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
+            self._env.process(self._move(nanoseconds(self._motion.step)))
+        if self._sampling:
+            self._env.process(self._samples(nanoseconds(self._sampling)))
+
+    # What can be sensed.
+
+    def state(self) -> State:
+        """Return where everyone is now, and who chases."""
+        now = self._env.now
+        if self._state.t != now:
+            elapsed = seconds(now - self._since)
+            self._enter(State(now, self._origins + self._velocities * elapsed, self._active))
+        return self._state
+
+    def capture_times(self) -> list[float]:
+        """Return every pursuer's time of capture now, s."""
+        state = self.state()
+        if self._capture_times is None:
+            self._capture_times = radial_time(state.distances, self._closing_speeds, self._capture.radius).tolist()
+        return self._capture_times
+
+    def time_left(self) -> float:
+        """Return the time left to the horizon, r, s; in a frozen game it does not run."""
+        return seconds(self._horizon if self._motion.frozen else self._horizon - self._env.now)
+
+    def active(self, pursuer: int) -> bool:
+        """Return whether a pursuer chases."""
+        return bool(self._active[pursuer])
+
+    def profile(self) -> tuple[bool, ...]:
+        """Return who chases."""
+        return tuple(self._active.tolist())
+
+    # What changes it.
+
+    def order(self, pursuer: int, active: bool) -> None:
+        """Let a pursuer chase or stay from this very instant on."""
+        now = self._env.now
+        self._trace.append(Decided(now, pursuer, active))
+        if self._active[pursuer] == active:
+            return
+        state = self.state()
+        self._active = self._active.copy()
+        self._active[pursuer] = active
+        self._enter(State(now, state.players, self._active))
+        if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
+            aim = self._aim if self._motion.order == "evader_first" else state.evader
+            velocities = self._velocities.copy()
+            velocities[[pursuer]] = toward(aim, state.pursuers[[pursuer]], self._speeds[[pursuer]] * active)
+            self._break(velocities)
+
+    def sample(self) -> None:
+        """Record where everyone is, if positions are wanted."""
+        if self._sampling:
+            self._trace.append(Sampled(self._env.now, *_points(self.state())))
+
+    def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
+        """End the pursuit at this instant; only the first end counts."""
+        if self.end is None:
+            self.end = Ended(self._env.now, reason, capturer)
+            self.over.succeed()
+
+    def _move(self, step: int) -> Generator[simpy.Event, None, None]:
+        """Give everyone a new heading at every motion step."""
+        for end in count(step, step):
+            yield Instant(self._env, self._step_end, Phase.MOTION)
+            state = self.state()
+            self._step_end = min(end, self._horizon)
+            velocities = np.empty_like(state.players)
+            velocities[-1] = self._evader_speed * self._flee(state, self._evader_rng)
+            self._aim = state.evader
+            if self._motion.order == "evader_first":
+                self._aim = state.evader + velocities[-1] * seconds(self._step_end - state.t)
+            velocities[:-1] = toward(self._aim, state.pursuers, self._speeds * self._active)
+            self._break(velocities)
+
+    def _break(self, velocities: Floats) -> None:
+        """Begin new straight pieces here and now."""
+        self._origins, self._since = self.state().players, self._env.now
+        self._velocities = velocities
+        self._foresee_capture()
+
+    def _foresee_capture(self) -> None:
+        """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""
+        self._capture_ahead = None
+        state, radius = self.state(), self._capture.radius
+        duration = seconds(self._step_end - state.t)
+        if state.distances[state.nearest] - radius > self._closing_bound * duration:
+            return
+        approach = self._velocities[-1] - self._velocities[:-1]
+        if self._capture.test == "segment":
+            contact = first_contact(state.offsets, approach, radius, duration)
+        else:
+            row = within(state.offsets + approach * duration, radius)
+            contact = None if row is None else (duration, row)
+        if contact is not None:
+            after, capturer = contact
+            self._capture_ahead = self._at(
+                min(state.t + nanoseconds(after), self._step_end), Phase.CAPTURE, lambda event: self._seize(event, capturer)
+            )
+
+    def _seize(self, foreseen: simpy.Event, capturer: int) -> None:
+        if foreseen is self._capture_ahead:
+            self.finish("captured", capturer)
+
+    def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
+        """Record positions at every multiple of a period."""
+        for when in count(0, period):
+            yield Instant(self._env, when, Phase.SAMPLE)
+            self.sample()
+
+    def _at(self, when: int, priority: int, act: Callable[[simpy.Event], None]) -> simpy.Event:
+        event = Instant(self._env, when, priority)
+        event.callbacks.append(act)
+        return event
+
+    def _enter(self, state: State) -> None:
+        self._state = state
+        self._capture_times: list[float] | None = None
+
+
+def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
+    """Return the positions of the evader and of the pursuers as plain numbers."""
+    *pursuers, evader = map(tuple, state.players.tolist())
+    return evader, tuple(pursuers)

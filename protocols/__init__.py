@@ -1,0 +1,1 @@
+"""How pursuers negotiate: one protocol, rule or schedule a file."""

@@ -1,0 +1,38 @@
+"""The centralised benchmark: who would capture the evader first is sent to chase it, and nobody else.
+
+Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
+    Algorithm 3.
+Parameters: slot (time between two decisions).
+Assumes: somebody who knows everything and whose orders are carried out at once. The network is not used, so this is
+    what any protocol could at best achieve, whatever the network.
+Messages: none.
+"""
+
+from itertools import count
+from typing import Literal
+
+from desim.pursuit.agent import Agent
+from desim.pursuit.game import Profile, relay_profile
+from desim.value import Positive, Value
+from protocols.schedules import Process
+
+
+class Centralised(Value):
+    """Pursuer 0 speaks for the omniscient centre: every slot it gives all pursuers the relay profile."""
+
+    kind: Literal["centralised"] = "centralised"
+    slot: Positive = 0.01
+    """Time between two decisions delta, s."""
+
+    def __call__(self, me: Agent) -> Process:
+        """Assign the pursuer of least time of capture, if it can be in time."""
+        if me.id != 0:
+            return
+        before: Profile = ()
+        for k in count():
+            yield me.at(k * self.slot)
+            profile = relay_profile(me.capture_times(), me.time_left())
+            if profile != before:
+                for pursuer, active in enumerate(profile):
+                    me.command(pursuer, active)
+                before = profile

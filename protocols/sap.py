@@ -1,0 +1,39 @@
+"""Spatial Adaptive Play: one at a time, each pursuer draws its action from the logit of its gain.
+
+Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
+    Algorithms 1 and 2; the rule is log-linear learning (Blume 1993; Young 1998).
+Parameters: tau (temperature), schedule (who revises when).
+Assumes: revisions one at a time and news that travels at once, for the Gibbs law and the paper's results; on a complete
+    graph neither is needed for convergence as tau -> 0.
+Messages: one broadcast per revision.
+Robust to loss: yes, for every revision repeats the action even if it is unchanged.
+"""
+
+from typing import Annotated, Literal
+
+from desim.pursuit.agent import Agent
+from desim.pursuit.game import activation_probability
+from desim.value import OneOf, Value
+from protocols.schedules import Poisson, Process, Schedule, SharedSeed
+from protocols.temperature import Constant, Paper, Temperature
+
+
+class SpatialAdaptivePlay(Value):
+    """Each pursuer in its turn chooses to chase with probability expit(gain / tau), and says so."""
+
+    kind: Literal["sap"] = "sap"
+    tau: Annotated[Temperature, OneOf(Paper, Constant)] = Paper()
+    """Temperature, s: a table with a kind."""
+    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson)] = SharedSeed()
+    """When each pursuer revises: a table with a kind."""
+
+    def __call__(self, me: Agent) -> Process:
+        """Negotiate for one pursuer."""
+        slot = self.schedule.mean_slot(me.team_size)
+
+        def revise() -> None:
+            inverse_tau = self.tau(me.now / slot)
+            me.assign(me.rng.random() < activation_probability(me.gain(), inverse_tau))
+            me.announce()
+
+        yield from self.schedule(me, revise)
