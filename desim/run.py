@@ -10,6 +10,7 @@ import simpy
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Assignment, Behaviour
+from desim.pursuit.state import coordinates
 from desim.scenario import Scenario
 from desim.world import World
 
@@ -37,7 +38,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     world = World(env, scenario, seed, trace)
     graph = nx.complete_graph(world.size)
     network = Network(
-        env, graph, scenario.network, seed=seed, positions=lambda: world.state().pursuers, trace=trace
+        env, graph, scenario.network, seed=seed, positions=lambda: coordinates(world.state().pursuers), trace=trace
     )
     for pursuer, active in enumerate(world.profile()):
         network.presume(pursuer, Assignment(active))

@@ -1,33 +1,30 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
-from desim.value import Finite, NonNegative, OneOf, Positive, Probability, Value
+from desim.value import Finite, NonNegative, OneOf, Positive, Probability, Truth, Value
+
+
+
+def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError("should be [lower, upper]")
+    return bounds
+
 
 Point = tuple[Finite, Finite]
-Box = tuple[Finite, Finite]
+Box = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
 PROTOCOLS = OneOf(group="desim.protocols")
 """The protocols that are installed."""
-
-
-def _fault(key: str, text: str, got: object) -> PydanticCustomError:
-    """Return the error of a key that is wrong only in the light of its neighbours."""
-    return PydanticCustomError("inconsistent", "{text} (got {got})", {"text": text, "got": got, "key": key})
-
-
-def _check_box(box: Box) -> None:
-    if box[0] > box[1]:
-        raise _fault("box", "should be [lower, upper]", list(box))
 
 
 class Speeds(Value):
@@ -48,7 +45,7 @@ def _form_of_speeds(value: Any) -> str:
 class Team(Value):
     """The pursuers: how many, from where, how fast, and who chases at first."""
 
-    count: Annotated[int, Field(ge=1)] = 20
+    count: Annotated[int, Field(ge=1, strict=True)] = 20
     """Number of pursuers N; follows from `positions` if they are given."""
     positions: tuple[Point, ...] | None = None
     """Initial positions, one [x, y] per pursuer, m; if absent they are drawn from `box`, anew for every seed."""
@@ -71,14 +68,13 @@ class Team(Value):
             return given | {"count": len(given["positions"])}
         return given
 
-    @model_validator(mode="after")
-    def _check_lengths(self) -> Self:
-        if self.positions is not None and len(self.positions) != self.count:
-            raise _fault("positions", f"should be one per pursuer: count is {self.count}", len(self.positions))
-        if isinstance(self.speeds, tuple) and len(self.speeds) != self.count:
-            raise _fault("speeds", f"should be one per pursuer: count is {self.count}", len(self.speeds))
-        _check_box(self.box)
-        return self
+    @field_validator("positions", "speeds")
+    @classmethod
+    def _one_per_pursuer(cls, given: Any, info: ValidationInfo) -> Any:
+        count = info.data.get("count")
+        if isinstance(given, tuple) and count is not None and len(given) != count:
+            raise ValueError(f"should be one per pursuer: count is {count}, there are {len(given)}")
+        return given
 
     def all_speeds(self) -> list[float]:
         """Return the (N,) speeds, m/s."""
@@ -107,12 +103,7 @@ class Evader(Value):
     speed: NonNegative = 0.9
     """Speed v_e, m/s."""
     strategy: Annotated[Strategy, OneOf(PureEvasion)] = PureEvasion()
-    """How it flees: a table with a kind."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _check_box(self.box)
-        return self
+    """How it flees."""
 
     def start(self, seed: int) -> NDArray[np.float64]:
         """Return the (2,) initial position, m."""
@@ -137,7 +128,7 @@ class Motion(Value):
     """Time h between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it is."""
-    frozen: bool = False
+    frozen: Truth = False
     """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
 
 
@@ -146,7 +137,7 @@ class Record(Value):
 
     trajectory: NonNegative = 0.05
     """Time between samples of all positions, s; 0 = none."""
-    messages: bool = False
+    messages: Truth = False
     """Whether every message is recorded, or only their number."""
 
 
@@ -155,7 +146,7 @@ class Scenario(Value):
 
     name: str = "unnamed"
     """What it is called in tables and pictures."""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of every random stream of the run."""
     horizon: Positive = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
@@ -164,7 +155,7 @@ class Scenario(Value):
     capture: Capture = Capture()
     motion: Motion = Motion()
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=lambda: PROTOCOLS.choices()["sap"]())
-    """How the pursuers negotiate: a table with a kind; `desim protocols` lists them."""
+    """How the pursuers negotiate; `desim protocols` lists the kinds."""
     network: Links = Links()
     record: Record = Record()
 

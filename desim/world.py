@@ -11,9 +11,9 @@ from desim.kernel.clock import Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.game import radial_time
-from desim.pursuit.motion import Floats, first_contact, toward, within
-from desim.pursuit.state import State
+from desim.pursuit.game import RadialTime
+from desim.pursuit.motion import first_contact, toward, within
+from desim.pursuit.state import Points, State, complex_points, coordinates
 from desim.scenario import Scenario
 
 
@@ -31,21 +31,23 @@ class World:
         self._flee, self._evader_speed = scenario.evader.strategy, scenario.evader.speed
         self._evader_rng = stream(seed, "evader strategy")
         self._speeds = np.array(scenario.team.all_speeds())
-        self._closing_speeds = self._speeds - self._evader_speed
+        self._capture_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
         self._closing_bound = float(self._speeds.max()) + self._evader_speed
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
         self.over = env.event()
         self.end: Ended | None = None
 
-        self._origins, self._since = np.vstack([scenario.team.start(seed), scenario.evader.start(seed)]), 0
+        self._origins = complex_points([*scenario.team.start(seed), scenario.evader.start(seed)])
+        self._since = 0
         self._velocities = np.zeros_like(self._origins)
-        self._aim = self._origins[-1]
+        self._aim = 0j
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._active = scenario.team.start_profile(seed)
         self._enter(State(0, self._origins, self._active))
         self._active &= np.isfinite(self.capture_times())
+        self._paces = self._speeds * self._active
 
     def begin(self) -> None:
         """Record the start and set motion, record and horizon going."""
@@ -72,7 +74,7 @@ class World:
         """Return every pursuer's time of capture now, s."""
         state = self.state()
         if self._capture_times is None:
-            self._capture_times = radial_time(state.distances, self._closing_speeds, self._capture.radius).tolist()
+            self._capture_times = self._capture_time(state.distances).tolist()
         return self._capture_times
 
     def time_left(self) -> float:
@@ -98,11 +100,12 @@ class World:
         state = self.state()
         self._active = self._active.copy()
         self._active[pursuer] = active
+        self._paces = self._speeds * self._active
         self._enter(State(now, state.players, self._active))
         if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
             aim = self._aim if self._motion.order == "evader_first" else state.evader
             velocities = self._velocities.copy()
-            velocities[[pursuer]] = toward(aim, state.pursuers[[pursuer]], self._speeds[[pursuer]] * active)
+            velocities[[pursuer]] = toward(aim - state.players[[pursuer]], self._paces[[pursuer]])
             self._break(velocities)
 
     def sample(self) -> None:
@@ -122,15 +125,15 @@ class World:
             yield Instant(self._env, self._step_end, Phase.MOTION)
             state = self.state()
             self._step_end = min(end, self._horizon)
+            flight = self._evader_speed * self._flee(state, self._evader_rng)
+            ahead = flight * seconds(self._step_end - state.t) if self._motion.order == "evader_first" else 0j
+            self._aim = state.evader + ahead
             velocities = np.empty_like(state.players)
-            velocities[-1] = self._evader_speed * self._flee(state, self._evader_rng)
-            self._aim = state.evader
-            if self._motion.order == "evader_first":
-                self._aim = state.evader + velocities[-1] * seconds(self._step_end - state.t)
-            velocities[:-1] = toward(self._aim, state.pursuers, self._speeds * self._active)
+            velocities[:-1] = toward(state.offsets + ahead, self._paces)
+            velocities[-1] = flight
             self._break(velocities)
 
-    def _break(self, velocities: Floats) -> None:
+    def _break(self, velocities: Points) -> None:
         """Begin new straight pieces here and now."""
         self._origins, self._since = self.state().players, self._env.now
         self._velocities = velocities
@@ -176,6 +179,6 @@ class World:
 
 
 def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
-    """Return the positions of the evader and of the pursuers as plain numbers."""
-    *pursuers, evader = map(tuple, state.players.tolist())
+    """Return the positions of the evader and of the pursuers as [x, y]."""
+    *pursuers, evader = ((x, y) for x, y in coordinates(state.players).tolist())
     return evader, tuple(pursuers)

@@ -23,9 +23,9 @@ class SpatialAdaptivePlay(Value):
 
     kind: Literal["sap"] = "sap"
     tau: Annotated[Temperature, OneOf(Paper, Constant)] = Paper()
-    """Temperature, s: a table with a kind."""
+    """Temperature, s."""
     schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson)] = SharedSeed()
-    """When each pursuer revises: a table with a kind."""
+    """When each pursuer revises."""
 
     def __call__(self, me: Agent) -> Process:
         """Negotiate for one pursuer."""

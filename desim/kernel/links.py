@@ -9,9 +9,8 @@ from typing import Annotated, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from desim.value import NonNegative, OneOf, Probability, Value
+from desim.value import Extent, NonNegative, OneOf, Probability, Value
 
 
 class Hops(NamedTuple):
@@ -60,9 +59,9 @@ class Bernoulli(Value):
 class Links(Value):
     """What every link of a network does to a message; the default is the ideal network."""
 
-    range: Annotated[float, Field(gt=0)] = inf
+    range: Extent = inf
     """Distance up to which two nodes hear each other when a message is sent, m; inf = any distance."""
     latency: Annotated[Latency, OneOf(Constant)] = Constant()
-    """One-way latency, s: a table with a kind."""
+    """One-way latency, s."""
     loss: Annotated[Loss, OneOf(Bernoulli)] = Bernoulli()
-    """Which messages are lost: a table with a kind."""
+    """Which messages are lost."""

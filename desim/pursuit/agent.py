@@ -48,10 +48,6 @@ class World(Protocol):
         ...
 
 
-Behaviour = Callable[["Agent"], Generator[simpy.Event, Any, None]]
-"""A protocol: the process that a pursuer runs."""
-
-
 class Agent:
     """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
 
@@ -147,3 +143,7 @@ class Agent:
     def arrival(self) -> simpy.Event:
         """Return an event that happens as soon as there is mail."""
         return self._network.inbox(self.id).arrival()
+
+
+Behaviour = Callable[[Agent], Generator[simpy.Event, Any, None]]
+"""A protocol: the process that a pursuer runs."""

@@ -3,16 +3,15 @@
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from desim.value import Value
 from desim.pursuit.state import State
 
 
 class Strategy(Protocol):
-    """An evader's strategy: `strategy(state, rng)` is a (2,) unit heading, or zeros to stand still."""
+    """An evader's strategy: `strategy(state, rng)` is a unit heading (a complex number), or 0 to stand still."""
 
-    def __call__(self, state: State, rng: np.random.Generator) -> NDArray[np.float64]: ...  # noqa: D102
+    def __call__(self, state: State, rng: np.random.Generator) -> complex: ...  # noqa: D102
 
 
 class PureEvasion(Value):
@@ -20,7 +19,7 @@ class PureEvasion(Value):
 
     kind: Literal["pure_evasion"] = "pure_evasion"
 
-    def __call__(self, state: State, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; zeros if it is right here."""
-        distance = state.distances[state.nearest]
-        return state.offsets[state.nearest] / (distance or 1.0)
+    def __call__(self, state: State, rng: np.random.Generator) -> complex:
+        """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; 0 if it is right here."""
+        away = complex(state.offsets[state.nearest])
+        return away / abs(away) if away else 0j

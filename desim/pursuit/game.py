@@ -41,16 +41,26 @@ def capture_time(
         ValueError: if shapes disagree or radius <= 0.
     """
     offsets, v = _checked(evader, pursuers, speeds, radius)
-    return radial_time(np.hypot(offsets[:, 0], offsets[:, 1]), v - evader_speed, radius)
+    return RadialTime(v, evader_speed, radius)(np.hypot(offsets[:, 0], offsets[:, 1]))
 
 
-def radial_time(distances: Floats, closing_speeds: Floats, radius: float) -> Floats:
-    """Return the (N,) time to close each distance (m) to the capture radius (m) at each closing speed (m/s), s."""
-    gap = np.maximum(distances - radius, 0.0)
-    time = np.full(gap.shape, inf)
-    np.divide(gap, closing_speeds, out=time, where=closing_speeds > 0.0)
-    time[gap == 0.0] = 0.0
-    return time
+class RadialTime:
+    """The (N,) times of capture of one team as a function of its (N,) distances alone; see `capture_time`."""
+
+    def __init__(self, speeds: Floats, evader_speed: float, radius: float):
+        closing = speeds - evader_speed
+        self._radius = radius
+        self._slow = closing <= 0.0
+        self._some_slow = bool(self._slow.any())
+        self._closing = np.where(self._slow, 1.0, closing)
+
+    def __call__(self, distances: Floats) -> Floats:
+        """Return the times of capture, s, given distances, m."""
+        gap = np.maximum(distances - self._radius, 0.0)
+        time = gap / self._closing
+        if self._some_slow:
+            time[self._slow & (gap > 0.0)] = inf
+        return time
 
 
 def intercept_time(

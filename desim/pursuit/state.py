@@ -1,42 +1,54 @@
-"""The state of the pursuit at one instant, as its strategies see it."""
+"""The state of the pursuit at one instant, as its strategies see it.
 
-from functools import cached_property
+A point of the plane is a complex number x + iy: the heading from p to q is (q - p) / |q - p|, a turn by an angle a is a
+product with e^(ia), and each of these is one operation on a whole team. Files, traces and results have [x, y].
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+Points = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
 
 class State:
-    """Where everyone is at one instant; its arrays are read-only.
+    """Where everyone is at one instant; its arrays are not to be changed.
 
     Attributes:
         t: the instant, ns.
-        players: (N + 1, 2) positions of the pursuers, then of the evader, m.
-        offsets: (N, 2) from each pursuer to the evader, m.
+        players: (N + 1,) positions of the pursuers, then of the evader, m.
+        offsets: (N,) from each pursuer to the evader, m.
         distances: (N,) of each pursuer to the evader, m.
+        nearest: the pursuer nearest to the evader, active or not; the lowest id if several are.
         active: (N,) who chases.
     """
 
-    def __init__(self, t: int, players: Floats, active: NDArray[np.bool_]):
+    def __init__(self, t: int, players: Points, active: NDArray[np.bool_]):
         self.t = t
         self.players = players
-        self.offsets = players[-1] - players[:-1]
-        self.distances = np.hypot(self.offsets[:, 0], self.offsets[:, 1])
+        self.offsets: Points = players[-1] - players[:-1]
+        self.distances: Floats = np.abs(self.offsets)
+        self.nearest = int(self.distances.argmin())
         self.active = active
 
     @property
-    def pursuers(self) -> Floats:
-        """(N, 2) positions of the pursuers, m."""
+    def pursuers(self) -> Points:
+        """(N,) positions of the pursuers, m."""
         return self.players[:-1]
 
     @property
-    def evader(self) -> Floats:
-        """(2,) position of the evader, m."""
-        return self.players[-1]
+    def evader(self) -> complex:
+        """Position of the evader, m."""
+        return complex(self.players[-1])
 
-    @cached_property
-    def nearest(self) -> int:
-        """The pursuer nearest to the evader, active or not; the lowest id if several are."""
-        return int(self.distances.argmin())
+
+def complex_points(points: Sequence[Sequence[float]] | Floats) -> Points:
+    """Return (k, 2) coordinates as (k,) complex numbers."""
+    return np.ascontiguousarray(points, dtype=np.float64).view(np.complex128)[:, 0]
+
+
+def coordinates(points: Points) -> Floats:
+    """Return (k,) complex numbers as (k, 2) coordinates."""
+    return np.ascontiguousarray(points).view(np.float64).reshape(-1, 2)

@@ -1,0 +1,1 @@
+"""From traces and results to numbers, tables and pictures."""

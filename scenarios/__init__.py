@@ -1,0 +1,1 @@
+"""Experiments: scenario files, and studies that print a table and draw a figure."""

@@ -1,0 +1,124 @@
+"""Find the initial configurations of Table I, which the paper does not print; writes table1_20.toml and table1_40.toml.
+
+Configurations are drawn at random from the paper's boxes (x_i in [0, 20]^2, x_e in [8, 12]^2, rounded to mm) and kept
+if the active time of the *centralised* Algorithm 3 is within 0.3 % of the published one at all three delta. Among those
+that are kept, the one whose decentralised active times, all pursuers active at first, come nearest to the published
+ones (least sum of squared log ratios) is chosen. Nothing else is fitted: no parameter of the game, the protocol or the
+simulator.
+"""
+
+from itertools import product
+from math import inf, log
+from pathlib import Path
+
+import click
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.statistics import estimate
+from desim.scenario import Capture, Evader, Record, Scenario, Team
+from scenarios.table1 import DELTAS, PUBLISHED, decentralised
+
+Points = NDArray[np.complex128]
+TOLERANCE = 0.003
+BATCH = 20_000
+FOLDER = Path(__file__).parent
+
+
+def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
+    """Return the (M,) active times of Algorithm 3, sampled every delta, for M configurations at once, s.
+
+    Args:
+        pursuers: (M, N) positions x + iy, m.
+        evaders: (M,) positions, m.
+        team: whose speeds, capture radius and horizon to take.
+        delta: slot and motion step, s.
+    """
+    v, v_e, eps = np.array(team.team.all_speeds()), team.evader.speed, team.capture.radius
+    times = np.full(len(evaders), inf)
+    left = np.arange(len(evaders))  # the configurations that are not captured yet
+    for k in range(round(team.horizon / delta) + 1):
+        gaps = evaders[:, np.newaxis] - pursuers
+        distances = np.abs(gaps)
+        free = distances.min(axis=1) > eps
+        times[left[~free]] = k * delta
+        left, pursuers, evaders, gaps, distances = (each[free] for each in (left, pursuers, evaders, gaps, distances))
+        if not len(left):
+            break
+        row = np.arange(len(left))
+        nearest, relay = distances.argmin(axis=1), ((distances - eps) / (v - v_e)).argmin(axis=1)
+        evaders = evaders + v_e * delta * gaps[row, nearest] / distances[row, nearest]
+        ahead = evaders - pursuers[row, relay]
+        pursuers[row, relay] += v[relay] * delta * ahead / np.abs(ahead)
+    return times
+
+
+def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int) -> list[Scenario]:
+    """Return the configurations among `draws` random ones whose centralised active times fit the published ones."""
+    rng = np.random.default_rng(seed)
+    count, kept = base.team.count, []
+    for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
+        team = rng.uniform(*base.team.box, (BATCH, count, 2)).round(3)
+        evader = rng.uniform(*base.evader.box, (BATCH, 2)).round(3)
+        for delta, time in sorted(published.items(), reverse=True):
+            z, e = team @ (1, 1j), evader @ (1, 1j)
+            fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
+            team, evader = team[fits], evader[fits]
+        kept += [_placed(base, *each) for each in zip(team.tolist(), evader.tolist(), strict=True)]
+    return kept
+
+
+def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Scenario:
+    return base.model_copy(
+        update={
+            "team": Team(positions=team, speeds=base.team.speeds),
+            "evader": base.evader.model_copy(update={"position": tuple(evader)}),
+        }
+    )
+
+
+def misfits(candidates: list[Scenario], published: dict[float, float], runs: dict[float, int]) -> list[float]:
+    """Return for each candidate the sum of squared log ratios of measured to published decentralised active times."""
+    cells = [(c, delta) for c in candidates for delta in runs]
+    tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(0, runs[delta])]
+    results = iter(run_many(tasks, label=f"{len(candidates)} candidates"))
+    ratios = [estimate([next(results).active_time for _ in range(runs[d])]).mean / published[d] for _, d in cells]
+    return [sum(log(r) ** 2 for r in ratios[k : k + len(runs)]) for k in range(0, len(ratios), len(runs))]
+
+
+def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
+    """Return the candidate whose decentralised active times fit best, looking closer at fewer and fewer."""
+    for keep, runs in ((12, {0.1: 100, 0.01: 20}), (4, {0.1: 400, 0.01: 100, 0.001: 20}), (1, dict.fromkeys(DELTAS, 200))):
+        scores = misfits(candidates, published, runs)
+        ranked = sorted(range(len(candidates)), key=scores.__getitem__)
+        click.echo(f"  kept {min(keep, len(ranked))} of {len(ranked)}, best misfit {scores[ranked[0]]:.5f}")
+        candidates = [candidates[k] for k in ranked[:keep]]
+    return candidates[0]
+
+
+@click.command(help=__doc__)
+@click.option("--draws", default=1_000_000, show_default=True, help="Configurations to draw for each N.")
+@click.option("--most", default=100, show_default=True, help="Fitting configurations to look at for each N.")
+@click.option("--seed", default=0, show_default=True)
+def main(draws: int, most: int, seed: int) -> None:
+    """Find and write both configurations."""
+    for count in (20, 40):
+        base = Scenario(
+            name=f"Table I, N = {count}",
+            team=Team(count=count),
+            evader=Evader(),
+            capture=Capture(test="sample"),
+            record=Record(trajectory=0.0),
+        )
+        central, published = ({d: PUBLISHED[kind, count, d] for d in DELTAS} for kind in ("centralised", "decentralised"))
+        candidates = fitting(base, central, draws, seed)
+        click.echo(f"N = {count}: {len(candidates)} of {draws} configurations fit the centralised times")
+        chosen = best(candidates[:most], published).model_dump(exclude_defaults=True)
+        (FOLDER / f"table1_{count}.toml").write_text(f"# Found by find_table1.py --seed {seed}.\n" + tomli_w.dumps(chosen))
+
+
+if __name__ == "__main__":
+    main()
