@@ -1,18 +1,18 @@
 """desim simulates multi-robot relay pursuit that is negotiated over an imperfect network.
 
-    from desim import Scenario, load, run, summary
+from desim import Scenario, load, run, summary
 
-    result = run(load("scenarios/relay.toml"), seed=7)
-    print(summary(result))
+result = run(load("scenarios/relay.toml"), seed=7)
+print(summary(result))
 """
 
 from importlib import import_module
 
 _HOMES = {
-    "Result": "desim.run",
+    "Result": "desim.simulation",
     "Scenario": "desim.scenario",
     "load": "desim.scenario_file",
-    "run": "desim.run",
+    "run": "desim.simulation",
     "summary": "desim.analysis.metrics",
 }
 __all__ = ["Result", "Scenario", "load", "run", "summary"]  # noqa: F822

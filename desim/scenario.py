@@ -14,7 +14,6 @@ from desim.pursuit.evasion import PureEvasion, Strategy
 from desim.value import Finite, NonNegative, OneOf, Positive, Probability, Truth, Value
 
 
-
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] > bounds[1]:
         raise ValueError("should be [lower, upper]")

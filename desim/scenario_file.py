@@ -251,7 +251,12 @@ def _what_is_wrong(error: ErrorDetails, key: str, owner: type[BaseModel] | None)
     if kind in {"model_type", "model_attributes_type"}:
         return "should be a table"
     text = error["msg"]
-    for machine, human in (("Input should be", "should be"), ("a valid tuple", "a list"), ("valid ", ""), ("Value error, ", "")):
+    for machine, human in (
+        ("Input should be", "should be"),
+        ("a valid tuple", "a list"),
+        ("valid ", ""),
+        ("Value error, ", ""),
+    ):
         text = text.replace(machine, human)
     return text.strip()
 

@@ -4,7 +4,8 @@
 from Python any callable will do.
 """
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from typing import Annotated, Any
 
@@ -24,7 +25,11 @@ Truth = Annotated[bool, Field(strict=True)]
 class Value(BaseModel):
     """A frozen value whose unknown keys are errors and whose fields are described by the string below them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings")
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as what JSON has: infinity is the string "Infinity"."""
+        return dict(json.loads(self.model_dump_json()))
 
 
 def kind_of(model: type[BaseModel]) -> str:
@@ -57,3 +62,17 @@ class OneOf:
 
 def _callable_or(value: Any, validate: Callable[[Any], Any]) -> Any:
     return value if callable(value) else validate(value)
+
+
+def described(model: type[BaseModel], kind: str, indent: str = "") -> Iterator[str]:
+    """Yield lines of text that describe a model and its parameters, and the models they may hold in turn."""
+    yield f"{indent}{kind}: {(model.__doc__ or '').strip().splitlines()[0]}"
+    for name, field in model.model_fields.items():
+        if name == "kind":
+            continue
+        default = field.get_default(call_default_factory=True)
+        shown = f"{{ kind = {kind_of(type(default))!r} }}" if isinstance(default, BaseModel) else repr(default)
+        yield f"{indent}    {name} = {shown}: {field.description}"
+        for choice in (each for each in field.metadata if isinstance(each, OneOf)):
+            for inner, chosen in choice.choices().items():
+                yield from described(chosen, inner, indent + "        ")

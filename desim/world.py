@@ -155,7 +155,9 @@ class World:
         if contact is not None:
             after, capturer = contact
             self._capture_ahead = self._at(
-                min(state.t + nanoseconds(after), self._step_end), Phase.CAPTURE, lambda event: self._seize(event, capturer)
+                min(state.t + nanoseconds(after), self._step_end),
+                Phase.CAPTURE,
+                lambda event: self._seize(event, capturer),
             )
 
     def _seize(self, foreseen: simpy.Event, capturer: int) -> None:

@@ -12,13 +12,13 @@ from itertools import count
 from typing import Literal
 
 from desim.pursuit.agent import Agent
-from desim.pursuit.game import Profile, relay_profile
+from desim.pursuit.game import relay_pursuer
 from desim.value import Positive, Value
 from protocols.schedules import Process
 
 
 class Centralised(Value):
-    """Pursuer 0 speaks for the omniscient centre: every slot it gives all pursuers the relay profile."""
+    """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that the relay pursuer chases alone."""
 
     kind: Literal["centralised"] = "centralised"
     slot: Positive = 0.01
@@ -28,11 +28,11 @@ class Centralised(Value):
         """Assign the pursuer of least time of capture, if it can be in time."""
         if me.id != 0:
             return
-        before: Profile = ()
+        chasing = {*me.believed_active(), *([me.id] if me.action else [])}
         for k in count():
             yield me.at(k * self.slot)
-            profile = relay_profile(me.capture_times(), me.time_left())
-            if profile != before:
-                for pursuer, active in enumerate(profile):
-                    me.command(pursuer, active)
-                before = profile
+            relay = relay_pursuer(me.capture_times(), me.time_left())
+            wanted = set() if relay is None else {relay}
+            for pursuer in sorted(chasing ^ wanted):
+                me.command(pursuer, pursuer == relay)
+            chasing = wanted

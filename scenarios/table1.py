@@ -1,5 +1,27 @@
-"""Reproduce Table I of Lee & Bakolas: the sum of active times, centralised and decentralised, for N = 20 and 40."""
+"""Reproduce Table I of Lee & Bakolas: the sum of active times, centralised and decentralised, N = 20 and 40.
+
+The decentralised cells are pursuers that exchange action messages over a complete graph with zero latency, with slot
+delta = motion step h as in Algorithm 2. The paper starts "each pursuer with a random action"; the published figures
+are those of a start with every pursuer active, so both are shown. The initial configurations are in table1_20.toml and
+table1_40.toml; find_table1.py tells where they come from.
+"""
+
+from dataclasses import asdict, dataclass
+
+from desim import Scenario, load
+from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.metrics import active_time
+from desim.analysis.statistics import estimate
+from desim.analysis.tables import aligned, number
+from desim.pursuit.agent import Behaviour
+from desim.scenario import Motion
+from protocols.centralised import Centralised
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import SharedSeed
+from scenarios.study import SCENARIOS, Options, study
+
 DELTAS = (0.1, 0.01, 0.001)
+STARTS = {"all active": 1.0, "random": 0.5}
 PUBLISHED = {
     ("centralised", 20, 0.1): 4.6000,
     ("centralised", 20, 0.01): 4.5700,
@@ -14,8 +36,84 @@ PUBLISHED = {
     ("decentralised", 40, 0.01): 39.0082,
     ("decentralised", 40, 0.001): 7.9598,
 }
-from desim.scenario import *
-from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import SharedSeed
-def decentralised(s, delta):
-    return s.model_copy(update={"motion":Motion(step=delta),"protocol":SpatialAdaptivePlay(schedule=SharedSeed(slot=delta))})
+"""Sum of active times (Lee & Bakolas, Table I), s, by algorithm, N and delta (s)."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of the table, measured: the mean over the runs of the sum of active times, s."""
+
+    algorithm: str
+    pursuers: int
+    delta: float
+    start: str
+    runs: int
+    measured: float
+    standard_error: float
+    published: float
+    ratio: float
+
+
+def configuration(count: int) -> Scenario:
+    """Return the scenario of N = 20 or 40, as it is in its file."""
+    return load(SCENARIOS / f"table1_{count}.toml")
+
+
+def centralised(base: Scenario, delta: float) -> Scenario:
+    """Return a configuration under Algorithm 3."""
+    return _with(base, Centralised(slot=delta), delta)
+
+
+def decentralised(base: Scenario, delta: float, active_at_start: float = 1.0) -> Scenario:
+    """Return a configuration under Algorithm 2."""
+    start = base.team.model_copy(update={"active_at_start": active_at_start})
+    protocol = SpatialAdaptivePlay(schedule=SharedSeed(slot=delta))
+    return _with(base.model_copy(update={"team": start}), protocol, delta)
+
+
+def _with(base: Scenario, protocol: Behaviour, delta: float) -> Scenario:
+    return base.model_copy(update={"protocol": protocol, "motion": Motion(step=delta)})
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run all cells; the centralised ones do not depend on the start and serve for both."""
+    keys, scenarios = [], []
+    for algorithm, count, delta in PUBLISHED:
+        base = configuration(count)
+        for start, share in STARTS.items() if algorithm == "decentralised" else [("any", 1.0)]:
+            keys.append((algorithm, count, delta, start))
+            scenarios.append(centralised(base, delta) if start == "any" else decentralised(base, delta, share))
+    tasks = [(scenario, seed) for scenario in scenarios for seed in seeds_from(options.seed, options.runs)]
+    times = iter(run_many(tasks, options.jobs, "Table I", active_time))
+    return [_cell(*key, [next(times) for _ in range(options.runs)]) for key in keys]
+
+
+def _cell(algorithm: str, count: int, delta: float, start: str, times: list[float]) -> Cell:
+    mean, error, runs = estimate(times)
+    published = PUBLISHED[algorithm, count, delta]
+    return Cell(algorithm, count, delta, start, runs, mean, error, published, mean / published)
+
+
+def table(cells: list[Cell]) -> str:
+    """Return the cells as text, one line per published figure, both starts side by side."""
+    found = {(cell.algorithm, cell.pursuers, cell.delta, cell.start): cell for cell in cells}
+    rows = [("", "", "", "", *("all active", "", ""), *("random start", "", ""))]
+    rows.append(("algorithm", "N", "delta, s", "published", *("measured", "s.e.", "ratio") * 2))
+    for (algorithm, count, delta), published in PUBLISHED.items():
+        row = [algorithm, str(count), f"{delta:g}", number(published, 4)]
+        for start in STARTS:
+            cell = found.get((algorithm, count, delta, start)) or found[algorithm, count, delta, "any"]
+            row += [number(cell.measured, 4), number(cell.standard_error, 4), number(cell.ratio, 3)]
+        rows.append(tuple(row))
+    return f"Table I: sum of active times, s; {cells[0].runs} runs per cell\n" + aligned(rows)
+
+
+@study("table1", __doc__, runs=100)
+def main(options: Options) -> None:
+    """Measure, compare, show."""
+    cells = measure(options)
+    options.show({"cells": [asdict(cell) for cell in cells]}, table(cells))
+
+
+if __name__ == "__main__":
+    main()

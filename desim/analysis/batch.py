@@ -1,17 +1,19 @@
 """Many runs at once: the same function of scenario and seed, on one core or on all."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
+from typing import TypeVar
 
 from tqdm import tqdm
 
-from desim.analysis.metrics import Summary, summary
-from desim.run import run
+from desim.analysis.metrics import summary
+from desim.simulation import Result, run
 from desim.scenario import Scenario
 
 Task = tuple[Scenario, int]
 """A scenario and the seed to run it with."""
+Measured = TypeVar("Measured")
 
 
 def seeds_from(seed: int, runs: int) -> range:
@@ -19,43 +21,51 @@ def seeds_from(seed: int, runs: int) -> range:
     return range(seed, seed + runs)
 
 
-def run_many(tasks: Sequence[Task], jobs: int = 0, label: str = "runs") -> list[Summary]:
-    """Run each task and return the summaries in the order of the tasks, whatever the number of workers.
+def run_many(
+    tasks: Sequence[Task],
+    jobs: int = 0,
+    label: str = "runs",
+    measure: Callable[[Result], Measured] = summary,  # type: ignore[assignment]
+) -> list[Measured]:
+    """Run each task and return what was measured, in the order of the tasks, whatever the number of workers.
 
     Args:
         tasks: scenario and seed of each run.
         jobs: worker processes; 1 = none, everything happens here; 0 = one per core.
         label: stands before the progress bar, which is drawn on a terminal only.
+        measure: what to keep of a result; it runs in the worker.
     """
-    jobs = min(jobs or os.cpu_count() or 1, max(len(tasks), 1))
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
     with tqdm(total=len(tasks), desc=label, unit="run", disable=None) as bar:
-        if jobs == 1:
-            results = []
-            for task in tasks:
-                results.append(summary(run(*task)))
-                bar.update()
-            return results
-        return _run_on(jobs, tasks, bar)
+        if jobs <= 1:
+            return _run_some(tasks, measure, bar)
+        return _run_on(jobs, tasks, measure, bar)
 
 
-def _run_on(jobs: int, tasks: Sequence[Task], bar: "tqdm[None]") -> list[Summary]:
+def _run_on(
+    jobs: int, tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[None]"
+) -> list[Measured]:
     from loky import get_reusable_executor
 
     executor = get_reusable_executor(max_workers=jobs)
     size = max(1, len(tasks) // (jobs * 32))
-    pending: dict[Future[list[Summary]], int] = {
-        executor.submit(_run_some, tasks[first : first + size]): first for first in range(0, len(tasks), size)
-    }
-    done: dict[int, list[Summary]] = {}
+    chunks = [tasks[first : first + size] for first in range(0, len(tasks), size)]
+    pending: list[Future[list[Measured]]] = [executor.submit(_run_some, chunk, measure) for chunk in chunks]
     try:
         for future in as_completed(pending):
-            done[pending[future]] = future.result()
             bar.update(len(future.result()))
     except BaseException:
         executor.shutdown(wait=False, kill_workers=True)
         raise
-    return [each for first in sorted(done) for each in done[first]]
+    return [measured for future in pending for measured in future.result()]
 
 
-def _run_some(tasks: Sequence[Task]) -> list[Summary]:
-    return [summary(run(*task)) for task in tasks]
+def _run_some(
+    tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[None] | None" = None
+) -> list[Measured]:
+    measured = []
+    for task in tasks:
+        measured.append(measure(run(*task)))
+        if bar is not None:
+            bar.update()
+    return measured

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from desim.kernel.clock import seconds
 from desim.kernel.events import Tally
 from desim.pursuit.events import Decided, Ended, Started
-from desim.run import Result
+from desim.simulation import Result
 
 
 @dataclass(frozen=True, slots=True)

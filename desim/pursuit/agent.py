@@ -94,11 +94,15 @@ class Agent:
         """Return the newest announcement that has arrived from each teammate."""
         return self._network.heard(self.id)
 
+    def believed_active(self) -> list[int]:
+        """Return the teammates whose newest announcement that has arrived says that they are active."""
+        return [j for j, (_, record) in self.heard().items() if record.body.active]
+
     def gain(self) -> float:
         """Return what it gains by being active, given whom it believes active; see `desim.pursuit.game.gain`, s."""
         phi = self._world.capture_times()
-        chasing = [phi[j] for j, (_, record) in self.heard().items() if record.body.active and phi[j] < inf]
-        return game.gain(phi[self.id], chasing, self._world.time_left())
+        others = [phi[j] for j in self.believed_active() if phi[j] < inf]
+        return game.gain(phi[self.id], others, self._world.time_left())
 
     def stream(self, name: str) -> np.random.Generator:
         """Return a random stream of its own."""

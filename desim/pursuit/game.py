@@ -148,13 +148,19 @@ def equilibria(phi: Sequence[float], reward: float) -> list[Profile]:
     return [profile for profile in profiles(len(phi)) if is_equilibrium(phi, profile, reward)]
 
 
+def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
+    """Return the pursuer of least (phi, index), or None if even that one would be late (phi >= reward)."""
+    least = min(phi)
+    return phi.index(least) if least < reward else None
+
+
 def relay_profile(phi: Sequence[float], reward: float) -> Profile:
-    """Return the profile in which the pursuer of least (phi, index) chases alone, or nobody if it would be late.
+    """Return the profile in which the relay pursuer chases alone, or nobody if there is none.
 
     For distinct phi it is the only equilibrium of the game.
     """
-    least = min(range(len(phi)), key=lambda i: (phi[i], i))
-    return tuple(i == least and phi[i] < reward for i in range(len(phi)))
+    relay = relay_pursuer(phi, reward)
+    return tuple(i == relay for i in range(len(phi)))
 
 
 def profiles(count: int) -> list[Profile]:

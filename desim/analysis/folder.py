@@ -1,0 +1,43 @@
+"""The folder of a run: its trace, its numbers, its scenario and its picture."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from desim.analysis.metrics import Summary, summary
+from desim.pursuit.events import Sampled
+from desim.simulation import Result
+from desim.scenario_file import dump
+
+
+def write(result: Result, folder: Path) -> Summary:
+    """Write a run to a folder and return its numbers.
+
+    trace.jsonl, summary.json and scenario.toml; trajectory.svg and .png if positions were recorded and matplotlib
+    (the extra `plot`) is installed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = summary(result)
+    result.trace.write(folder / "trace.jsonl")
+    (folder / "summary.json").write_text(json.dumps(asdict(numbers), indent=2) + "\n", encoding="utf-8")
+    resolved = result.scenario.model_copy(update={"seed": result.seed})
+    (folder / "scenario.toml").write_text(dump(resolved), encoding="utf-8")
+    if can_plot() and result.trace.of(Sampled):
+        from desim.analysis.plots import save, trajectory
+
+        save(trajectory(result), folder / "trajectory")
+    return numbers
+
+
+def write_below(parent: Path, result: Result) -> Summary:
+    """Write a run to the folder `seed-S` below another; see `write`."""
+    return write(result, parent / f"seed-{result.seed}")
+
+
+def can_plot() -> bool:
+    """Return whether matplotlib is installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return False
+    return True

@@ -1,0 +1,79 @@
+"""Results as plain text that a person reads."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from math import isnan
+
+from desim.analysis.metrics import Summary
+from desim.analysis.statistics import Estimate, estimate
+from desim.scenario import Scenario
+
+
+def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
+    """Return rows as text with columns lined up, those from `right_from` on to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if k >= right_from else cell.ljust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
+    """Return what one run came to; wall_time in s."""
+    outcome = (
+        f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
+        if run.captured
+        else f"no, the pursuit ended after {run.end_time:.3f} s"
+    )
+    rate = run.messages_sent / wall_time
+    rows = [
+        ("captured", outcome, ""),
+        ("active time", f"{run.active_time:.3f} s", "summed over the pursuers"),
+        ("idle time", f"{run.idle_time:.3f} s", "nobody active"),
+        ("crowded time", f"{run.crowded_time:.3f} s", "more than one active"),
+        ("decisions", f"{run.decisions:,}", f"{run.switches:,} of them changed an action"),
+        ("messages sent", f"{run.messages_sent:,}", "each receiver of a broadcast counts as one"),
+        ("  delivered", f"{run.messages_delivered:,}", ""),
+        ("  lost", f"{run.messages_lost:,}", ""),
+        ("  in flight", f"{run.messages_in_flight:,}", "when the run ended"),
+        ("wall time", f"{wall_time:.3f} s", f"{rate:,.0f} messages/s"),
+    ]
+    return _heading(scenario, f"seed {run.seed}") + aligned(rows, right_from=3)
+
+
+def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -> str:
+    """Return the means of several runs with their 95 % intervals; wall_time in s."""
+    captured = [run for run in runs if run.captured]
+    rows = [("", "mean", "+-", "least", "most", "runs")]
+    if captured:
+        rows.append(_row("capture time, s", [run.capture_time or 0.0 for run in captured]))
+    for name in (field.name for field in fields(Summary) if field.type is float and field.name != "end_time"):
+        rows.append(_row(f"{name.replace('_', ' ')}, s", [getattr(run, name) for run in runs]))
+    for name in (field.name for field in fields(Summary) if field.type is int and field.name != "seed"):
+        rows.append(_row(name.replace("_", " "), [float(getattr(run, name)) for run in runs]))
+    seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
+    rate = sum(run.messages_sent for run in runs) / wall_time
+    return (
+        _heading(scenario, seeds)
+        + f"captured in {len(captured)} of {len(runs)} runs; +- is half a 95 % t interval\n"
+        + aligned(rows)
+        + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
+    )
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number with thousands separators, or a dash if there is none."""
+    return "-" if isnan(value) else f"{value:,.{digits}f}"
+
+
+def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
+    mean: Estimate = estimate(values)
+    return (name, *(number(x) for x in (mean.mean, mean.half_width, min(values), max(values))), str(len(values)))
+
+
+def _heading(scenario: Scenario, what: str) -> str:
+    kind = getattr(scenario.protocol, "kind", getattr(scenario.protocol, "__name__", "own protocol"))
+    return f"{scenario.name}: {scenario.team.count} pursuers, {kind}, {what}\n"

@@ -1,0 +1,65 @@
+"""What all studies share: their options, and how they show what they found."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from desim.analysis.folder import can_plot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SCENARIOS = Path(__file__).parent
+"""Where the scenario files are."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of a study."""
+
+    name: str
+    runs: int
+    jobs: int
+    seed: int
+    out: Path
+    as_json: bool
+
+    def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
+        """Print the table, or the document if JSON was asked for, and write both and the figure to the folder."""
+        text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
+        click.echo(text if self.as_json else table)
+        self.out.mkdir(parents=True, exist_ok=True)
+        stem = self.out / self.name
+        stem.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+        stem.with_suffix(".txt").write_text(table + "\n", encoding="utf-8")
+        if figure is None:
+            return
+        if not can_plot():
+            click.echo("no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+            return
+        from desim.analysis.plots import save
+
+        for path in save(figure(), stem):
+            click.echo(f"wrote {path}", err=True)
+
+
+def study(name: str, doc: str | None, runs: int) -> Callable[[Callable[[Options], None]], click.Command]:
+    """Make a command of a function of `Options`: its name, its help, and how many runs it takes by default."""
+
+    def command(run: Callable[[Options], None]) -> click.Command:
+        @click.command(name=name, help=doc)
+        @click.option("--runs", type=click.IntRange(min=1), default=runs, show_default=True, help="Runs per cell.")
+        @click.option("--jobs", type=click.IntRange(min=0), default=0, help="Worker processes; 0 = one per core.")
+        @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first run.")
+        @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
+        @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
+        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool) -> None:
+            run(Options(name, runs, jobs, seed, out, as_json))
+
+        return main
+
+    return command

@@ -1,0 +1,113 @@
+"""Which clock is Table I about? Active time over a grid of negotiation slot delta and motion step h, set apart.
+
+In the paper's time-stepped loop one number is both. Here the pursuers of Table I negotiate every delta and are moved
+every h, for all pairs of five values: what changes along delta is negotiation, what changes along h is integration.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.metrics import active_time
+from desim.analysis.statistics import estimate
+from desim.analysis.tables import aligned
+from desim.scenario import Capture, Motion
+from scenarios.study import Options, study
+from scenarios.table1 import configuration, decentralised
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+VALUES = (0.001, 0.003, 0.01, 0.03, 0.1)
+"""Of delta and of h, s."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The mean over the runs of the sum of active times, s, at one slot and one step."""
+
+    slot: float
+    step: float
+    active_time: float
+    standard_error: float
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run the grid; capture is judged within the step, so that h is not also the resolution of capture."""
+    base = configuration(20).model_copy(update={"capture": Capture(test="segment")})
+    grid = [(slot, step) for slot in VALUES for step in VALUES]
+    scenarios = [decentralised(base, slot).model_copy(update={"motion": Motion(step=step)}) for slot, step in grid]
+    tasks = [(scenario, seed) for scenario in scenarios for seed in seeds_from(options.seed, options.runs)]
+    times = iter(run_many(tasks, options.jobs, "two clocks", active_time))
+    cells = []
+    for slot, step in grid:
+        mean, error, _ = estimate([next(times) for _ in range(options.runs)])
+        cells.append(Cell(slot, step, mean, error))
+    return cells
+
+
+def spread(cells: list[Cell], along: str) -> float:
+    """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
+    other = "step" if along == "slot" else "slot"
+    ratios = []
+    for fixed in VALUES:
+        line = [cell.active_time for cell in cells if getattr(cell, other) == fixed]
+        ratios.append(max(line) / min(line))
+    return max(ratios)
+
+
+def table(cells: list[Cell], runs: int) -> str:
+    """Return the grid as text, with what it says."""
+    found = {(cell.slot, cell.step): cell for cell in cells}
+    rows = [("delta | h", *(f"{step:g} s" for step in VALUES))]
+    for slot in VALUES:
+        line = [found[slot, step] for step in VALUES]
+        rows.append((f"{slot:g} s", *(f"{cell.active_time:.2f} +- {cell.standard_error:.2f}" for cell in line)))
+    return (
+        f"Sum of active times, s, N = 20, {runs} runs per cell, +- standard error\n"
+        + aligned(rows)
+        + f"\nalong delta it changes by up to a factor {spread(cells, 'slot'):.1f}, along h by {spread(cells, 'step'):.2f}:"
+        + " Table I is about the "
+        + ("negotiation slot" if spread(cells, "slot") > spread(cells, "step") else "motion step")
+    )
+
+
+def picture(cells: list[Cell]) -> "Figure":
+    """Draw active time over each clock, one line per value of the other; the diagonal is the paper's."""
+    from desim.analysis import plots
+
+    found = {(cell.slot, cell.step): cell for cell in cells}
+
+    def draw(axes: plots.Axes, x: str, other: str) -> None:
+        for colour, marker, fixed in zip(plots.SERIES, "osD^v", VALUES, strict=False):
+            line = [found[(v, fixed) if x == "slot" else (fixed, v)] for v in VALUES]
+            y, error = (np.array([getattr(cell, name) for cell in line]) for name in ("active_time", "standard_error"))
+            axes.errorbar(VALUES, y, error, color=colour, marker=marker, ms=4, lw=1.2, label=f"{other} = {fixed:g} s")
+        axes.loglog()
+        axes.legend(fontsize=7)
+
+    with plots.styled(figsize=(7.2, 3.4)) as figure:
+        left, right = figure.subplots(1, 2, sharey=True)
+        draw(left, "slot", "h")
+        draw(right, "step", "$\\delta$")
+        left.set(xlabel="negotiation slot $\\delta$ (s)", ylabel="sum of active times (s)")
+        right.set(xlabel="motion step h (s)")
+    return figure
+
+
+@study("two_clocks", __doc__, runs=40)
+def main(options: Options) -> None:
+    """Measure, compare, show."""
+    cells = measure(options)
+    document = {
+        "cells": [asdict(cell) for cell in cells],
+        "spread_along_slot": spread(cells, "slot"),
+        "spread_along_step": spread(cells, "step"),
+    }
+    options.show(document, table(cells, options.runs), lambda: picture(cells))
+
+
+if __name__ == "__main__":
+    main()
