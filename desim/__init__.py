@@ -1,12 +1,21 @@
 """desim simulates multi-robot relay pursuit that is negotiated over an imperfect network.
 
-from desim import Scenario, load, run, summary
+from desim import load, run, summary
 
 result = run(load("scenarios/relay.toml"), seed=7)
 print(summary(result))
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from desim.analysis.metrics import summary
+    from desim.scenario import Scenario
+    from desim.scenario_file import load
+    from desim.simulation import Result, run
+
+__all__ = ["Result", "Scenario", "load", "run", "summary"]
 
 _HOMES = {
     "Result": "desim.simulation",
@@ -15,7 +24,6 @@ _HOMES = {
     "run": "desim.simulation",
     "summary": "desim.analysis.metrics",
 }
-__all__ = ["Result", "Scenario", "load", "run", "summary"]  # noqa: F822
 
 
 def __getattr__(name: str) -> object:

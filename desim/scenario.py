@@ -140,6 +140,10 @@ class Record(Value):
     """Whether every message is recorded, or only their number."""
 
 
+def _default_protocol() -> Any:
+    return PROTOCOLS.choices()["sap"]()
+
+
 class Scenario(Value):
     """A whole experiment; the default is the scenario of Lee & Bakolas with 20 pursuers and an ideal network."""
 
@@ -153,7 +157,7 @@ class Scenario(Value):
     evader: Evader = Evader()
     capture: Capture = Capture()
     motion: Motion = Motion()
-    protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=lambda: PROTOCOLS.choices()["sap"]())
+    protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
     """How the pursuers negotiate; `desim protocols` lists the kinds."""
     network: Links = Links()
     record: Record = Record()

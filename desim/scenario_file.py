@@ -146,15 +146,17 @@ def _apply(override: str, source: Source) -> None:
     node: Any = source.tables
     for key in keys[:-1]:
         if isinstance(node, dict):
-            node = node.setdefault(key, {})
-        elif isinstance(node, list) and isinstance(key, int) and key < len(node):
-            node = node[key]
-        else:
-            node = None
-    if not isinstance(node, dict) and not (isinstance(node, list) and keys[-1] in range(len(node))):
+            node.setdefault(key, {})
+        node = node[key] if _holds(node, key) else None
+    if not isinstance(node, dict) and not _holds(node, keys[-1]):
         raise ScenarioError(f"--set {override}: {name} is not a key of a table")
     node[keys[-1]] = _parsed(text.strip())
     source.overrides[keys] = override
+
+
+def _holds(node: Any, key: Any) -> bool:
+    """Return whether a table has a key, or a list a position."""
+    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
 
 
 def _parsed(text: str) -> Any:
@@ -195,7 +197,7 @@ def _place_of(error: ErrorDetails, tables: dict[str, Any]) -> Place:
     place: Place = ()
     node: Any = tables
     for part in error["loc"]:
-        if isinstance(node, dict) and part in node or isinstance(node, list) and isinstance(part, int):
+        if _holds(node, part):
             place, node = (*place, part), node[part]
     if error["type"] == "missing":
         place += (error["loc"][-1],)
@@ -214,7 +216,7 @@ def _field(place: Place, tables: dict[str, Any]) -> tuple[type[BaseModel] | None
         if isinstance(part, str):
             owner, info = inner, inner.model_fields.get(part) if inner else None
             description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
-        node = node.get(part) if isinstance(node, dict) else node[part]
+        node = node[part] if _holds(node, part) else None
         if isinstance(part, str):
             inner = _model_of(info, node) if info else None
     return owner, description
@@ -224,7 +226,7 @@ def _model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model that the value of a field should be."""
     kinds = next((each.choices() for each in info.metadata if isinstance(each, OneOf)), {})
     if kinds:
-        return kinds.get(value.get("kind")) if isinstance(value, dict) else None
+        return kinds.get(str(value.get("kind"))) if isinstance(value, dict) else None
     models = [each for each in (info.annotation, *get_args(info.annotation)) if _is_model(each)]
     return models[0] if models else None
 

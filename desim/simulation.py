@@ -7,6 +7,7 @@ from typing import Any
 import networkx as nx
 import simpy
 
+from desim.kernel.clock import Clock
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Assignment, Behaviour
@@ -33,7 +34,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         watchers: are shown each event as it happens; one that returns True ends the run.
     """
     seed = scenario.seed if seed is None else seed
-    env = simpy.Environment()
+    env = Clock()
     trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.finish("stopped"))
     world = World(env, scenario, seed, trace)
     graph = nx.complete_graph(world.size)
@@ -47,6 +48,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     env.run(until=world.over)
     world.sample()
     trace.append(network.tally())
+    assert world.end is not None
     trace.append(world.end)
     return Result(scenario, seed, trace)
 

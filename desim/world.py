@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Instant, Phase, nanoseconds, seconds
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Sampled, Started
@@ -24,28 +24,29 @@ class World:
     it. Capture is foreseen from the pieces and happens at its instant, unless an order comes first.
     """
 
-    def __init__(self, env: simpy.Environment, scenario: Scenario, seed: int, trace: Trace):
+    def __init__(self, env: Clock, scenario: Scenario, seed: int, trace: Trace):
         self._env, self._trace = env, trace
         self._capture, self._motion = scenario.capture, scenario.motion
         self._horizon = nanoseconds(scenario.horizon)
         self._flee, self._evader_speed = scenario.evader.strategy, scenario.evader.speed
         self._evader_rng = stream(seed, "evader strategy")
         self._speeds = np.array(scenario.team.all_speeds())
-        self._capture_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
+        self._radial_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
         self._closing_bound = float(self._speeds.max()) + self._evader_speed
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
         self.over = env.event()
         self.end: Ended | None = None
 
-        self._origins = complex_points([*scenario.team.start(seed), scenario.evader.start(seed)])
+        self._origins = complex_points(np.vstack([scenario.team.start(seed), scenario.evader.start(seed)]))
         self._since = 0
         self._velocities = np.zeros_like(self._origins)
         self._aim = 0j
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._active = scenario.team.start_profile(seed)
-        self._enter(State(0, self._origins, self._active))
+        self._state = State(0, self._origins, self._active)
+        self._capture_times: list[float] | None = None
         self._active &= np.isfinite(self.capture_times())
         self._paces = self._speeds * self._active
 
@@ -74,7 +75,7 @@ class World:
         """Return every pursuer's time of capture now, s."""
         state = self.state()
         if self._capture_times is None:
-            self._capture_times = self._capture_time(state.distances).tolist()
+            self._capture_times = list(self._radial_time(state.distances).tolist())
         return self._capture_times
 
     def time_left(self) -> float:
@@ -177,7 +178,7 @@ class World:
 
     def _enter(self, state: State) -> None:
         self._state = state
-        self._capture_times: list[float] | None = None
+        self._capture_times = None
 
 
 def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:

@@ -37,7 +37,7 @@ class SharedSeed(Value):
     slot: Positive = 0.01
     """Length of a slot delta, s."""
 
-    def mean_slot(self, team_size: int) -> float:  # noqa: ARG002
+    def mean_slot(self, team_size: int) -> float:
         """Return delta, s."""
         return self.slot
 

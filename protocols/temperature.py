@@ -34,6 +34,6 @@ class Constant(Value):
     value: Positive = 0.1
     """Temperature tau, s."""
 
-    def __call__(self, eta: float) -> float:  # noqa: ARG002
+    def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
         return 1.0 / self.value

@@ -7,7 +7,6 @@ ones (least sum of squared log ratios) is chosen. Nothing else is fitted: no par
 simulator.
 """
 
-from itertools import product
 from math import inf, log
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.scenario import Capture, Evader, Record, Scenario, Team
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
@@ -64,7 +64,7 @@ def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int
         team = rng.uniform(*base.team.box, (BATCH, count, 2)).round(3)
         evader = rng.uniform(*base.evader.box, (BATCH, 2)).round(3)
         for delta, time in sorted(published.items(), reverse=True):
-            z, e = team @ (1, 1j), evader @ (1, 1j)
+            z, e = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
             fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
             team, evader = team[fits], evader[fits]
         kept += [_placed(base, *each) for each in zip(team.tolist(), evader.tolist(), strict=True)]
@@ -84,8 +84,8 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
     """Return for each candidate the sum of squared log ratios of measured to published decentralised active times."""
     cells = [(c, delta) for c in candidates for delta in runs]
     tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(0, runs[delta])]
-    results = iter(run_many(tasks, label=f"{len(candidates)} candidates"))
-    ratios = [estimate([next(results).active_time for _ in range(runs[d])]).mean / published[d] for _, d in cells]
+    times = iter(run_many(tasks, 0, f"{len(candidates)} candidates", active_time))
+    ratios = [estimate([next(times) for _ in range(runs[d])]).mean / published[d] for _, d in cells]
     return [sum(log(r) ** 2 for r in ratios[k : k + len(runs)]) for k in range(0, len(ratios), len(runs))]
 
 

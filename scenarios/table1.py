@@ -7,6 +7,7 @@ table1_40.toml; find_table1.py tells where they come from.
 """
 
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 from desim import Scenario, load
 from desim.analysis.batch import run_many, seeds_from
@@ -19,6 +20,9 @@ from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 from scenarios.study import SCENARIOS, Options, study
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 DELTAS = (0.1, 0.01, 0.001)
 STARTS = {"all active": 1.0, "random": 0.5}
@@ -89,22 +93,22 @@ def measure(options: Options) -> list[Cell]:
 
 
 def _cell(algorithm: str, count: int, delta: float, start: str, times: list[float]) -> Cell:
-    mean, error, runs = estimate(times)
-    published = PUBLISHED[algorithm, count, delta]
-    return Cell(algorithm, count, delta, start, runs, mean, error, published, mean / published)
+    found, published = estimate(times), PUBLISHED[algorithm, count, delta]
+    ratio = found.mean / published
+    return Cell(algorithm, count, delta, start, found.count, found.mean, found.standard_error, published, ratio)
 
 
 def table(cells: list[Cell]) -> str:
     """Return the cells as text, one line per published figure, both starts side by side."""
     found = {(cell.algorithm, cell.pursuers, cell.delta, cell.start): cell for cell in cells}
-    rows = [("", "", "", "", *("all active", "", ""), *("random start", "", ""))]
+    rows: list[Sequence[str]] = [("", "", "", "", "all active", "", "", "random start", "", "")]
     rows.append(("algorithm", "N", "delta, s", "published", *("measured", "s.e.", "ratio") * 2))
     for (algorithm, count, delta), published in PUBLISHED.items():
         row = [algorithm, str(count), f"{delta:g}", number(published, 4)]
         for start in STARTS:
             cell = found.get((algorithm, count, delta, start)) or found[algorithm, count, delta, "any"]
             row += [number(cell.measured, 4), number(cell.standard_error, 4), number(cell.ratio, 3)]
-        rows.append(tuple(row))
+        rows.append(row)
     return f"Table I: sum of active times, s; {cells[0].runs} runs per cell\n" + aligned(rows)
 
 

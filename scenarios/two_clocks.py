@@ -43,8 +43,8 @@ def measure(options: Options) -> list[Cell]:
     times = iter(run_many(tasks, options.jobs, "two clocks", active_time))
     cells = []
     for slot, step in grid:
-        mean, error, _ = estimate([next(times) for _ in range(options.runs)])
-        cells.append(Cell(slot, step, mean, error))
+        found = estimate([next(times) for _ in range(options.runs)])
+        cells.append(Cell(slot, step, found.mean, found.standard_error))
     return cells
 
 
@@ -65,12 +65,12 @@ def table(cells: list[Cell], runs: int) -> str:
     for slot in VALUES:
         line = [found[slot, step] for step in VALUES]
         rows.append((f"{slot:g} s", *(f"{cell.active_time:.2f} +- {cell.standard_error:.2f}" for cell in line)))
+    by_slot, by_step = spread(cells, "slot"), spread(cells, "step")
     return (
         f"Sum of active times, s, N = 20, {runs} runs per cell, +- standard error\n"
         + aligned(rows)
-        + f"\nalong delta it changes by up to a factor {spread(cells, 'slot'):.1f}, along h by {spread(cells, 'step'):.2f}:"
-        + " Table I is about the "
-        + ("negotiation slot" if spread(cells, "slot") > spread(cells, "step") else "motion step")
+        + f"\nIt changes along delta by up to a factor {by_slot:.1f}, along h by {by_step:.2f}: Table I is about the "
+        + ("negotiation slot." if by_slot > by_step else "motion step.")
     )
 
 

@@ -3,13 +3,13 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
 from desim.analysis.metrics import summary
-from desim.simulation import Result, run
 from desim.scenario import Scenario
+from desim.simulation import Result, run
 
 Task = tuple[Scenario, int]
 """A scenario and the seed to run it with."""
@@ -36,6 +36,7 @@ def run_many(
         measure: what to keep of a result; it runs in the worker.
     """
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    bar: tqdm[Any]
     with tqdm(total=len(tasks), desc=label, unit="run", disable=None) as bar:
         if jobs <= 1:
             return _run_some(tasks, measure, bar)
@@ -43,7 +44,7 @@ def run_many(
 
 
 def _run_on(
-    jobs: int, tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[None]"
+    jobs: int, tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[Any]"
 ) -> list[Measured]:
     from loky import get_reusable_executor
 
@@ -61,7 +62,7 @@ def _run_on(
 
 
 def _run_some(
-    tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[None] | None" = None
+    tasks: Sequence[Task], measure: Callable[[Result], Measured], bar: "tqdm[Any] | None" = None
 ) -> list[Measured]:
     measured = []
     for task in tasks:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from desim.analysis.metrics import Summary, summary
 from desim.pursuit.events import Sampled
-from desim.simulation import Result
 from desim.scenario_file import dump
+from desim.simulation import Result
 
 
 def write(result: Result, folder: Path) -> Summary:

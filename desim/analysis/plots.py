@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -15,11 +16,12 @@ from desim.pursuit.events import Sampled, Started
 from desim.simulation import Result
 
 # Okabe & Ito 2008, distinguishable by the colour-blind.
-ORANGE, SKY, GREEN, BLUE, VERMILION, PURPLE, GREY = "#E69F00 #56B4E9 #009E73 #0072B2 #D55E00 #CC79A7 #999999".split()
+ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
+VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 __all__ = ["SERIES", "Axes", "Figure", "save", "styled", "trajectory"]
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "desim",
     "font.size": 9,
@@ -63,7 +65,7 @@ def trajectory(result: Result) -> Figure:
         axes.plot(*np.array(start.pursuers).T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
         for i in chased:
             last = i == end.capturer
-            style = {"color": BLUE, "lw": 2.0, "zorder": 3} if last else {"color": SKY, "lw": 1.0}
+            style: dict[str, Any] = {"color": BLUE, "lw": 2.0, "zorder": 3} if last else {"color": SKY, "lw": 1.0}
             label = f"pursuer {i}, who captured" if last else "pursuer who chased for a while"
             axes.plot(
                 *pursuers[:, i].T, **style, label=label if last or i == min(set(chased) - {end.capturer}) else None

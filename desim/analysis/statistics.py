@@ -1,12 +1,13 @@
 """Means and their uncertainty."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 
-class Estimate(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Estimate:
     """The mean of independent runs and its uncertainty."""
 
     mean: float

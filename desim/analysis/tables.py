@@ -1,12 +1,21 @@
 """Results as plain text that a person reads."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from math import isnan
 
 from desim.analysis.metrics import Summary
-from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.statistics import estimate
 from desim.scenario import Scenario
+
+TIMES = ("active_time", "idle_time", "crowded_time", "excess_time")
+COUNTS = (
+    "decisions",
+    "switches",
+    "messages_sent",
+    "messages_delivered",
+    "messages_lost",
+    "messages_in_flight",
+)
 
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
@@ -47,13 +56,11 @@ def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
 def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -> str:
     """Return the means of several runs with their 95 % intervals; wall_time in s."""
     captured = [run for run in runs if run.captured]
-    rows = [("", "mean", "+-", "least", "most", "runs")]
+    rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs")]
     if captured:
         rows.append(_row("capture time, s", [run.capture_time or 0.0 for run in captured]))
-    for name in (field.name for field in fields(Summary) if field.type is float and field.name != "end_time"):
-        rows.append(_row(f"{name.replace('_', ' ')}, s", [getattr(run, name) for run in runs]))
-    for name in (field.name for field in fields(Summary) if field.type is int and field.name != "seed"):
-        rows.append(_row(name.replace("_", " "), [float(getattr(run, name)) for run in runs]))
+    rows += [_row(f"{_words(name)}, s", [getattr(run, name) for run in runs]) for name in TIMES]
+    rows += [_row(_words(name), [getattr(run, name) for run in runs]) for name in COUNTS]
     seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
     rate = sum(run.messages_sent for run in runs) / wall_time
     return (
@@ -70,8 +77,12 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
-    mean: Estimate = estimate(values)
-    return (name, *(number(x) for x in (mean.mean, mean.half_width, min(values), max(values))), str(len(values)))
+    found = estimate(values)
+    return (name, *(number(x) for x in (found.mean, found.half_width, min(values), max(values))), str(len(values)))
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _heading(scenario: Scenario, what: str) -> str:

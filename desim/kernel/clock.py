@@ -5,10 +5,13 @@ ties are decided by the `Phase` they belong to and never by rounding or by who w
 """
 
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import simpy
 from simpy.events import EventPriority
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
@@ -45,6 +48,15 @@ def seconds(nanoseconds: int) -> float:
     return nanoseconds / SECOND
 
 
+class Clock(simpy.Environment):
+    """A SimPy environment whose time is a whole number of nanoseconds, from 0 on."""
+
+    @property
+    def now(self) -> int:
+        """The time, ns."""
+        return self._now  # type: ignore[return-value]
+
+
 class Instant(simpy.Event):
     """An event that happens at a given nanosecond, in a given phase; its value is None.
 
@@ -55,9 +67,9 @@ class Instant(simpy.Event):
         ValueError: if the instant has passed.
     """
 
-    def __init__(self, env: simpy.Environment, when: int, priority: int):
+    def __init__(self, env: Clock, when: int, priority: int):
         self.env = env
-        self.callbacks = []
+        self.callbacks: list[Callable[[simpy.Event], None]] = []
         self._ok = True
         self._value: Any = None
         wait = when - env.now

@@ -34,7 +34,7 @@ class Broadcast(NamedTuple):
     dst: tuple[int, ...]
     arrival: tuple[int, ...]
     """When it reaches each of `dst`, or `LOST`; one entry for all if it reaches them together."""
-    body: object
+    body: Any
 
 
 class Sent(NamedTuple):
@@ -45,7 +45,7 @@ class Sent(NamedTuple):
     dst: int
     arrival: int
     """When it reaches the inbox of `dst`, or `LOST`."""
-    body: object
+    body: Any
 
 
 class Tally(NamedTuple):

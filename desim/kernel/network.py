@@ -6,22 +6,24 @@ event: `send` wakes its receiver. Both obey the same links, and a record read at
 been delivered by then.
 """
 
-from heapq import heappop, heappush
 from functools import partial
+from heapq import heappop, heappush
 from itertools import count, repeat
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import networkx as nx
 import numpy as np
 import simpy
 from numpy.typing import NDArray
 from simpy.events import EventPriority
 
-from desim.kernel.clock import SECOND, Instant, Phase
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
 from desim.kernel.links import Hops, Links
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Positions, Topology
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 
 class Record(NamedTuple):
@@ -31,7 +33,7 @@ class Record(NamedTuple):
     seq: int
     sent: int
     """When it was published, ns."""
-    body: object
+    body: Any
 
 
 class Message(NamedTuple):
@@ -40,7 +42,7 @@ class Message(NamedTuple):
     src: int
     sent: int
     """When it was sent, ns."""
-    body: object
+    body: Any
 
 
 Heard = tuple[int, Record]
@@ -52,7 +54,7 @@ Table = dict[int, Heard]
 class Inbox:
     """Where messages wait to be read. Waiting for one never consumes it, so a time-out cannot swallow it."""
 
-    def __init__(self, env: simpy.Environment, node: int):
+    def __init__(self, env: Clock, node: int):
         self._env = env
         self._node = node
         self._mail: list[Message] = []
@@ -88,7 +90,7 @@ class Network:
     """Nodes 0 .. n - 1 that talk over the edges of a graph.
 
     Args:
-        env: whose clock counts nanoseconds.
+        env: the clock of the simulation.
         graph: who is linked to whom; its nodes are 0 .. n - 1.
         links: latency, loss and range of every link.
         seed: of the streams "latency" and "loss".
@@ -98,7 +100,7 @@ class Network:
 
     def __init__(
         self,
-        env: simpy.Environment,
+        env: Clock,
         graph: "nx.Graph[int]",
         links: Links | None = None,
         *,
@@ -122,11 +124,11 @@ class Network:
         self._tables: list[Table] = [{} for _ in range(size)]
         self._sent = self._lost = self._in_the_air = 0
 
-    def presume(self, src: int, body: object) -> None:
+    def presume(self, src: int, body: Any) -> None:
         """Let everyone know a record of `src` from the start, without a message."""
         self._common[src] = (self._env.now, Record(src, 0, self._env.now, body))
 
-    def publish(self, src: int, body: object) -> None:
+    def publish(self, src: int, body: Any) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours)."""
         dst = self.topology.neighbours(src)
         record = Record(src, next(self._seq[src]), self._env.now, body)
@@ -163,7 +165,7 @@ class Network:
             _note(heard, known, now)
         return known
 
-    def send(self, src: int, dst: int | None, body: object) -> None:
+    def send(self, src: int, dst: int | None, body: Any) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
 
         A message to a node that is out of reach when it is sent is lost.
@@ -212,7 +214,7 @@ class Network:
         arrival = np.broadcast_to(now + np.rint(np.multiply(delay, SECOND)).astype(np.int64), len(dst))
         arrival = np.where(lost, LOST, arrival)
         self._lost += int(np.count_nonzero(arrival == LOST))
-        return arrival.tolist()
+        return list(arrival.tolist())
 
     def _deliver(self, node: int, message: Message, _: simpy.Event) -> None:
         self._in_the_air -= 1

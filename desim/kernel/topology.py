@@ -39,7 +39,8 @@ class Topology:
             return linked
         at = self._positions()
         apart = at[linked] - at[node]
-        return linked[np.hypot(apart[:, 0], apart[:, 1]) <= self._reach]
+        near: NDArray[np.intp] = linked[np.hypot(apart[:, 0], apart[:, 1]) <= self._reach]
+        return near
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import simpy
 
-from desim.kernel.clock import SECOND, Instant, Phase, nanoseconds
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
 from desim.kernel.network import Message, Network, Table
 from desim.kernel.seeds import stream
 from desim.pursuit import game
@@ -56,7 +56,7 @@ class Agent:
         rng: the stream of its decisions.
     """
 
-    def __init__(self, pursuer: int, env: simpy.Environment, world: World, network: Network, seed: int):
+    def __init__(self, pursuer: int, env: Clock, world: World, network: Network, seed: int):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
         self._env, self._world, self._network, self._seed = env, world, network, seed
@@ -66,7 +66,7 @@ class Agent:
     @property
     def now(self) -> float:
         """The time, s."""
-        return float(self._env.now / SECOND)
+        return self._env.now / SECOND
 
     @property
     def team_size(self) -> int:
@@ -126,7 +126,7 @@ class Agent:
         """Tell the neighbours its action, as state: they read it when they next decide."""
         self._network.publish(self.id, Assignment(self.action))
 
-    def send(self, dst: int | None, body: object) -> None:
+    def send(self, dst: int | None, body: Any) -> None:
         """Send a message to a teammate, or to all neighbours (None)."""
         self._network.send(self.id, dst, body)
 

@@ -4,8 +4,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from desim.value import Value
 from desim.pursuit.state import State
+from desim.value import Value
 
 
 class Strategy(Protocol):
