@@ -7,8 +7,8 @@ ones (least sum of squared log ratios) is chosen. Nothing else is fitted: no par
 simulator.
 """
 
+import re
 from math import inf, log
-from pathlib import Path
 
 import click
 import numpy as np
@@ -20,12 +20,12 @@ from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.scenario import Capture, Evader, Record, Scenario, Team
+from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
 
 Points = NDArray[np.complex128]
 TOLERANCE = 0.005
 BATCH = 20_000
-FOLDER = Path(__file__).parent
 
 
 def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
@@ -123,10 +123,15 @@ def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
         )
         candidates = fitting(base, central, draws, seed)
         click.echo(f"N = {count}: {len(candidates)} of {draws} configurations fit the centralised times")
-        chosen = best(candidates[:most], published).model_dump(exclude_defaults=True)
-        (FOLDER / f"table1_{count}.toml").write_text(
-            f"# Found by find_table1.py --seed {seed}.\n" + tomli_w.dumps(chosen)
-        )
+        command = f"python -m scenarios.find_table1 --team {count} --draws {draws} --most {most} --seed {seed}"
+        text = as_file(best(candidates[:most], published), command)
+        (SCENARIOS / f"table1_{count}.toml").write_text(text, encoding="utf-8")
+
+
+def as_file(chosen: Scenario, command: str) -> str:
+    """Return a configuration as a scenario file, one point a line."""
+    text = tomli_w.dumps(chosen.model_dump(exclude_defaults=True))
+    return f"# Found by: {command}\n" + re.sub(r"\[\s+([\d.]+),\s+([\d.]+),\s+\]", r"[\1, \2]", text)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The clock of a simulation: integer nanoseconds, and what comes first among the events of one instant.
 
-Seconds (float) exist only at the edges. Integers make 7 x 0.01 s and 70 x 0.001 s the same instant, so that
+Seconds (float) exist only at the edges. Integers make 3 x 0.1 s and 30 x 0.01 s the same instant, so that
 ties are decided by the `Phase` they belong to and never by rounding or by who was registered first.
 """
 

@@ -58,15 +58,15 @@ class Inbox:
         self._env = env
         self._node = node
         self._mail: list[Message] = []
-        self._arrival: simpy.Event | None = None
+        self._bell: simpy.Event | None = None
 
     def arrival(self) -> simpy.Event:
         """Return an event that happens as soon as there is mail: now, if there is some already."""
-        if self._arrival is None:
-            self._arrival = self._env.event()
-            if self._mail:
-                self._ring()
-        return self._arrival
+        bell = self._bell or self._env.event()
+        self._bell = bell
+        if self._mail:
+            self._ring()
+        return bell
 
     def drain(self) -> list[Message]:
         """Return the mail that has arrived and not been read, oldest first, and empty the box."""
@@ -76,14 +76,14 @@ class Inbox:
     def put(self, message: Message) -> None:
         """Deliver a message and wake who waits for one."""
         self._mail.append(message)
-        if self._arrival is not None:
-            self._ring()
+        self._ring()
 
     def _ring(self) -> None:
-        bell, self._arrival = self._arrival, None
-        assert bell is not None
-        bell._ok, bell._value = True, None
-        self._env.schedule(bell, EventPriority(Phase.DECISION + self._node))
+        """Let the event that is waited for, if any, happen in this instant's phase of decisions."""
+        bell, self._bell = self._bell, None
+        if bell is not None:
+            bell._ok, bell._value = True, None
+            self._env.schedule(bell, EventPriority(Phase.DECISION + self._node))
 
 
 class Network:

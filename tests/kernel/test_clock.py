@@ -1,0 +1,56 @@
+"""The clock: whole nanoseconds, no drift, and a stated order at one instant."""
+
+import pytest
+
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
+
+
+def test_three_tenths_and_thirty_hundredths_are_the_same_instant():
+    """In floats 3 * 0.1 = 0.30000000000000004 is not 30 * 0.01 = 0.3; in nanoseconds both are 300,000,000."""
+    assert 3 * 0.1 != 30 * 0.01
+    assert nanoseconds(3 * 0.1) == nanoseconds(30 * 0.01) == 300_000_000
+    assert seconds(300_000_000) == 0.3
+
+
+def test_a_million_ticks_of_a_tenth_do_not_drift():
+    """sum of 0.1 s as floats is off by 1e-6 s after 10^6 ticks; k x period is not."""
+    clock = Clock()
+    period = nanoseconds(0.1)
+    Instant(clock, 1_000_000 * period, Phase.MOTION)
+    clock.run()
+    assert clock.now == 100_000 * 10**9
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_phases_of_one_instant_happen_in_order_however_they_were_registered(reverse):
+    clock = Clock()
+    order = []
+    wanted = [*Phase, Phase.DECISION + 3, Phase.DECISION + 1]
+    for priority in sorted(wanted, reverse=reverse):
+        Instant(clock, 5, priority).callbacks.append(lambda _, p=priority: order.append(p))
+    clock.run()
+    assert order == sorted(wanted)
+    assert [p.name for p in sorted(Phase)] == ["FAULT", "DELIVERY", "CAPTURE", "DECISION", "MOTION", "SAMPLE"]
+
+
+def test_an_event_made_in_a_late_phase_still_precedes_what_belongs_to_a_later_one():
+    """A zero-latency delivery caused by decision 1 comes before decision 2 of the same instant."""
+    clock = Clock()
+    order = []
+
+    def decide(_):
+        order.append("decision 1")
+        Instant(clock, clock.now, Phase.DELIVERY).callbacks.append(lambda _: order.append("delivery"))
+
+    Instant(clock, 0, Phase.DECISION + 2).callbacks.append(lambda _: order.append("decision 2"))
+    Instant(clock, 0, Phase.DECISION + 1).callbacks.append(decide)
+    clock.run()
+    assert order == ["decision 1", "delivery", "decision 2"]
+
+
+def test_an_instant_in_the_past_is_refused():
+    clock = Clock()
+    Instant(clock, 10, Phase.MOTION)
+    clock.run()
+    with pytest.raises(ValueError, match="the instant 9 ns has passed, it is 10 ns"):
+        Instant(clock, 9, Phase.MOTION)

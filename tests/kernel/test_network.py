@@ -1,0 +1,287 @@
+"""The network: records, messages, inboxes; publish against one event per record."""
+
+from itertools import pairwise
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.events import LOST, Broadcast, Sent, Trace
+from desim.kernel.links import Bernoulli, Constant, Hops, Links
+from desim.kernel.network import Network, Record
+from desim.kernel.seeds import stream
+from desim.kernel.topology import Topology
+
+
+class Uniform:
+    """Latencies that overtake each other, drawn per hop."""
+
+    def __init__(self, longest):
+        self.longest = longest
+
+    def __call__(self, hops: Hops, rng):
+        return rng.uniform(0.0, self.longest, len(hops.dst)).round(3)
+
+
+class PerBroadcast(Uniform):
+    """Latencies that are the same for all receivers of a broadcast, and overtake each other between broadcasts."""
+
+    def __call__(self, hops: Hops, rng):
+        return round(rng.uniform(0.0, self.longest), 3)
+
+
+class EagerNetwork:
+    """The same network with one SimPy event per record and receiver, written without any of its tricks."""
+
+    def __init__(self, clock, graph, links, seed):
+        self.clock, self.links = clock, links
+        self.topology = Topology(graph)
+        self.rng = {name: stream(seed, name) for name in ("latency", "loss")}
+        self.seq = dict.fromkeys(graph, 0)
+        self.tables = {node: {} for node in graph}
+
+    def publish(self, src, body):
+        self.seq[src] += 1
+        record = Record(src, self.seq[src], self.clock.now, body)
+        hops = Hops(src, self.topology.neighbours(src))
+        lost = np.broadcast_to(self.links.loss(hops, self.rng["loss"]), len(hops.dst))
+        delay = np.broadcast_to(self.links.latency(hops, self.rng["latency"]), len(hops.dst))
+        for node, gone, wait in zip(hops.dst.tolist(), lost, delay, strict=True):
+            if not gone:
+                arrival = self.clock.now + round(float(wait) * SECOND)
+                event = Instant(self.clock, arrival, Phase.DELIVERY)
+                event.callbacks.append(lambda _, n=node, a=arrival: self.deliver(n, a, record))
+
+    def deliver(self, node, arrival, record):
+        known = self.tables[node].get(record.src)
+        if known is None or known[1].seq < record.seq:
+            self.tables[node][record.src] = (arrival, record)
+
+    def heard(self, node):
+        return dict(self.tables[node])
+
+
+@st.composite
+def histories(draw):
+    """A random graph, its links, and a random order of publishing and reading with many ties in time."""
+    size = draw(st.integers(2, 6))
+    graph = draw(st.sampled_from([nx.complete_graph, nx.path_graph, nx.star_graph, nx.empty_graph]))(size)
+    graph = nx.convert_node_labels_to_integers(graph)
+    latency = draw(
+        st.sampled_from([Constant(), Constant(value=0.02), Uniform(0.05), PerBroadcast(0.05), Uniform(0.002)])
+    )
+    loss = Bernoulli(p=draw(st.sampled_from([0.0, 0.3, 1.0])))
+    times = st.integers(0, 40).map(lambda k: k * SECOND // 1000)
+    nodes = st.integers(0, len(graph) - 1)
+    acts = draw(st.lists(st.tuples(times, nodes, st.sampled_from(["publish", "read", "both"])), max_size=60))
+    return graph, Links(latency=latency, loss=loss), acts, draw(st.integers(0, 2**32))
+
+
+def observe(make, graph, links, acts, seed):
+    """Return what every read of a history sees."""
+    clock = Clock()
+    network = make(clock, graph, links, seed)
+    seen = []
+
+    def act(node, what, number):
+        if what != "read":
+            network.publish(node, number)
+        if what != "publish":
+            seen.append((clock.now, node, network.heard(node)))
+
+    for number, (when, node, what) in enumerate(acts):
+        event = Instant(clock, when, Phase.DECISION + node)
+        event.callbacks.append(lambda _, n=node, w=what, k=number: act(n, w, k))
+    Instant(clock, SECOND, Phase.SAMPLE)
+    clock.run()
+    for node in graph:
+        seen.append((SECOND, node, network.heard(node)))
+    return seen
+
+
+@settings(max_examples=400, deadline=None)
+@given(histories())
+def test_publish_is_observationally_equal_to_one_event_per_record(history):
+    """Every read sees the same records with the same times of arrival, and none of its own."""
+    lazy = observe(lambda c, g, links, seed: Network(c, g, links, seed=seed), *history)
+    assert lazy == observe(EagerNetwork, *history)
+    assert all(node not in table for _, node, table in lazy)
+
+
+def test_the_comparison_notices_a_network_that_is_a_nanosecond_late():
+    """The control of the property above: records that arrive 1 ns late are told apart."""
+
+    class Late(EagerNetwork):
+        def deliver(self, node, arrival, record):
+            super().deliver(node, arrival + 1, record)
+
+    history = (nx.complete_graph(2), Links(), [(0, 0, "publish"), (5, 1, "read")], 0)
+    assert observe(EagerNetwork, *history) != observe(Late, *history)
+
+
+def test_a_presumed_record_gives_way_to_the_first_that_arrives():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1e-9)))
+    network.presume(0, "presumed")
+    network.publish(0, "told")
+    assert network.heard(1)[0][1].body == "presumed"
+    assert 0 not in network.heard(0)
+    Instant(clock, 1, Phase.MOTION)
+    clock.run()
+    assert network.heard(1)[0] == (1, Record(0, 1, 0, "told"))
+
+
+def test_reading_does_not_lend_out_the_networks_own_table():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2))
+    network.publish(0, "a")
+    network.heard(1).clear()
+    assert network.heard(1)[0][1].body == "a"
+
+
+def run_process(clock, process):
+    clock.process(process)
+    clock.run()
+
+
+def test_a_message_wakes_its_receiver_at_its_arrival():
+    clock = Clock()
+    network = Network(clock, nx.path_graph(3), Links(latency=Constant(value=0.5)))
+    seen = []
+
+    def listen():
+        yield network.inbox(1).arrival()
+        seen.append((clock.now, [message.body for message in network.inbox(1).drain()]))
+
+    network.send(0, 1, "hello")
+    run_process(clock, listen())
+    assert seen == [(SECOND // 2, ["hello"])]
+
+
+def test_a_timeout_never_swallows_a_message():
+    """`store.get() | timeout` loses what arrives after the time-out in SimPy 4.1; waiting here does not consume."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2), Links(latency=Constant(value=2.0)))
+    seen = []
+
+    def listen():
+        inbox = network.inbox(1)
+        yield inbox.arrival() | clock.timeout(SECOND)
+        seen.append((clock.now, inbox.drain()))
+        yield clock.timeout(2 * SECOND)
+        seen.append((clock.now, [m.body for m in inbox.drain()]))
+        yield inbox.arrival() | clock.timeout(SECOND)
+        seen.append((clock.now, inbox.drain()))
+
+    network.send(0, 1, "late")
+    run_process(clock, listen())
+    assert seen == [(SECOND, []), (3 * SECOND, ["late"]), (4 * SECOND, [])]
+
+
+def test_mail_that_is_there_already_wakes_at_once():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2))
+    seen = []
+
+    def listen():
+        yield clock.timeout(7)
+        yield network.inbox(1).arrival()
+        seen.append(clock.now)
+
+    network.send(0, 1, "early")
+    run_process(clock, listen())
+    assert seen == [7]
+
+
+def test_all_mail_of_an_instant_is_there_when_its_receiver_wakes():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(4), Links(latency=Constant(value=1.0)))
+    seen = []
+
+    def listen():
+        yield network.inbox(0).arrival()
+        seen.extend(message.src for message in network.inbox(0).drain())
+
+    for node in (3, 1, 2):
+        network.send(node, 0, None)
+    run_process(clock, listen())
+    assert seen == [3, 1, 2]
+
+
+def test_receivers_woken_at_one_instant_act_in_the_order_of_their_ids():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(4))
+    woken = []
+
+    def listen(node):
+        yield network.inbox(node).arrival()
+        woken.append(node)
+
+    for node in (2, 3, 1):
+        clock.process(listen(node))
+    network.send(0, None, "all")
+    clock.run()
+    assert woken == [1, 2, 3]
+
+
+def test_a_link_carries_any_number_of_messages_at_once():
+    """The classic bug is a delay line that serves one message at a time: 5 sent 0.1 s apart with 1 s latency."""
+    clock = Clock()
+    trace = Trace()
+    network = Network(clock, nx.complete_graph(2), Links(latency=Constant(value=1.0)), trace=trace)
+
+    def speak():
+        for k in range(5):
+            network.send(0, 1, k)
+            yield clock.timeout(SECOND // 10)
+
+    run_process(clock, speak())
+    arrivals = [event.arrival for event in trace.of(Sent)]
+    assert [b - a for a, b in pairwise(arrivals)] == [SECOND // 10] * 4
+    assert arrivals[0] == SECOND
+
+
+def test_a_message_to_a_node_out_of_reach_is_lost_and_counted():
+    clock = Clock()
+    trace = Trace()
+    network = Network(clock, nx.path_graph(3), trace=trace)
+    network.send(0, 2, "far")
+    clock.run()
+    assert trace.of(Sent) == [Sent(0, 0, 2, LOST, "far")]
+    assert network.tally()[1:] == (1, 0, 1, 0)
+    assert network.inbox(2).drain() == []
+
+
+@pytest.mark.parametrize("latency", [Constant(value=0.02), Uniform(0.05), PerBroadcast(0.05)])
+@pytest.mark.parametrize("p", [0.0, 0.25, 1.0])
+def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
+    """The tally of the running network equals the count over its trace, for records and messages together."""
+    clock = Clock()
+    trace = Trace()
+    network = Network(clock, nx.complete_graph(5), Links(latency=latency, loss=Bernoulli(p=p)), trace=trace)
+
+    def speak():
+        for k in range(60):
+            network.publish(k % 5, k)
+            network.send((k + 1) % 5, None if k % 2 else (k + 2) % 5, k)
+            yield Instant(clock, clock.now + SECOND // 1000, Phase.SAMPLE)
+            network.heard((k + 3) % 5)
+            now = clock.now
+            arrivals = [a for e in trace.of(Sent) for a in [e.arrival]]
+            for e in trace.of(Broadcast):
+                arrivals += e.arrival if len(e.arrival) == len(e.dst) else e.arrival * len(e.dst)
+            lost = sum(a == LOST for a in arrivals)
+            flying = sum(a > now for a in arrivals)
+            assert network.tally() == (now, len(arrivals), len(arrivals) - lost - flying, lost, flying)
+
+    run_process(clock, speak())
+
+
+def test_a_receiver_within_range_of_some_hears_only_them():
+    at = np.array([[0.0, 0.0], [1.0, 0.0], [5.0, 0.0]])
+    network = Network(Clock(), nx.complete_graph(3), Links(range=2.0), positions=lambda: at)
+    network.publish(0, "near")
+    assert (list(network.heard(1)), list(network.heard(2))) == ([0], [])
