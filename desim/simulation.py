@@ -43,7 +43,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     )
     for pursuer, active in enumerate(world.profile()):
         network.presume(pursuer, Assignment(active))
-        env.process(_start(Agent(pursuer, env, world, network, seed), scenario.protocol))
+    _populate([Agent(pursuer, env, world, network, seed) for pursuer in range(world.size)], scenario.protocol, env)
     world.begin()
     env.run(until=world.over)
     world.sample()
@@ -51,6 +51,12 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     assert world.end is not None
     trace.append(world.end)
     return Result(scenario, seed, trace)
+
+
+def _populate(agents: list[Agent], protocol: Behaviour, env: Clock) -> None:
+    """Make a process of every agent."""
+    for agent in agents:
+        env.process(_start(agent, protocol))
 
 
 def _start(agent: Agent, protocol: Behaviour) -> Generator[simpy.Event, Any, None]:

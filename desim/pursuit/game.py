@@ -44,13 +44,17 @@ def capture_time(
     return RadialTime(v, evader_speed, radius)(np.hypot(offsets[:, 0], offsets[:, 1]))
 
 
+NO_SPEED = 1e-12
+"""A difference of speeds up to this is rounding, m/s."""
+
+
 class RadialTime:
     """The (N,) times of capture of one team as a function of its (N,) distances alone; see `capture_time`."""
 
     def __init__(self, speeds: Floats, evader_speed: float, radius: float):
         closing = speeds - evader_speed
         self._radius = radius
-        self._slow = closing <= 0.0
+        self._slow = closing <= NO_SPEED
         self._some_slow = bool(self._slow.any())
         self._closing = np.where(self._slow, 1.0, closing)
 

@@ -97,9 +97,7 @@ def observe(make, graph, links, acts, seed):
         event.callbacks.append(lambda _, n=node, w=what, k=number: act(n, w, k))
     Instant(clock, SECOND, Phase.SAMPLE)
     clock.run()
-    for node in graph:
-        seen.append((SECOND, node, network.heard(node)))
-    return seen
+    return seen + [(SECOND, node, network.heard(node)) for node in graph]
 
 
 @settings(max_examples=400, deadline=None)

@@ -1,0 +1,70 @@
+"""Spatial Adaptive Play over networks that are not ideal."""
+
+import pytest
+
+from desim import Scenario, run, summary
+from desim.analysis.metrics import active_time
+from desim.kernel.links import Bernoulli, Constant, Links
+from desim.pursuit.events import Decided, Started
+from desim.pursuit.game import capture_time, relay_profile
+from desim.scenario import Motion, Team
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+
+
+def final_profile(result):
+    active = list(result.trace.of(Started)[0].active)
+    for decision in result.trace.of(Decided):
+        active[decision.pursuer] = decision.active
+    return tuple(active)
+
+
+def frozen(network, count=8, p0=0.5):
+    return Scenario(
+        horizon=30.0,
+        team=Team(count=count, active_at_start=p0),
+        motion=Motion(frozen=True),
+        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=20.0)),
+        network=network,
+        record={"trajectory": 0.0},
+    )
+
+
+@pytest.mark.parametrize("p0", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize(
+    "network",
+    [Links(), Links(latency=Constant(value=0.3)), Links(latency=Constant(value=0.1), loss=Bernoulli(p=0.3))],
+)
+def test_the_relay_profile_is_reached_on_a_complete_graph_in_spite_of_latency_and_loss(network, p0):
+    """As tau -> 0 delay and loss only slow the static game (Nisan, Schapira & Zohar 2008)."""
+    for seed in range(5):
+        result = run(frozen(network, p0=p0), seed)
+        start = result.trace.of(Started)[0]
+        phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
+        assert final_profile(result) == relay_profile(phi, 30.0)
+
+
+@pytest.mark.parametrize("deaf", [Links(loss=Bernoulli(p=1.0)), Links(range=1e-9)])
+def test_without_a_network_everybody_chases_who_can_be_in_time(deaf):
+    """The control: whoever hears nobody but a start with nobody active believes itself alone."""
+    result = run(frozen(deaf, p0=0.0).model_copy(update={"team": Team(count=8, speeds=3.0, active_at_start=0.0)}), 1)
+    assert final_profile(result) == (True,) * 8
+
+
+def test_latency_costs_active_time():
+    """Five seeds each, paired: 0.5 s of latency more than the standard deviation of one run."""
+    near, far = (
+        [
+            active_time(run(Scenario(protocol=SpatialAdaptivePlay(), network=Links(latency=Constant(value=x))), s))
+            for s in range(5)
+        ]
+        for x in (0.0, 0.5)
+    )
+    assert all(b > a + 2.0 for a, b in zip(near, far, strict=True))
+
+
+def test_a_team_that_cannot_capture_stays_and_says_so():
+    result = run(Scenario(team=Team(count=3, speeds=0.5), horizon=2.0), 0)
+    numbers = summary(result)
+    assert (numbers.captured, numbers.active_time, numbers.idle_time) == (False, 0.0, 2.0)
+    assert numbers.messages_sent == 2 * numbers.decisions > 0

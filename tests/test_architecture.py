@@ -1,0 +1,118 @@
+"""The direction of imports: scenarios -> protocols -> desim; kernel <- pursuit <- simulation <- analysis <- cli."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+OURS = ("desim", "protocols", "scenarios", "tests")
+
+# What each module or package may import of ours, most specific first; None stands for anything of its own package.
+ALLOWED = {
+    "desim.value": set(),
+    "desim.kernel.clock": set(),
+    "desim.kernel.seeds": set(),
+    "desim.kernel.events": {"desim.kernel.clock"},
+    "desim.kernel.links": {"desim.value"},
+    "desim.kernel.topology": set(),
+    "desim.kernel": {"desim.kernel", "desim.value"},
+    "desim.pursuit.game": set(),
+    "desim.pursuit.state": set(),
+    "desim.pursuit.events": set(),
+    "desim.pursuit.motion": {"desim.pursuit.state"},
+    "desim.pursuit.evasion": {"desim.pursuit.state", "desim.value"},
+    "desim.pursuit.agent": {"desim.kernel", "desim.pursuit.game"},
+    "desim.scenario": {"desim.kernel", "desim.pursuit", "desim.value"},
+    "desim.scenario_file": {"desim.scenario", "desim.value"},
+    "desim.world": {"desim.kernel", "desim.pursuit", "desim.scenario"},
+    "desim.simulation": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.world"},
+    "desim.analysis": {
+        "desim.analysis",
+        "desim.kernel",
+        "desim.pursuit",
+        "desim.scenario",
+        "desim.scenario_file",
+        "desim.simulation",
+    },
+    "desim.cli": {"desim"},
+    "desim": {"desim"},
+    "protocols": {"desim.pursuit.agent", "desim.pursuit.game", "desim.value", "protocols"},
+    "scenarios": {"desim", "protocols", "scenarios"},
+}
+FORBIDDEN = {
+    "desim.kernel.events": {"simpy", "networkx"},
+    "desim.kernel.links": {"simpy", "networkx"},
+    "desim.kernel.topology": {"simpy"},
+    "desim.pursuit.game": {"simpy", "networkx"},
+    "desim.pursuit.state": {"simpy", "networkx"},
+    "desim.pursuit.motion": {"simpy", "networkx"},
+    "desim.pursuit.evasion": {"simpy", "networkx"},
+    "desim.scenario": {"simpy"},
+    "desim.analysis": {"simpy", "networkx"},
+    "protocols": {"networkx"},
+}
+MODULES = sorted(path for package in ("desim", "protocols", "scenarios") for path in (ROOT / package).rglob("*.py"))
+
+
+def name_of(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(path):
+    """Yield every module a file imports, at the top or inside a function."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if (ROOT / inner.replace(".", "/")).with_suffix(".py").exists() else node.module
+
+
+def rule_for(name, rules):
+    """Return the rule of the most specific entry that covers a module."""
+    covering = [entry for entry in rules if name == entry or name.startswith(entry + ".")]
+    return rules[max(covering, key=len)] if covering else None
+
+
+def within(module, allowed):
+    return any(module == each or module.startswith(each + ".") for each in allowed)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_a_module_imports_only_what_lies_below_it(path):
+    name = name_of(path)
+    ours = {module for module in imports(path) if module.split(".")[0] in OURS}
+    allowed = rule_for(name, ALLOWED)
+    assert allowed is not None, f"{name} has no rule"
+    assert not [module for module in ours if not within(module, allowed)]
+    theirs = {module.split(".")[0] for module in imports(path)} - set(OURS)
+    assert not theirs & (rule_for(name, FORBIDDEN) or set())
+
+
+def test_the_rules_would_notice_an_arrow_the_wrong_way():
+    assert not within("desim.world", ALLOWED["desim.kernel"])
+    assert rule_for("desim.kernel.network", ALLOWED) == ALLOWED["desim.kernel"]
+    assert rule_for("desim.kernel.clock", ALLOWED) == set()
+    assert set(imports(ROOT / "desim/simulation.py")) >= {"desim.world", "simpy", "networkx"}
+
+
+def test_the_mathematics_loads_without_a_simulator():
+    program = (
+        "import sys; import desim.pursuit.game, desim.pursuit.motion, desim.pursuit.evasion, desim.kernel.links;"
+        "sys.exit(bool({'simpy', 'networkx'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_the_kernel_stands_alone():
+    program = (
+        "import sys; import desim.kernel.network, desim.kernel.links;"
+        "sys.exit(any(name.startswith(('desim.pursuit', 'desim.scenario', 'protocols')) for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,0 +1,114 @@
+"""Same scenario and seed, same bytes: in any process, with any number of workers, in any order of registration."""
+
+import os
+import random
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from desim import Scenario, load, run, simulation
+from desim.analysis.batch import run_many
+from desim.kernel.links import Bernoulli, Constant, Links
+from desim.scenario import Team
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson, SharedSeed
+from scenarios.study import SCENARIOS
+
+RELAY = SCENARIOS / "relay.toml"
+
+
+def lines(result):
+    return "".join(result.trace.lines())
+
+
+def test_traces_are_equal_for_any_hash_seed():
+    program = (
+        f"import sys; from desim import load, run;sys.stdout.writelines(run(load({str(RELAY)!r}), 11).trace.lines())"
+    )
+    written = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"PYTHONHASHSEED": hash_seed},
+            capture_output=True,
+            check=True,
+            text=True,
+        ).stdout
+        for hash_seed in ("1", "2")
+    ]
+    assert written[0] == written[1] == lines(run(load(RELAY), 11))
+    assert len(written[0]) > 100_000
+
+
+def test_traces_are_equal_for_one_worker_and_two():
+    tasks = [(load(RELAY), seed) for seed in range(4)]
+    one, two = (run_many(tasks, jobs, measure=lines) for jobs in (1, 2))
+    assert one == two
+    assert len(set(one)) == 4
+
+
+@pytest.mark.parametrize("schedule", [SharedSeed(slot=0.05), Poisson(rate=2.0), "all at once"])
+@pytest.mark.parametrize("latency", [0.0, 0.05])
+def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatch):
+    """Processes made backwards, and the world's own after or before them, give the same trace."""
+
+    def all_at_once(me):
+        for k in range(1, 60):
+            yield me.at(k * 0.05)
+            me.assign(me.gain() > 0)
+            me.announce()
+
+    scenario = Scenario(
+        horizon=3.0,
+        team=Team(count=7, active_at_start=0.5),
+        protocol=all_at_once if schedule == "all at once" else SpatialAdaptivePlay(schedule=schedule),
+        network=Links(latency=Constant(value=latency), loss=Bernoulli(p=0.1), range=8.0),
+        record={"messages": True},
+    )
+    forwards = lines(run(scenario, 5))
+    populate, begin = simulation._populate, simulation.World.begin
+    monkeypatch.setattr(
+        simulation, "_populate", lambda agents, *rest: (begin(world_of(agents)), populate(agents[::-1], *rest))
+    )
+    monkeypatch.setattr(simulation.World, "begin", lambda world: None)
+    assert lines(run(scenario, 5)) == forwards
+    assert forwards.count("Broadcast") > 10
+
+
+def world_of(agents):
+    return agents[0]._world
+
+
+def test_two_runs_share_nothing():
+    scenario = load(RELAY)
+    first = lines(run(scenario, 3))
+    run(scenario, 4)
+    assert lines(run(scenario, 3)) == first
+
+
+def test_the_global_random_generators_are_untouched():
+    np.random.seed(1)  # noqa: NPY002
+    random.seed(1)
+    run(load(RELAY))
+    assert np.random.random() == 0.417022004702574  # noqa: NPY002
+    assert random.random() == 0.13436424411240122
+
+
+def test_recording_and_watching_change_nothing_that_happens():
+    quiet = load(RELAY, ["record.messages=false", "record.trajectory=0"])
+    events = [event for event in run(load(RELAY), 2).trace if type(event).__name__ not in {"Broadcast", "Sampled"}]
+    assert list(run(quiet, 2).trace) == events
+    assert list(run(quiet, 2, lambda event: None).trace) == events
+
+
+def test_scenarios_with_one_seed_share_their_luck():
+    """A swept value moves no stream: start and order of decisions are the same at any latency and loss."""
+    near, far = (
+        run(load(RELAY, [f"network.latency.value={x}", f"network.loss.p={p}"])) for x, p in [(0, 0), (0.5, 0.3)]
+    )
+    assert near.trace.events[0] == far.trace.events[0]
+    decided = [[(d.t, d.pursuer) for d in result.trace.events if hasattr(d, "pursuer")] for result in (near, far)]
+    common = min(map(len, decided))
+    assert common > 100
+    assert decided[0][:common] == decided[1][:common]

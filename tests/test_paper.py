@@ -1,0 +1,229 @@
+"""With an ideal network the simulator is the paper: step for step, in law, and in closed form."""
+
+from collections import Counter
+from itertools import chain
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim import Scenario, run, summary
+from desim.kernel.events import Broadcast
+from desim.kernel.seeds import stream
+from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.game import gibbs, profiles
+from desim.scenario import Capture, Evader, Motion, Record, Team
+from protocols.centralised import Centralised
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson, SharedSeed
+from protocols.temperature import Constant
+
+
+def time_stepped_loop(x, e, active, v, v_e, eps, t_f, delta, owners=None, draws=None):
+    """Algorithm 2 of Lee & Bakolas as one plain loop, or Algorithm 3 if there are no owners.
+
+    owners[k] revises at k delta, with the draws of the generator draws[owner]. Returns the positions at every k delta
+    (pursuers, then evader), who was active in every slot, and the time of capture (None: not captured).
+    """
+    x, e, active, paths, profiles = x.copy(), e.copy(), list(active), [], []
+    for k in range(round(t_f / delta) + 1):
+        paths.append(np.vstack([x, e]))
+        d = np.linalg.norm(e - x, axis=1)
+        if (d <= eps).any():
+            return np.array(paths), profiles, k * delta
+        phi, r = (d - eps) / (v - v_e), t_f - k * delta
+        if owners is None:
+            active = [i == phi.argmin() and phi[i] < r for i in range(len(x))]
+        elif k >= 1:
+            i = owners[k]
+            others = [phi[j] for j in range(len(x)) if active[j] and j != i]
+            gain = (np.mean(others) - phi[i]) / (len(others) + 1) if others else r - phi[i]
+            with np.errstate(over="ignore"):
+                active[i] = draws[i].random() < 1 / (1 + np.exp(-gain * k**2 / 10))
+        e = e + v_e * delta * (e - x[d.argmin()]) / d.min()
+        for i in np.flatnonzero(active):
+            x[i] += v[i] * delta * (e - x[i]) / np.linalg.norm(e - x[i])
+        profiles.append(tuple(map(bool, active)))
+    return np.array(paths), profiles, None
+
+
+@st.composite
+def pursuits(draw):
+    """A random team, configuration, start, slot and horizon."""
+    count = draw(st.integers(1, 9))
+    seed = draw(st.integers(0, 2**31))
+    rng = np.random.default_rng(seed)
+    return {
+        "positions": rng.uniform(0, 12, (count, 2)),
+        "evader": rng.uniform(4, 8, 2),
+        "speeds": rng.uniform(0.95, 2.0, count),
+        "active": draw(st.sampled_from([0.0, 0.5, 1.0])),
+        "delta": draw(st.sampled_from([0.1, 0.05, 0.02, 0.01])),
+        "horizon": draw(st.sampled_from([1.0, 3.0, 8.0])),
+        "seed": seed,
+    }
+
+
+def simulated(case, protocol):
+    """Run a pursuit in the simulator with h = delta and an ideal network, recording positions at every step."""
+    scenario = Scenario(
+        horizon=case["horizon"],
+        team=Team(positions=case["positions"].tolist(), speeds=case["speeds"].tolist(), active_at_start=case["active"]),
+        evader=Evader(position=tuple(case["evader"].tolist())),
+        capture=Capture(test="sample"),
+        motion=Motion(step=case["delta"]),
+        protocol=protocol,
+        record=Record(trajectory=case["delta"], messages=True),
+    )
+    return run(scenario, case["seed"])
+
+
+def active_in_every_slot(trace, delta):
+    """Return who was active from k delta to (k + 1) delta, for every k before the end."""
+    active, profiles = list(trace.of(Started)[0].active), []
+    decisions = iter([*trace.of(Decided), Decided(10**18, 0, False)])
+    decision = next(decisions)
+    for k in range(round(trace.of(Ended)[0].t / 1e9 / delta)):
+        while decision.t <= round(k * delta * 1e9):
+            active[decision.pursuer] = decision.active
+            decision = next(decisions)
+        profiles.append(tuple(active))
+    return profiles
+
+
+def compare(case, result, owners=None, draws=None):
+    """Hold the trajectory, the assignments and the capture of a run against the plain loop."""
+    delta, trace = case["delta"], result.trace
+    start = trace.of(Started)[0]
+    paths, profiles, captured = time_stepped_loop(
+        *(case["positions"], case["evader"], start.active, case["speeds"]),
+        *(0.9, 0.1, case["horizon"], delta, owners, draws),
+    )
+    end, samples = trace.of(Ended)[0], trace.of(Sampled)
+    assert (end.reason == "captured") == (captured is not None)
+    if captured is not None:
+        assert end.t / 1e9 == pytest.approx(captured, abs=1e-9)
+    assert active_in_every_slot(trace, delta) == profiles[: round(end.t / 1e9 / delta)]
+    ours = np.array([[*sample.pursuers, sample.evader] for sample in samples])
+    assert len(ours) == len(paths)
+    assert ours == pytest.approx(paths, abs=1e-9)
+
+
+@settings(max_examples=150, deadline=None)
+@given(pursuits())
+def test_algorithm_2_is_the_plain_loop_step_for_step(case):
+    """Trajectory, assignments and capture time to 1e-9, with the same draws."""
+    count, steps = len(case["positions"]), round(case["horizon"] / case["delta"])
+    slots = stream(case["seed"], "shared slots")
+    blocks = [slots.integers(count, size=4096) for _ in range(1 + steps // 4096)]
+    owners = [None, *chain.from_iterable(blocks)]
+    draws = [stream(case["seed"], "decisions", i) for i in range(count)]
+    result = simulated(case, SpatialAdaptivePlay(schedule=SharedSeed(slot=case["delta"])))
+    compare(case, result, owners, draws)
+
+
+@settings(max_examples=100, deadline=None)
+@given(pursuits())
+def test_algorithm_3_is_the_plain_loop_step_for_step(case):
+    compare(case, simulated(case, Centralised(slot=case["delta"])))
+
+
+def test_the_comparison_notices_a_pursuer_that_is_a_little_faster():
+    """The control of the two tests above: a speed off by 1e-6 is seen."""
+    case = {
+        "positions": np.array([[0.0, 0.0], [9.0, 1.0]]),
+        "evader": np.array([4.0, 4.0]),
+        "speeds": np.array([1.0, 2.0]),
+        "active": 1.0,
+        "delta": 0.1,
+        "horizon": 8.0,
+        "seed": 1,
+    }
+    result = simulated(case, Centralised(slot=0.1))
+    with pytest.raises(AssertionError):
+        compare(case | {"speeds": np.array([1.0, 2.000001])}, result)
+    compare(case, result)
+
+
+def test_every_decision_is_broadcast_to_everyone_and_arrives_at_once():
+    case = {
+        "positions": np.random.default_rng(1).uniform(0, 20, (6, 2)),
+        "evader": np.array([10.0, 10.0]),
+        "speeds": np.ones(6),
+        "active": 1.0,
+        "delta": 0.1,
+        "horizon": 5.0,
+        "seed": 2,
+    }
+    trace = simulated(case, SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1))).trace
+    decided, told = trace.of(Decided), trace.of(Broadcast)
+    assert [(d.t, d.pursuer, d.active) for d in decided] == [(b.t, b.src, b.body.active) for b in told]
+    assert all(b.arrival == (b.t,) and len(b.dst) == 5 for b in told)
+    assert len(decided) == 49
+
+
+@pytest.mark.parametrize("speed", [1.0, 1.5, 2.0])
+@pytest.mark.parametrize("test", ["segment", "sample"])
+def test_one_pursuer_captures_after_the_closed_form(speed, test):
+    """(d - eps) / (v - v_e) with d = 5, eps = 0.1, v_e = 0.9; sampled, the next multiple of h = 1 ms."""
+    scenario = Scenario(
+        horizon=60.0,
+        team=Team(positions=[(0.0, 0.0)], speeds=speed),
+        evader=Evader(position=(3.0, 4.0)),
+        capture=Capture(test=test),
+        motion=Motion(step=0.001),
+        protocol=Centralised(),
+        record=Record(trajectory=0.0),
+    )
+    exact = 4.9 / (speed - 0.9)
+    found = summary(run(scenario)).capture_time
+    if test == "segment":
+        assert found == pytest.approx(exact, abs=1e-8)
+    else:
+        assert 0.0 <= found - exact <= 0.001 + 1e-9
+
+
+PHI = (1.0, 2.0, 4.0, 8.0)
+
+
+def static_game(tau, rate):
+    """Four pursuers of speed 1 at distances phi + eps of an evader that stands still; nobody moves, r = 25 s."""
+    return Scenario(
+        horizon=25.0,
+        team=Team(positions=[(phi + 0.1, 0.0) for phi in PHI], speeds=1.0),
+        evader=Evader(position=(0.0, 0.0), speed=0.0),
+        motion=Motion(frozen=True),
+        protocol=SpatialAdaptivePlay(tau=Constant(value=tau), schedule=Poisson(rate=rate)),
+        record=Record(trajectory=0.0),
+    )
+
+
+def occupancy(tau, seeds, rate=1000.0):
+    """Return the share of decisions after which each profile stood, burn-in of 1 s left out, and their number."""
+    counts = Counter()
+    for seed in seeds:
+        active = [True] * len(PHI)
+        for decision in run(static_game(tau, rate), seed).trace.of(Decided):
+            active[decision.pursuer] = decision.active
+            if decision.t > 10**9:
+                counts[tuple(active)] += 1
+    total = counts.total()
+    return np.array([counts[profile] / total for profile in profiles(len(PHI))]), total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tau", [1.0, 0.5])
+def test_the_running_simulator_follows_the_gibbs_law(tau):
+    """About 770,000 decisions: total variation below 0.01; the law of a temperature 20 % off is farther away.
+
+    With an integrated autocorrelation time of about 10 decisions, each share has a standard error of at most
+    sqrt(.25 x 10 / 770,000) = 0.0018, so the total variation of 16 shares stays near 0.004.
+    """
+    law, total = occupancy(tau, range(8))
+    assert total > 700_000
+    relay = profiles(len(PHI)).index((True, False, False, False))
+    assert abs(law - gibbs(PHI, 25.0, tau)).sum() / 2 < 0.01
+    assert law[relay] == pytest.approx({1.0: 0.3452, 0.5: 0.6041}[tau], abs=3 * 0.0018)
+    assert abs(law - gibbs(PHI, 25.0, 1.2 * tau)).sum() / 2 > 0.01
+    assert abs(law - gibbs(PHI, 25.0, 0.8 * tau)).sum() / 2 > 0.01

@@ -1,0 +1,193 @@
+"""The world: two clocks, orders that take effect at their instant, capture within a step."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim import Scenario, run, summary
+from desim.analysis.metrics import active_time
+from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.scenario import Capture, Evader, Motion, Record, Team
+
+
+def orders(*plan):
+    """Return a protocol that lets pursuer i chase or stay at given times: (time, pursuer, active)."""
+
+    def protocol(me):
+        for time, pursuer, active in plan:
+            if pursuer == me.id:
+                yield me.at(time)
+                me.assign(active)
+
+    return protocol
+
+
+def still(*plan, **changes):
+    """Return two pursuers at (0, 0) and (9, 0) with speed 1, an evader at (3, 0) that stands still, h = 1 s."""
+    given = {
+        "horizon": 2.5,
+        "team": Team(positions=[(0.0, 0.0), (9.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        "evader": Evader(position=(3.0, 0.0), speed=0.0),
+        "motion": Motion(step=1.0),
+        "protocol": orders(*plan),
+        "record": Record(trajectory=0.25),
+    }
+    return Scenario(**(given | changes))
+
+
+def positions(result):
+    """Return {time in s: [evader, pursuers ...]}."""
+    return {event.t / 1e9: [event.evader, *event.pursuers] for event in result.trace.of(Sampled)}
+
+
+def test_an_order_inside_a_step_takes_effect_at_its_instant():
+    """Chasing from 0.3 s to 1.4 s at 1 m/s with h = 1 s: 1.1 m and 1.1 s of active time, not 1 or 2."""
+    result = run(still((0.3, 0, True), (1.4, 0, False)))
+    x = {t: at[1][0] for t, at in positions(result).items()}
+    assert x[0.25] == 0.0
+    assert x[0.5] == pytest.approx(0.2, abs=1e-12)
+    assert x[1.25] == pytest.approx(0.95, abs=1e-12)
+    assert x[1.5] == x[2.5] == pytest.approx(1.1, abs=1e-12)
+    assert active_time(result) == pytest.approx(1.1, abs=1e-12)
+
+
+@pytest.mark.parametrize("order", ["simultaneous", "evader_first"])
+def test_an_order_changes_nobody_elses_path(order):
+    plain = still((0.1, 1, True), motion=Motion(step=1.0, order=order), evader=Evader(position=(3.0, 4.0)))
+    extra = plain.model_copy(update={"protocol": orders((0.1, 1, True), (0.37, 0, True), (0.61, 0, False))})
+    alone, both = ({t: at[2] for t, at in positions(run(each)).items() if t <= 1.0} for each in (plain, extra))
+    assert np.array([*both.values()]) == pytest.approx(np.array([*alone.values()]), abs=1e-12)
+    assert alone[1.0] != alone[0.0]
+
+
+@pytest.mark.parametrize(("order", "aim"), [("evader_first", (3.0, 2.0)), ("simultaneous", (3.0, 1.0))])
+def test_pursuers_head_for_where_the_evader_will_be_or_for_where_it_is(order, aim):
+    """The evader at (3, 0) flees pursuer 1 at (3, -4) upwards at 2 m/s; pursuer 0 starts at 0.5 s, half way up."""
+    scenario = still(
+        (0.5, 0, True),
+        team=Team(positions=[(0.0, 0.0), (3.0, -2.0)], speeds=1.0, active_at_start=0.0),
+        evader=Evader(position=(3.0, 0.0), speed=2.0),
+        motion=Motion(step=1.0, order=order),
+    )
+    at = np.array(positions(run(scenario))[1.0][1])
+    assert at == pytest.approx(0.5 * np.array(aim) / np.hypot(*aim), abs=1e-12)
+
+
+def test_capture_between_two_steps_is_seen_at_its_instant():
+    """From 3 m at 1 m/s to eps = 0.1 m: 2.9 s, with steps of 1 s; sampled, it is 3 s."""
+    segment = run(still((0.0, 0, True), horizon=5.0))
+    assert segment.trace.of(Ended) == [Ended(2_900_000_000, "captured", 0)]
+    sampled = run(still((0.0, 0, True), horizon=5.0, capture=Capture(test="sample")))
+    assert sampled.trace.of(Ended) == [Ended(3_000_000_000, "captured", 0)]
+
+
+def test_a_foreseen_capture_that_an_order_prevents_does_not_happen():
+    """Pursuer 0 would capture at 2.9 s; it is told to stay at 2.8 s, 0.2 m away."""
+    result = run(still((0.0, 0, True), (2.8, 0, False), horizon=5.0))
+    assert result.trace.of(Ended)[0].reason == "horizon"
+    assert positions(result)[5.0][1] == pytest.approx((2.8, 0.0))
+
+
+def test_an_order_at_the_instant_of_capture_comes_too_late():
+    result = run(still((0.0, 0, True), (2.9, 0, False), horizon=5.0))
+    assert result.trace.of(Ended)[0] == Ended(2_900_000_000, "captured", 0)
+    assert len(result.trace.of(Decided)) == 1
+
+
+def test_capture_at_the_horizon_still_counts():
+    assert summary(run(still((0.0, 0, True), horizon=2.9))).captured
+    assert not summary(run(still((0.0, 0, True), horizon=2.8999999))).captured
+
+
+def test_who_is_inside_at_the_start_has_captured_before_anybody_decides():
+    result = run(still((0.0, 0, True), evader=Evader(position=(0.05, 0.0))))
+    assert result.trace.of(Ended) == [Ended(0, "captured", 0)]
+    assert not result.trace.of(Decided)
+
+
+def test_an_evader_that_runs_into_a_pursuer_that_stays_is_captured():
+    """Nearest is pursuer 0 at distance 1; pursuer 1 stays at 4 m in the way: met after 3.9 / 1 s."""
+    scenario = still(
+        horizon=9.0,
+        team=Team(positions=[(0.0, 0.0), (10.0, 0.0)], speeds=0.0, active_at_start=0.0),
+        evader=Evader(position=(1.0, 0.0), speed=1.0, strategy=lambda state, rng: 1.0),
+    )
+    assert run(scenario).trace.of(Ended) == [Ended(8_900_000_000, "captured", 1)]
+
+
+def test_a_frozen_game_stands_still_and_its_time_does_not_run():
+    seen = []
+
+    def protocol(me):
+        for _ in range(3):
+            yield me.sleep(0.7)
+            seen.append((me.time_left(), me.capture_time()))
+            me.assign(True)
+
+    scenario = still(protocol=protocol, motion=Motion(frozen=True))
+    result = run(scenario)
+    assert sorted(set(seen)) == [(2.5, 2.9), (2.5, 5.9)]
+    assert all(at == positions(result)[0.0] for at in positions(result).values())
+
+
+def test_a_slow_pursuer_is_not_active_at_the_start():
+    scenario = Scenario(team=Team(count=3, speeds=[0.5, 0.9, 1.0]), horizon=0.1)
+    assert run(scenario).trace.of(Started)[0].active == (False, False, True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([0.1, 0.03, 0.007]),
+    st.sampled_from(["evader_first", "simultaneous"]),
+    st.sampled_from(["segment", "sample"]),
+)
+def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
+    """Between samples 1 ms apart nobody moves farther than its speed allows; who stays does not move."""
+    plan = [(round(t, 4), i, a) for t, i, a in _random_plan(seed)]
+    scenario = Scenario(
+        horizon=1.0,
+        team=Team(count=3, box=(0.0, 4.0), speeds=[1.0, 1.5, 2.0], active_at_start=0.5),
+        evader=Evader(box=(1.0, 3.0)),
+        capture=Capture(test=test),
+        motion=Motion(step=step, order=order),
+        protocol=orders(*sorted(plan)),
+        record=Record(trajectory=0.001),
+    )
+    samples = run(scenario, seed).trace.of(Sampled)
+    at = np.array([[*sample.pursuers, sample.evader] for sample in samples])
+    elapsed = np.diff([sample.t for sample in samples]) / 1e9
+    moved = np.hypot(*np.moveaxis(np.diff(at, axis=0), 2, 0))
+    assert (moved <= np.outer(elapsed, [1.0, 1.5, 2.0, 0.9]) + 1e-9).all()
+
+
+def _random_plan(seed):
+    rng = np.random.default_rng(seed)
+    return [(rng.uniform(0, 1), int(rng.integers(3)), bool(rng.integers(2))) for _ in range(8)]
+
+
+def test_the_negotiation_may_be_much_faster_than_the_motion():
+    """1,000 orders between two steps of 1 s leave an active time that is exact to the nanosecond."""
+    plan = [(k / 1000, 0, k % 2 == 1) for k in range(1, 1001)]
+    assert active_time(run(still(*plan, horizon=1.0))) == pytest.approx(0.5, abs=1e-9)
+
+
+def test_a_watcher_sees_everything_as_it_happens_and_may_end_the_run():
+    seen = []
+
+    def watch(event):
+        seen.append(event)
+        return isinstance(event, Decided) and event.t >= 300_000_000
+
+    result = run(still((0.1, 0, True), (0.3, 0, False), (0.5, 0, True)), 0, watch)
+    assert result.trace.of(Ended) == [Ended(300_000_000, "stopped", None)]
+    assert seen == list(result.trace)
+
+
+def test_a_watcher_that_raises_fails_the_run():
+    def watch(event):
+        raise ArithmeticError("invariant broken")
+
+    with pytest.raises(ArithmeticError, match="invariant broken"):
+        run(still(), 0, watch)
