@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 
 from desim.analysis.metrics import ending
 from desim.kernel.clock import seconds
-from desim.pursuit.events import Sampled, Started
+from desim.pursuit.events import Sampled
 from desim.simulation import Result
 
 # Okabe & Ito 2008, distinguishable by the colour-blind.
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-__all__ = ["SERIES", "Axes", "Figure", "save", "styled", "trajectory"]
+__all__ = ["GREY", "SERIES", "Axes", "Figure", "draw_trajectory", "save", "styled", "trajectory"]
 
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -53,27 +53,31 @@ def trajectory(result: Result) -> Figure:
     Raises:
         ValueError: if the run recorded no positions.
     """
-    samples = result.trace.of(Sampled)
-    if not samples:
-        raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
-    start, end = result.trace.of(Started)[0], ending(result)
-    evader = np.array([sample.evader for sample in samples])
-    pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
-    chased = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any()]
     with styled(figsize=(5.2, 5.2)) as figure:
-        axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-        axes.plot(*np.array(start.pursuers).T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
-        for i in chased:
-            last = i == end.capturer
-            style: dict[str, Any] = {"color": BLUE, "lw": 2.0, "zorder": 3} if last else {"color": SKY, "lw": 1.0}
-            label = f"pursuer {i}, who captured" if last else "pursuer who chased for a while"
-            axes.plot(
-                *pursuers[:, i].T, **style, label=label if last or i == min(set(chased) - {end.capturer}) else None
-            )
-        axes.plot(*evader.T, color=VERMILION, lw=1.6, label="evader", zorder=4)
-        axes.plot(*evader[0], "s", color=VERMILION, ms=5, zorder=4)
-        if end.reason == "captured":
-            axes.plot(*evader[-1], "*", color="black", ms=11, zorder=5, label=f"capture, {seconds(end.t):.2f} s")
+        axes = figure.add_subplot()
+        draw_trajectory(axes, result)
         axes.set_title(f"{result.scenario.name}, seed {result.seed}", parse_math=False)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     return figure
+
+
+def draw_trajectory(axes: Axes, result: Result) -> None:
+    """Draw where everyone went on given axes; see `trajectory`."""
+    samples = result.trace.of(Sampled)
+    if not samples:
+        raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
+    end = ending(result)
+    evader = np.array([sample.evader for sample in samples])
+    pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
+    helpers = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
+    for i in helpers:
+        label = "pursuer that chased for a while" if i == helpers[0] else None
+        axes.plot(*pursuers[:, i].T, color=SKY, lw=1.4, label=label)
+    if end.capturer is not None:
+        axes.plot(*pursuers[:, end.capturer].T, color=BLUE, lw=2.0, label=f"pursuer {end.capturer}, the last", zorder=3)
+    axes.plot(*evader.T, color=VERMILION, lw=1.6, label="evader", zorder=4)
+    axes.plot(*evader[0], "s", color=VERMILION, ms=5, zorder=4)
+    if end.reason == "captured":
+        axes.plot(*evader[-1], "*", color="black", ms=11, zorder=5, label=f"capture, {seconds(end.t):.2f} s")

@@ -1,0 +1,67 @@
+"""Draw the picture at the top of the README: one pursuit, and what one-way latency costs it.
+
+Left: the relay of scenarios/relay.toml. Right: the number of active pursuers over time, mean of the runs that are still
+going on, for several latencies of the same network.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from desim import Result, load, run
+from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.metrics import activity
+from desim.analysis.tables import aligned
+from scenarios.study import SCENARIOS, Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+LATENCIES = (0.0, 0.1, 0.5, 1.0)
+TIMES = np.arange(0.0, 5.0, 0.02)
+FILE = SCENARIOS / "relay.toml"
+
+
+def active_pursuers(result: Result) -> "NDArray[np.float64]":
+    """Return n(t) at `TIMES`, nan after the end."""
+    durations, counts = activity(result)
+    steps = np.searchsorted(np.cumsum(durations), TIMES, side="right")
+    return np.append(counts.astype(float), np.nan)[steps]
+
+
+def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
+    """Draw the trajectories and the mean number of active pursuers."""
+    from desim.analysis import plots
+
+    result = run(load(FILE))
+    with plots.styled(figsize=(8.4, 4.3)) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+        plots.draw_trajectory(left, result)
+        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)
+        for colour, (latency, mean) in zip(plots.SERIES, means.items(), strict=False):
+            right.plot(TIMES, mean, color=colour, lw=1.8, label=f"{latency:g} s")
+        right.axhline(1.0, color=plots.GREY, lw=0.8, ls=":")
+        right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
+        right.legend(title="one-way latency")
+    return figure
+
+
+@study("first_picture", __doc__, runs=100)
+def main(options: Options) -> None:
+    """Run, average, draw."""
+    tasks = [
+        (load(FILE, [f"network.latency.value={latency}"]), seed)
+        for latency in LATENCIES
+        for seed in seeds_from(options.seed, options.runs)
+    ]
+    curves = np.array(run_many(tasks, options.jobs, "latencies", active_pursuers))
+    means = dict(zip(LATENCIES, np.nanmean(curves.reshape(len(LATENCIES), options.runs, -1), axis=1), strict=True))
+    rows = [("latency, s", "active pursuers at 1 s", "2 s", "4 s")]
+    rows += [(f"{x:g}", *(f"{np.interp(t, TIMES, mean):.2f}" for t in (1, 2, 4))) for x, mean in means.items()]
+    document = {"time": TIMES.tolist(), "active": {str(x): mean.tolist() for x, mean in means.items()}}
+    options.show(document, aligned(rows), lambda: picture(means))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""What the README says runs."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_the_python_of_the_readme_runs_block_after_block():
+    program = "\n".join(BLOCKS)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "s of active time" in done.stdout
+    assert "[9, 9, 9, 9, 9, 9, 9, 9]" in done.stdout
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", README))))
+def test_every_path_the_readme_names_is_there(path):
+    assert (ROOT / path).exists() or (ROOT / "desim" / path).exists()
+
+
+@pytest.mark.parametrize("module", sorted(set(re.findall(r"python -m ([\w.]+)", README))))
+def test_every_study_the_readme_names_has_help(module):
+    done = subprocess.run(
+        [sys.executable, "-m", module, "--help"], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0
+    assert done.stdout.startswith("Usage:")
+
+
+@pytest.mark.parametrize(
+    "command", [line.split("#")[0].split() for line in README.splitlines() if line.startswith("    desim ")]
+)
+def test_every_command_the_readme_names_runs(command, tmp_path):
+    words = [str(tmp_path / "out") if word.startswith("out/") else word for word in command[1:] if word != ">"]
+    words = [word for word in words if word != "scenario.schema.json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
