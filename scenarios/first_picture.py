@@ -4,6 +4,7 @@ Left: the relay of scenarios/relay.toml. Right: the number of active pursuers ov
 going on, for several latencies of the same network.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,7 +58,7 @@ def main(options: Options) -> None:
     ]
     curves = np.array(run_many(tasks, options.jobs, "latencies", active_pursuers))
     means = dict(zip(LATENCIES, np.nanmean(curves.reshape(len(LATENCIES), options.runs, -1), axis=1), strict=True))
-    rows = [("latency, s", "active pursuers at 1 s", "2 s", "4 s")]
+    rows: list[Sequence[str]] = [("latency, s", "active pursuers at 1 s", "2 s", "4 s")]
     rows += [(f"{x:g}", *(f"{np.interp(t, TIMES, mean):.2f}" for t in (1, 2, 4))) for x, mean in means.items()]
     document = {"time": TIMES.tolist(), "active": {str(x): mean.tolist() for x, mean in means.items()}}
     options.show(document, aligned(rows), lambda: picture(means))

@@ -86,12 +86,16 @@ def picture(cells: list[Cell]) -> "Figure":
             y, error = (np.array([getattr(cell, name) for cell in line]) for name in ("active_time", "standard_error"))
             axes.errorbar(VALUES, y, error, color=colour, marker=marker, ms=4, lw=1.2, label=f"{other} = {fixed:g} s")
         axes.loglog()
-        axes.legend(fontsize=7)
+        axes.set_xticks(VALUES, [f"{v:g}" for v in VALUES], minor=False)
+        axes.set_yticks([5, 10, 20, 50], ["5", "10", "20", "50"], minor=False)
+        axes.minorticks_off()
 
-    with plots.styled(figsize=(7.2, 3.4)) as figure:
+    with plots.styled(figsize=(8.0, 3.4)) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         draw(left, "slot", "h")
         draw(right, "step", "$\\delta$")
+        left.legend(fontsize=7)
+        right.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), reverse=True)
         left.set(xlabel="negotiation slot $\\delta$ (s)", ylabel="sum of active times (s)")
         right.set(xlabel="motion step h (s)")
     return figure
