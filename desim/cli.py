@@ -15,13 +15,28 @@ if TYPE_CHECKING:
 WRONG_INPUT = 2
 """Exit code of a bad file or option."""
 
+INTERRUPTED = 130
+"""Exit code of Ctrl-C."""
+
 FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key, e.g. network.latency.value=0.05."
 )
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """Commands that end with 130 when they are interrupted, as a shell expects."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            ctx.exit(INTERRUPTED)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pursuit-desim")
 def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
@@ -81,7 +96,9 @@ def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     from desim.scenario import Scenario
 
-    click.echo(json.dumps(Scenario.model_json_schema(), indent=2))
+    document = json.dumps(Scenario.model_json_schema())
+    strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
+    click.echo(json.dumps(strict, indent=2))
 
 
 @main.command()

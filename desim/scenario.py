@@ -11,13 +11,19 @@ from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
-from desim.value import Finite, NonNegative, OneOf, Positive, Probability, Truth, Value
+from desim.value import SHORTEST, Finite, Horizon, NonNegative, OneOf, Period, Positive, Probability, Time, Truth, Value
 
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] > bounds[1]:
         raise ValueError("should be [lower, upper]")
     return bounds
+
+
+def _never_or_period(time: float) -> float:
+    if 0.0 < time < SHORTEST:
+        raise ValueError(f"should be 0 or at least {SHORTEST:g} s (got {time:g})")
+    return time
 
 
 Point = tuple[Finite, Finite]
@@ -63,8 +69,9 @@ class Team(Value):
     @model_validator(mode="before")
     @classmethod
     def _count_positions(cls, given: Any) -> Any:
-        if isinstance(given, dict) and isinstance(given.get("positions"), list | tuple) and "count" not in given:
-            return given | {"count": len(given["positions"])}
+        positions = given.get("positions") if isinstance(given, dict) else None
+        if isinstance(positions, list | tuple) and positions and "count" not in given:
+            return given | {"count": len(positions)}
         return given
 
     @field_validator("positions", "speeds")
@@ -123,7 +130,7 @@ class Capture(Value):
 class Motion(Value):
     """How motion is integrated."""
 
-    step: Annotated[Positive, Field(ge=1e-6)] = 0.01
+    step: Period = 0.01
     """Time h between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it is."""
@@ -134,7 +141,7 @@ class Motion(Value):
 class Record(Value):
     """What is recorded beside decisions."""
 
-    trajectory: NonNegative = 0.05
+    trajectory: Annotated[Time, AfterValidator(_never_or_period)] = 0.05
     """Time between samples of all positions, s; 0 = none."""
     messages: Truth = False
     """Whether every message is recorded, or only their number."""
@@ -151,7 +158,7 @@ class Scenario(Value):
     """What it is called in tables and pictures."""
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of every random stream of the run."""
-    horizon: Positive = 30.0
+    horizon: Horizon = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
     team: Team = Team()
     evader: Evader = Evader()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import tomli_w
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Discriminator, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -36,13 +36,12 @@ class Source:
     def where(self, place: Place) -> str:
         """Return where a key was set: `file:line`, or the override that set it."""
         within = [place[:end] for end in range(len(place), 0, -1)]
-        for each in within:
-            if each in self.overrides:
-                return f"--set {self.overrides[each]}"
-        for each in within:
-            if each in self.lines:
-                return f"{self.name}:{self.lines[each]}"
-        return f"{self.name}:1"
+        set_by = [self.overrides[each] for each in within if each in self.overrides]
+        if not set_by and place not in self.lines:  # an override may have made the table
+            set_by = [text for key, text in self.overrides.items() if key[: len(place)] == place]
+        if set_by:
+            return f"--set {set_by[0]}"
+        return f"{self.name}:{next((self.lines[each] for each in within if each in self.lines), 1)}"
 
 
 def load(file: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -87,29 +86,39 @@ def dump(scenario: Scenario) -> str:
 
 
 def key_lines(text: str) -> dict[Place, int]:
-    """Return the line on which each key of a TOML text is set, and that of each table's header.
-
-    The parser itself tells statements apart: one ends with the first line at which what has been read parses.
-    """
+    """Return the line on which each key of a valid TOML text is first set or named in the header of a table."""
     lines: dict[Place, int] = {}
     lengths: dict[Place, int] = {}  # of arrays of tables
     header: Place = ()
-    statement: list[str] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        statement.append(line)
-        try:
-            tables = tomllib.loads("\n".join(statement))
-        except tomllib.TOMLDecodeError:
-            continue
-        first, opening = number - len(statement) + 1, statement[0].lstrip()
-        statement = []
-        if opening.startswith("["):
-            header = _header(tables, opening.startswith("[["), lengths)
-            lines.setdefault(header, first)
+    for first, statement in _statements(text):
+        tables = tomllib.loads(statement)
+        if statement.startswith("["):
+            header = _header(tables, statement.startswith("[["), lengths)
+            places = [header[:end] for end in range(1, len(header) + 1)]
         else:
-            for place in _places(tables):
-                lines.setdefault(header + place, first)
+            places = [header + place for place in _places(tables)]
+        for place in places:
+            lines.setdefault(place, first)
     return lines
+
+
+# What may hide a bracket or the end of a line in TOML: strings of four kinds, and comments.
+_TOKEN = re.compile(
+    r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
+    re.DOTALL,
+)
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yield each statement of a TOML text with its first line: it ends with a line on which no bracket is open."""
+    depth = start = 0
+    for token in _TOKEN.finditer(text + "\n"):
+        depth += (token[0] in "[{") - (token[0] in "]}") if token[0] in "[]{}" else 0
+        if token[0] == "\n" and depth == 0:
+            statement = text[start : token.start()].strip()
+            if statement and not statement.startswith("#"):
+                yield text.count("\n", 0, start) + 1, statement
+            start = token.end()
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[Place, int]) -> Place:
@@ -138,20 +147,31 @@ def _places(value: Any, place: Place = ()) -> Iterator[Place]:
 
 
 def _apply(override: str, source: Source) -> None:
-    """Set one key of a source to another value."""
+    """Set one key of a source to another value; tables that are not there begin with the kind they have by default."""
     name, equals, text = override.partition("=")
-    keys: Place = tuple(int(key) if key.isdigit() else key for key in name.strip().split("."))
-    if not equals or "" in keys:
-        raise ScenarioError(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
+    place: Place = ()
     node: Any = source.tables
-    for key in keys[:-1]:
-        if isinstance(node, dict):
-            node.setdefault(key, {})
+    default: Any = Scenario().model_dump()
+    *parents, last = name.strip().split(".")
+    if not equals or not all((*parents, last)):
+        raise ScenarioError(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
+    for part in parents:
+        key = _key(part, node)
+        default = default.get(key) if isinstance(default, dict) else None
+        if isinstance(node, dict) and key not in node:
+            node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
         node = node[key] if _holds(node, key) else None
-    if not isinstance(node, dict) and not _holds(node, keys[-1]):
+        place += (key,)
+    key = _key(last, node)
+    if not isinstance(node, dict) and not _holds(node, key):
         raise ScenarioError(f"--set {override}: {name} is not a key of a table")
-    node[keys[-1]] = _parsed(text.strip())
-    source.overrides[keys] = override
+    node[key] = _parsed(text.strip())
+    source.overrides[*place, key] = override
+
+
+def _key(part: str, node: Any) -> str | int:
+    """Return a part of a dotted name as the key of a table or the position in a list."""
+    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
 
 
 def _holds(node: Any, key: Any) -> bool:
@@ -168,10 +188,12 @@ def _parsed(text: str) -> Any:
 
 
 def _text(file: Path) -> str:
+    content = file.read_bytes()
     try:
-        return file.read_text(encoding="utf-8")
+        return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise ScenarioError(f"{file}:1: not TOML: not UTF-8 text ({error.reason} at byte {error.start})") from error
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: not UTF-8 text ({error.reason})") from error
 
 
 def _syntax_fault(file: str | Path, message: str, text: str) -> str:
@@ -183,84 +205,96 @@ def _syntax_fault(file: str | Path, message: str, text: str) -> str:
 
 def _explain(error: ErrorDetails, source: Source) -> tuple[tuple[int, str], str]:
     """Return a fault as text, after what it is sorted by: its line."""
-    place = _place_of(error, source.tables)
-    owner, description = _field(place, source.tables)
-    what = _what_is_wrong(error, str(place[-1]) if place else "", owner)
+    place, owner, info = _locate(error, source.tables)
     where = source.where(place)
-    note = f"; {description}" if description else ""
     line = re.search(r":(\d+)$", where)
-    return (int(line[1]) if line else 0, where), f"{where}: {_dotted(place)}: {what}{note}{_got(error)}"
+    name = ".".join(map(str, place)) or "the file"
+    description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
+    note = f"; {description}" if description else ""
+    text = f"{where}: {name}: {_what_is_wrong(error, name, owner, info)}{note}{_got(error)}"
+    return (int(line[1]) if line else 0, where), text
 
 
-def _place_of(error: ErrorDetails, tables: dict[str, Any]) -> Place:
-    """Return where a fault is in the file; pydantic's own path also names the kind of table it tried."""
+def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[BaseModel] | None, FieldInfo | None]:
+    """Return where a fault is in the file, the model its key belongs to, and the field of the key.
+
+    pydantic's own path also names the kind of each table that has one.
+    """
     place: Place = ()
     node: Any = tables
-    for part in error["loc"]:
-        if _holds(node, part):
-            place, node = (*place, part), node[part]
-    if error["type"] == "missing":
-        place += (error["loc"][-1],)
-    if error["type"] == "union_tag_invalid":
-        place += ("kind",)
-    return place
-
-
-def _field(place: Place, tables: dict[str, Any]) -> tuple[type[BaseModel] | None, str]:
-    """Return the model a key belongs to and the description of the key."""
     owner: type[BaseModel] | None = None
     inner: type[BaseModel] | None = Scenario
-    description = ""
-    node: Any = tables
-    for part in place:
-        if isinstance(part, str):
-            owner, info = inner, inner.model_fields.get(part) if inner else None
-            description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
+    info: FieldInfo | None = None
+    path = iter(error["loc"])
+    for part in path:
+        place += (part,)
         node = node[part] if _holds(node, part) else None
         if isinstance(part, str):
+            owner, info = inner, inner.model_fields.get(part) if inner else None
             inner = _model_of(info, node) if info else None
-    return owner, description
+            if info and any(isinstance(each, OneOf | Discriminator) for each in info.metadata):
+                next(path, None)
+    if error["type"] == "union_tag_invalid":
+        place += ("kind",)
+    return place, owner, info
+
+
+def _one_of(info: FieldInfo) -> OneOf | None:
+    return next((each for each in info.metadata if isinstance(each, OneOf)), None)
 
 
 def _model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model that the value of a field should be."""
-    kinds = next((each.choices() for each in info.metadata if isinstance(each, OneOf)), {})
-    if kinds:
-        return kinds.get(str(value.get("kind"))) if isinstance(value, dict) else None
-    models = [each for each in (info.annotation, *get_args(info.annotation)) if _is_model(each)]
-    return models[0] if models else None
+    if one_of := _one_of(info):
+        return one_of.choices().get(str(value.get("kind"))) if isinstance(value, dict) else None
+    return next(_models_in(info.annotation), None)
 
 
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models that an annotation names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models_in(inner)
 
 
-def _what_is_wrong(error: ErrorDetails, key: str, owner: type[BaseModel] | None) -> str:
+def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
     """Return what is wrong in words, with what is allowed."""
     kind, context = error["type"], error.get("ctx", {})
+    one_of = _one_of(info) if info else None
+    kinds = list(one_of.choices()) if one_of else []
     if kind == "extra_forbidden":
         allowed = sorted(owner.model_fields) if owner else []
-        return f"unknown key{_suggestion(key, allowed)}; allowed: {', '.join(allowed)}"
+        return f"unknown key{_suggestion(name.split('.')[-1], allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
-        allowed = re.findall(r"'([^']*)'", context["expected_tags"])
-        return f"there is no {context['tag']!r}{_suggestion(context['tag'], allowed)}; allowed: {', '.join(allowed)}"
+        return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
     if kind == "union_tag_not_found":
-        return "should be a table with a kind"
+        return f"should be a table with a kind; allowed kinds: {', '.join(kinds)}"
     if kind == "literal_error":
         return f"should be {context['expected']}"
     if kind == "missing":
         return "is missing"
     if kind in {"model_type", "model_attributes_type"}:
         return "should be a table"
+    if kind in {"too_long", "too_short"}:
+        most = kind == "too_long"
+        limit = context["max_length" if most else "min_length"]
+        return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
     text = error["msg"]
-    for machine, human in (
-        ("Input should be", "should be"),
-        ("a valid tuple", "a list"),
-        ("valid ", ""),
-        ("Value error, ", ""),
-    ):
+    for machine, human in WORDS.items():
         text = text.replace(machine, human)
-    return text.strip()
+    return text
+
+
+WORDS = {
+    "Input should be": "should be",
+    "a valid tuple": "a list",
+    "a valid integer": "an integer",
+    "a valid boolean": "true or false",
+    "valid ": "",
+    "Value error, ": "",
+}
+"""pydantic's words and ours."""
 
 
 def _suggestion(word: str, allowed: Sequence[str]) -> str:
@@ -273,7 +307,3 @@ def _got(error: ErrorDetails) -> str:
         return ""
     got = repr(error["input"])
     return f" (got {got if len(got) < 60 else got[:57] + '...'})"
-
-
-def _dotted(place: Place) -> str:
-    return ".".join(str(part) for part in place) or "the file"

@@ -19,6 +19,18 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
 Extent = Annotated[float, Field(gt=0, strict=True)]
 """Positive, and possibly infinite."""
+LONGEST = 1e9
+"""The clock counts nanoseconds in 64 bits: thirty years, s."""
+SHORTEST = 1e-6
+"""What recurs more often than every microsecond would never end, s."""
+Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True)]
+"""A time or a delay, s."""
+Horizon = Annotated[float, Field(gt=0, le=LONGEST, allow_inf_nan=False, strict=True)]
+"""A time at which something ends, s."""
+Period = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, strict=True)]
+"""A time between two of many events, s."""
+Rate = Annotated[float, Field(gt=0, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
+"""Events per second, 1/s."""
 Truth = Annotated[bool, Field(strict=True)]
 
 
@@ -55,9 +67,20 @@ class OneOf:
         return {kind_of(model): model for model in self.models} | {point.name: point.load() for point in installed}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        choices = {kind: handler.generate_schema(model) for kind, model in self.choices().items()}
-        by_kind = core_schema.tagged_union_schema(choices, discriminator="kind")
-        return core_schema.no_info_wrap_validator_function(_callable_or, by_kind)
+        choices = self.choices()
+        schemas: dict[Any, CoreSchema] = {kind: handler.generate_schema(model) for kind, model in choices.items()}
+        by_kind = core_schema.tagged_union_schema(schemas, discriminator="kind")
+
+        def written(value: Any, write: Callable[[Any], Any]) -> Any:
+            if type(value) not in choices.values():
+                raise ValueError(f"{value!r} is not one of {', '.join(choices)} and cannot be written to a file")
+            return write(value)
+
+        return core_schema.no_info_wrap_validator_function(
+            _callable_or,
+            by_kind,
+            serialization=core_schema.wrap_serializer_function_ser_schema(written, schema=by_kind),
+        )
 
 
 def _callable_or(value: Any, validate: Callable[[Any], Any]) -> Any:

@@ -13,7 +13,7 @@ from typing import Literal
 
 from desim.pursuit.agent import Agent
 from desim.pursuit.game import relay_pursuer
-from desim.value import Positive, Value
+from desim.value import Period, Value
 from protocols.schedules import Process
 
 
@@ -21,7 +21,7 @@ class Centralised(Value):
     """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that the relay pursuer chases alone."""
 
     kind: Literal["centralised"] = "centralised"
-    slot: Positive = 0.01
+    slot: Period = 0.01
     """Time between two decisions delta, s."""
 
     def __call__(self, me: Agent) -> Process:

@@ -12,7 +12,7 @@ import numpy as np
 import simpy
 
 from desim.pursuit.agent import Agent
-from desim.value import Positive, Value
+from desim.value import Period, Rate, Value
 
 Process = Generator[simpy.Event, None, None]
 
@@ -34,7 +34,7 @@ class SharedSeed(Value):
     """
 
     kind: Literal["shared_seed"] = "shared_seed"
-    slot: Positive = 0.01
+    slot: Period = 0.01
     """Length of a slot delta, s."""
 
     def mean_slot(self, team_size: int) -> float:
@@ -52,7 +52,7 @@ class Poisson(Value):
     """Every pursuer revises at the ticks of a Poisson clock of its own: asynchronous, no message, i.i.d. order."""
 
     kind: Literal["poisson"] = "poisson"
-    rate: Positive = 5.0
+    rate: Rate = 5.0
     """Revisions per second of each pursuer, 1/s."""
 
     def mean_slot(self, team_size: int) -> float:

@@ -33,9 +33,12 @@ STYLE: dict[Any, Any] = {
 
 @contextmanager
 def styled(figsize: tuple[float, float]) -> Iterator[Figure]:
-    """Yield an empty figure (size in inches) to draw on in the style of the house."""
+    """Yield an empty figure (size in inches) to draw on in the style of the house; its layout is settled at the end."""
     with mpl.rc_context(STYLE):
-        yield Figure(figsize=figsize, layout="constrained")
+        figure = Figure(figsize=figsize, layout="constrained")
+        yield figure
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # or it would be settled anew, a little differently, each time it is saved
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.value import Extent, NonNegative, OneOf, Probability, Value
+from desim.value import Extent, OneOf, Probability, Time, Value
 
 
 class Hops(NamedTuple):
@@ -36,7 +36,7 @@ class Constant(Value):
     """Every message travels for the same time."""
 
     kind: Literal["constant"] = "constant"
-    value: NonNegative = 0.0
+    value: Time = 0.0
     """One-way latency, s."""
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> float:

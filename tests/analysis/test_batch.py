@@ -1,0 +1,100 @@
+"""Many runs: the same list, in the same order, from any number of workers."""
+
+import os
+
+import pytest
+
+from desim.analysis.batch import run_many, seeds_from
+from desim.analysis.metrics import active_time, summary
+from desim.kernel.links import Bernoulli, Links
+from desim.scenario import Motion, Record, Scenario, Team
+from desim.simulation import run
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+
+SMALL = Scenario(
+    horizon=0.5,
+    team=Team(count=3, active_at_start=0.5),
+    motion=Motion(step=0.1),
+    protocol=SpatialAdaptivePlay(schedule=Poisson(rate=5.0)),
+    network=Links(loss=Bernoulli(p=0.2)),
+    record=Record(trajectory=0.0),
+)
+LONGER = SMALL.model_copy(update={"horizon": 2.0})
+
+
+class BrokenRunError(RuntimeError):
+    """What a run of these tests dies of."""
+
+
+def broken_protocol(me):
+    """Fail at 0.1 s."""
+    yield me.at(0.1)
+    raise BrokenRunError(f"pursuer {me.id}")
+
+
+BROKEN = SMALL.model_copy(update={"protocol": broken_protocol})
+
+
+def test_run_k_of_seed_s_has_seed_s_plus_k():
+    assert list(seeds_from(7, 3)) == [7, 8, 9]
+    assert list(seeds_from(0, 0)) == []
+
+
+def test_each_task_is_run_with_its_own_scenario_and_seed_in_the_order_given():
+    tasks = [(SMALL, 5), (LONGER, 2), (SMALL, 2), (SMALL, 5)]
+    assert run_many(tasks, jobs=1) == [summary(run(*task)) for task in tasks]
+
+
+def test_what_is_measured_is_returned():
+    tasks = [(SMALL, seed) for seed in range(3)]
+    assert run_many(tasks, jobs=1, measure=active_time) == [active_time(run(*task)) for task in tasks]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 3, 150], ids="{} tasks".format)
+@pytest.mark.parametrize("jobs", [2, 0], ids="{} jobs".format)
+def test_the_number_of_workers_changes_neither_order_nor_value(jobs, count):
+    """150 tasks on two workers go out in chunks of more than one, and long runs come back after short ones."""
+    tasks = [(LONGER if seed < 2 else SMALL, seed) for seed in range(count)]
+    assert run_many(tasks, jobs) == run_many(tasks, jobs=1)
+
+
+@pytest.mark.slow
+def test_the_work_is_done_in_other_processes_and_that_of_one_job_in_this():
+    tasks = [(SMALL, seed) for seed in range(4)]
+    assert set(run_many(tasks, jobs=1, measure=lambda _: os.getpid())) == {os.getpid()}
+    others = set(run_many(tasks, jobs=2, measure=lambda _: os.getpid()))
+    assert os.getpid() not in others
+    assert 1 <= len(others) <= 2
+
+
+@pytest.mark.parametrize("jobs", [0, 1, 2])
+def test_no_tasks_have_no_results(jobs):
+    assert run_many([], jobs) == []
+
+
+def test_what_a_run_raises_is_raised():
+    with pytest.raises(BrokenRunError, match="pursuer 0"):
+        run_many([(SMALL, 0), (BROKEN, 1), (SMALL, 2)], jobs=1)
+
+
+@pytest.mark.slow
+def test_what_a_run_raises_in_a_worker_is_raised_here_and_the_next_batch_runs():
+    tasks = [(SMALL, seed) for seed in range(4)]
+    with pytest.raises(BrokenRunError, match="pursuer 0"):
+        run_many([*tasks, (BROKEN, 1)], jobs=2)
+    assert run_many(tasks, jobs=2) == run_many(tasks, jobs=1)
+
+
+def test_what_a_measure_raises_is_raised():
+    def divide(_):
+        return 1 / 0
+
+    with pytest.raises(ZeroDivisionError):
+        run_many([(SMALL, 0)], jobs=1, measure=divide)
+
+
+def test_no_bar_is_drawn_where_there_is_no_terminal(capfd):
+    run_many([(SMALL, 0), (SMALL, 1)], jobs=1)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,77 @@
+"""The folder of a run."""
+
+import json
+import sys
+from dataclasses import asdict
+
+import pytest
+
+from desim.analysis.folder import can_plot, write, write_below
+from desim.analysis.metrics import summary
+from desim.scenario import Record, Scenario, Team
+from desim.scenario_file import load
+from desim.simulation import run
+
+DATA = {"trace.jsonl", "summary.json", "scenario.toml"}
+PICTURES = {"trajectory.svg", "trajectory.png"}
+SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3), record=Record(trajectory=0.0))
+
+
+def names(folder) -> set[str]:
+    return {each.name for each in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run(SCENARIO, 5)
+
+
+def test_a_folder_is_made_with_all_above_it_and_the_numbers_are_returned(result, tmp_path):
+    assert write(result, tmp_path / "a" / "b") == summary(result)
+    assert names(tmp_path / "a" / "b") == DATA
+
+
+def test_the_numbers_in_the_folder_are_those_of_the_summary(result, tmp_path):
+    write(result, tmp_path)
+    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == asdict(summary(result))
+
+
+def test_the_trace_in_the_folder_is_that_of_the_run(result, tmp_path):
+    write(result, tmp_path)
+    assert (tmp_path / "trace.jsonl").read_bytes() == "".join(result.trace.lines()).encode()
+
+
+def test_the_scenario_in_the_folder_has_the_seed_of_the_run(result, tmp_path):
+    write(result, tmp_path)
+    assert load(tmp_path / "scenario.toml") == SCENARIO.model_copy(update={"seed": 5})
+    assert result.scenario.seed == 1
+
+
+def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
+    assert write_below(tmp_path, result) == summary(result)
+    assert names(tmp_path) == {"seed-5"}
+    assert names(tmp_path / "seed-5") == DATA
+
+
+@pytest.fixture
+def seen() -> Scenario:
+    return SCENARIO.model_copy(update={"record": Record(trajectory=0.1)})
+
+
+def test_there_are_pictures_if_positions_were_recorded(seen, tmp_path):
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA | PICTURES
+
+
+def test_there_are_no_pictures_without_matplotlib(seen, tmp_path, monkeypatch):
+    assert can_plot()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
+    assert not can_plot()
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA
+
+
+def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_one(seen, result, tmp_path):
+    write(run(seen), tmp_path)
+    write(result, tmp_path)
+    assert names(tmp_path) == DATA

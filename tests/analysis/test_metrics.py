@@ -1,0 +1,217 @@
+"""Metrics, integrated by hand."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim.analysis.metrics import (
+    active_time,
+    activity,
+    changes,
+    crowded_time,
+    ending,
+    excess_time,
+    idle_time,
+    messages,
+    summary,
+    switches,
+)
+from desim.kernel.clock import SECOND, nanoseconds
+from desim.kernel.events import Broadcast, Tally, Trace
+from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.scenario import Scenario
+from desim.simulation import Result, run
+
+METRICS = (active_time, idle_time, crowded_time, excess_time)
+
+
+def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 0, 0)) -> Result:
+    """Return a result with this start, these (time, pursuer, action) and this end; times in s."""
+    trace = Trace()
+    places = tuple((float(i), 0.0) for i in range(len(active)))
+    trace.append(Started(0, (9.0, 0.0), places, (2.0,) * len(active), active))
+    for time, pursuer, action in decisions:
+        trace.append(Decided(nanoseconds(time), pursuer, action))
+    trace.append(Tally(nanoseconds(end), *tally))
+    trace.append(Ended(nanoseconds(end), reason, capturer))
+    return Result(Scenario(seed=1), 5, trace)
+
+
+@pytest.fixture
+def relay() -> Result:
+    """Return a relay of three pursuers over 4 s.
+
+    from     0   1   1.5   2   2.5   3   to 4
+    n        2   1   1     0   1     3
+    event        0-  0-    1-  2+    0+ 1+
+    """
+    decisions = [(1.0, 0, False), (1.5, 0, False), (2.0, 1, False), (2.5, 2, True), (3.0, 0, True), (3.0, 1, True)]
+    return by_hand((True, True, False), decisions, 4.0, capturer=2, tally=(12, 7, 3, 2))
+
+
+def test_active_time_is_the_integral_of_the_number_of_active_pursuers(relay):
+    """2 x 1 + 1 x 1 + 0 x 0.5 + 1 x 0.5 + 3 x 1."""
+    assert active_time(relay) == 6.5
+
+
+def test_idle_time_is_how_long_nobody_was_active(relay):
+    """From 2 to 2.5 s."""
+    assert idle_time(relay) == 0.5
+
+
+def test_crowded_time_is_how_long_more_than_one_was_active(relay):
+    """From 0 to 1 s and from 3 to 4 s."""
+    assert crowded_time(relay) == 2.0
+
+
+def test_excess_time_counts_everyone_but_one(relay):
+    """(2 - 1) x 1 + (3 - 1) x 1."""
+    assert excess_time(relay) == 3.0
+
+
+def test_decisions_that_repeat_an_action_are_no_switches(relay):
+    """Of six decisions the one at 1.5 s changes nothing."""
+    assert switches(relay) == 5
+    assert [(each.t / SECOND, each.pursuer) for each in changes(relay)] == [(1, 0), (2, 1), (2.5, 2), (3, 0), (3, 1)]
+
+
+def test_activity_is_a_step_function_with_a_piece_of_no_length_between_simultaneous_changes(relay):
+    durations, counts = activity(relay)
+    assert durations.tolist() == [1.0, 1.0, 0.5, 0.5, 0.0, 1.0]
+    assert counts.tolist() == [2, 1, 0, 1, 2, 3]
+
+
+def test_a_pursuer_that_leaves_and_returns_at_one_instant_switches_twice_and_no_time_passes():
+    result = by_hand((True,), [(1.0, 0, False), (1.0, 0, True)], 2.0)
+    assert switches(result) == 2
+    assert [metric(result) for metric in METRICS] == [2.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("active", "expected"),
+    [
+        ((False, False), [0.0, 3.0, 0.0, 0.0]),
+        ((True, False), [3.0, 0.0, 0.0, 0.0]),
+        ((True, True), [6.0, 0.0, 3.0, 3.0]),
+    ],
+    ids=["nobody", "one", "both"],
+)
+def test_without_a_decision_everything_stays_as_it_began(active, expected):
+    result = by_hand(active, [], 3.0)
+    assert [metric(result) for metric in METRICS] == expected
+    assert switches(result) == 0
+
+
+@pytest.mark.parametrize("active", [True, False])
+def test_decisions_that_only_repeat_the_start_change_nothing(active):
+    result = by_hand((active, True), [(0.0, 0, active), (1.0, 1, True), (2.0, 0, active)], 3.0)
+    assert switches(result) == 0
+    assert active_time(result) == 3.0 + 3.0 * active
+    assert summary(result).decisions == 3
+
+
+def test_a_decision_at_the_end_is_a_switch_that_costs_no_time():
+    result = by_hand((False,), [(3.0, 0, True)], 3.0)
+    assert (switches(result), active_time(result), idle_time(result)) == (1, 0.0, 3.0)
+
+
+def test_the_summary_of_a_capture_has_all_its_numbers(relay):
+    assert asdict(summary(relay)) == {
+        "seed": 5,
+        "captured": True,
+        "capture_time": 4.0,
+        "capturer": 2,
+        "end_time": 4.0,
+        "active_time": 6.5,
+        "idle_time": 0.5,
+        "crowded_time": 2.0,
+        "excess_time": 3.0,
+        "decisions": 6,
+        "switches": 5,
+        "messages_sent": 12,
+        "messages_delivered": 7,
+        "messages_lost": 3,
+        "messages_in_flight": 2,
+    }
+
+
+@pytest.mark.parametrize("reason", ["horizon", "stopped"])
+def test_the_summary_of_a_run_that_was_not_captured_has_none_for_time_and_capturer(reason):
+    numbers = summary(by_hand((True,), [], 30.0, reason, None))
+    assert (numbers.captured, numbers.capture_time, numbers.capturer) == (False, None, None)
+    assert numbers.end_time == 30.0
+
+
+def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
+    numbers = summary(by_hand((True, False), [], 0.0, capturer=1))
+    assert (numbers.captured, numbers.capture_time, numbers.capturer) == (True, 0.0, 1)
+
+
+def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
+    before = summary(relay)
+    relay.trace.append(Sampled(0, (0.0, 0.0), ((1.0, 1.0),)))
+    relay.trace.append_message(Broadcast(0, 0, 1, (1, 2), (0,), None))
+    assert summary(relay) == before
+
+
+def test_ending_and_messages_are_the_last_words_of_a_trace(relay):
+    assert ending(relay) == Ended(4 * SECOND, "captured", 2)
+    assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2)
+
+
+@st.composite
+def histories(draw) -> Result:
+    """Draw decisions of up to five pursuers at whole multiples of 1/8 s, which float sums hold exactly."""
+    count = draw(st.integers(1, 5))
+    times = sorted(draw(st.lists(st.integers(0, 80), max_size=30)))
+    decisions = [(time / 8, draw(st.integers(0, count - 1)), draw(st.booleans())) for time in times]
+    return by_hand(tuple(draw(st.lists(st.booleans(), min_size=count, max_size=count))), decisions, 10.0)
+
+
+@settings(deadline=None)
+@given(histories())
+def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(result):
+    (start,), total = result.trace.of(Started), 0.0
+    for pursuer, active in enumerate(start.active):
+        since = 0.0
+        for each in result.trace.of(Decided):
+            if each.pursuer == pursuer:
+                total += active * (each.t / SECOND - since)
+                since, active = each.t / SECOND, each.active
+        total += active * (10.0 - since)
+    assert active_time(result) == total
+
+
+@settings(deadline=None)
+@given(histories())
+def test_at_every_instant_nobody_is_active_or_one_is_or_the_rest_are_in_excess(result):
+    """n - (n - 1)+ + 1{n = 0} = 1, and crowding is where there is excess."""
+    assert active_time(result) - excess_time(result) + idle_time(result) == 10.0
+    assert crowded_time(result) <= excess_time(result)
+    assert (crowded_time(result) > 0) == (excess_time(result) > 0)
+
+
+@settings(deadline=None)
+@given(histories())
+def test_the_changes_of_one_pursuer_alternate_and_begin_by_leaving_its_first_action(result):
+    (start,) = result.trace.of(Started)
+    for pursuer, active in enumerate(start.active):
+        own = [each.active for each in changes(result) if each.pursuer == pursuer]
+        assert own == [(active + k) % 2 == 0 for k in range(len(own))]
+
+
+def test_the_summary_of_a_run_agrees_with_its_trace():
+    result = run(Scenario(horizon=0.3))
+    numbers = summary(result)
+    assert numbers.seed == result.seed == 0
+    assert numbers.end_time == 0.3
+    assert numbers.messages_sent == numbers.decisions * 19
+    assert numbers.messages_sent == numbers.messages_delivered + numbers.messages_lost + numbers.messages_in_flight
+    durations, counts = activity(result)
+    assert durations.sum() == pytest.approx(0.3)
+    assert counts.min() >= 0
+    assert counts.max() <= 20
+    assert np.abs(np.diff(counts)).tolist() == [1] * numbers.switches

@@ -1,0 +1,128 @@
+"""Tables, letter by letter."""
+
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+
+from desim.analysis.metrics import Summary
+from desim.analysis.tables import aligned, batch_table, number, run_table
+from desim.scenario import Scenario, Team
+
+SCENARIO = Scenario(name="relay", team=Team(count=3))
+CAUGHT = Summary(
+    seed=7,
+    captured=True,
+    capture_time=3.9454,
+    capturer=2,
+    end_time=3.9454,
+    active_time=12.7394,
+    idle_time=0.0,
+    crowded_time=1.23,
+    excess_time=0.5,
+    decisions=1358,
+    switches=19,
+    messages_sent=6802,
+    messages_delivered=6610,
+    messages_lost=116,
+    messages_in_flight=76,
+)
+ESCAPED = replace(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
+
+
+def test_columns_line_up_the_first_to_the_left_and_the_others_to_the_right():
+    rows = [("", "mean", "n"), ("time, s", "3.5", "12"), ("x", "10.25", "")]
+    assert aligned(rows) == "          mean   n\ntime, s    3.5  12\nx        10.25"
+
+
+def test_columns_before_right_from_line_up_to_the_left():
+    assert aligned([("a", "bbb"), ("aaa", "b")], right_from=2) == "a    bbb\naaa  b"
+
+
+def test_rows_of_different_length_are_an_error():
+    with pytest.raises(ValueError, match="argument 2"):
+        aligned([("a", "b"), ("a",)])
+
+
+def test_no_rows_are_an_empty_table():
+    assert aligned([]) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(1234.5678, 3, "1,234.568"), (0.0, 3, "0.000"), (-2.5, 1, "-2.5"), (nan, 3, "-"), (inf, 3, "inf")],
+)
+def test_a_number_has_thousands_separators_and_a_dash_stands_for_none(value, digits, text):
+    assert number(value, digits) == text
+
+
+def test_the_table_of_a_run_that_ended_with_a_capture():
+    """6802 messages in 0.05 s are 136,040 in a second."""
+    assert run_table(SCENARIO, CAUGHT, wall_time=0.05).splitlines() == [
+        "relay: 3 pursuers, sap, seed 7",
+        "captured       after 3.945 s by pursuer 2",
+        "active time    12.739 s                    summed over the pursuers",
+        "idle time      0.000 s                     nobody active",
+        "crowded time   1.230 s                     more than one active",
+        "decisions      1,358                       19 of them changed an action",
+        "messages sent  6,802                       each receiver of a broadcast counts as one",
+        "  delivered    6,610",
+        "  lost         116",
+        "  in flight    76                          when the run ended",
+        "wall time      0.050 s                     136,040 messages/s",
+    ]
+
+
+def test_the_table_of_a_run_that_ended_at_the_horizon():
+    assert run_table(SCENARIO, ESCAPED, wall_time=0.05).splitlines()[:2] == [
+        "relay: 3 pursuers, sap, seed 8",
+        "captured       no, the pursuit ended after 30.000 s",
+    ]
+
+
+def test_the_table_of_several_runs_has_means_intervals_and_extremes():
+    """Of 0, 3 and 6 s: mean 3, s.e. sqrt(9 / 3), and t(2, 0.975) = 4.3027 gives 7.452; captured after 2 and 4 s:
+    s.e. 1 and t(1, 0.975) = 12.706. 3 x 6802 messages in 2 s are 10,203 in a second."""
+    runs = [
+        replace(CAUGHT, seed=7, capture_time=2.0, idle_time=0.0, switches=10),
+        replace(CAUGHT, seed=8, capture_time=4.0, idle_time=3.0, switches=10),
+        replace(ESCAPED, seed=9, idle_time=6.0, switches=10),
+    ]
+    lines = batch_table(SCENARIO, runs, wall_time=2.0).splitlines()
+    assert lines[0] == "relay: 3 pursuers, sap, seeds 7 to 9"
+    assert lines[1] == "captured in 2 of 3 runs; +- is half a 95 % t interval"
+    cells = {line[:18].strip(): line[18:].split() for line in lines[2:-1]}
+    assert cells[""] == ["mean", "+-", "least", "most", "runs"]
+    assert cells["capture time, s"] == ["3.000", "12.706", "2.000", "4.000", "2"]
+    assert cells["idle time, s"] == ["3.000", "7.452", "0.000", "6.000", "3"]
+    assert cells["switches"] == ["10.000", "0.000", "10.000", "10.000", "3"]
+    assert cells["messages sent"] == ["6,802.000", "0.000", "6,802.000", "6,802.000", "3"]
+    names = ["capture time, s", "active time, s", "idle time, s", "crowded time, s", "excess time, s", "decisions"]
+    names += ["switches", "messages sent", "messages delivered", "messages lost", "messages in flight"]
+    assert list(cells) == ["", *names]
+    assert lines[-1] == "wall time 2.000 s, 10,203 messages/s"
+
+
+def test_a_capture_in_one_run_only_has_no_interval():
+    table = batch_table(SCENARIO, [CAUGHT, ESCAPED], wall_time=1.0)
+    (line,) = (line for line in table.splitlines() if line.startswith("capture time"))
+    assert line.split()[-5:] == ["3.945", "-", "3.945", "3.945", "1"]
+
+
+def test_runs_without_a_capture_have_no_time_of_it():
+    table = batch_table(SCENARIO, [ESCAPED, ESCAPED], wall_time=1.0)
+    assert "captured in 0 of 2 runs" in table
+    assert "capture time" not in table
+
+
+def test_a_protocol_of_ones_own_is_called_by_its_name():
+    def daydream(me):
+        yield me.at(0.0)
+
+    class Idler:
+        def __call__(self, me):
+            yield me.at(0.0)
+
+    for protocol, called in ((daydream, "daydream"), (Idler(), "own protocol")):
+        scenario = SCENARIO.model_copy(update={"protocol": protocol})
+        assert run_table(scenario, CAUGHT, 1.0).splitlines()[0] == f"relay: 3 pursuers, {called}, seed 7"

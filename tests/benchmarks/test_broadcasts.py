@@ -1,0 +1,35 @@
+"""Deliveries per second of four ways to deliver the same broadcasts; they must all deliver the same.
+
+The ways take turns, lap after lap, so that a machine whose speed drifts does not favour one of them.
+"""
+
+import gc
+from functools import cache
+
+import pytest
+
+from tests.benchmarks.broadcasts import WAYS, Outcome, workloads
+
+LAPS = 5
+WORKLOADS = {workload.name: workload for workload in workloads()}
+
+
+@cache
+def by_hand(workload: str) -> Outcome:
+    """Return what a workload should come to."""
+    way = WAYS["by hand"](WORKLOADS[workload])
+    way.run()
+    return way.outcome()
+
+
+@pytest.mark.parametrize("way", WAYS)  # changes first
+@pytest.mark.parametrize("lap", range(LAPS))
+@pytest.mark.parametrize("workload", WORKLOADS)
+def test_every_way_delivers_the_same(benchmark, workload, lap, way):
+    benchmark.group = workload
+    ready = WAYS[way](WORKLOADS[workload])
+    expected = by_hand(workload)
+    gc.collect()
+    benchmark.pedantic(ready.run)
+    assert ready.outcome() == expected
+    benchmark.extra_info["deliveries"] = expected.delivered

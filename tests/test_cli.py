@@ -1,0 +1,758 @@
+"""The command line: what it refuses and in which words, and what it prints and writes."""
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from desim.cli import main
+from desim.scenario import PROTOCOLS, Scenario
+from desim.scenario_file import load
+from desim.value import Value
+
+SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
+WRONG_INPUT = 2
+JARGON = re.compile(r"Traceback|Input should|Value error|[Tt]uple|\bvalid\b|pydantic|Keys should be strings")
+"""Words of the machinery, of no use to a person who writes a scenario file."""
+
+# The evader flees from pursuer 0 along their line; the centre sends pursuer 1 home at once. The gap of 1 m closes at
+# 2 - 1 m/s down to the radius of 0.1 m: capture after 0.9 s.
+DUEL = """\
+name = "duel"
+seed = 7
+horizon = 5.0
+
+[team]
+positions = [[0.0, 0.0], [-9.0, 0.0]]
+speeds = [2.0, 1.5]
+
+[evader]
+position = [1.0, 0.0]
+speed = 1.0
+
+[protocol]
+kind = "centralised"
+"""
+
+# One of three pursuers speaks at 0.1, 0.2, ... 0.9 s; the horizon precedes the slot of 1.0 s. 9 broadcasts x 2 hearers.
+TALK = """\
+name = "talk"
+horizon = 1.0
+team.count = 3
+motion.frozen = true
+
+[protocol]
+kind = "sap"
+schedule = { kind = "shared_seed", slot = 0.1 }
+"""
+
+# Chance in the positions, the revisions, the decisions and the losses.
+LUCK = """\
+name = "luck"
+seed = 7
+horizon = 1.0
+team.count = 4
+
+[protocol]
+kind = "sap"
+schedule = { kind = "poisson", rate = 5.0 }
+
+[network]
+latency = { kind = "constant", value = 0.02 }
+loss = { kind = "bernoulli", p = 0.1 }
+
+[record]
+messages = true
+"""
+
+
+def desim(*args: object) -> Result:
+    """Call the command in this process; an exception that it lets through fails the test."""
+    return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
+
+
+def accepted(*args: object) -> Result:
+    result = desim(*args)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def refused(*args: object) -> list[str]:
+    """Call the command, see that it ends as it should on wrong input, and return its lines on stderr."""
+    result = desim(*args)
+    assert result.exit_code == WRONG_INPUT, result.output
+    assert result.stdout == ""
+    assert not JARGON.search(result.stderr), result.stderr
+    return result.stderr.splitlines()
+
+
+def strict_json(text: str):
+    """Parse JSON and nothing else: the Infinity and NaN that Python also reads are errors."""
+
+    def refuse(constant: str):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Return a function that writes a scenario file."""
+
+    def write(text: str | bytes, name: str = "scenario.toml") -> Path:
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+# What is refused.
+
+TOP = "allowed: capture, evader, horizon, motion, name, network, protocol, record, seed, team"
+
+FAULTS = {
+    "unknown key at the top": ('name = "x"\nhorizn = 3.0', 2, "horizn", ["did you mean 'horizon'?", TOP]),
+    "unknown key like no other": ('name = "x"\n\nzzz = 3.0', 3, "zzz", ["unknown key", TOP]),
+    "unknown key in a table": (
+        "[evader]\nsped = 0.9",
+        2,
+        "evader.sped",
+        ["unknown key, did you mean 'speed'?", "allowed: box, position, speed, strategy"],
+    ),
+    "unknown key of a latency": (
+        "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",
+        3,
+        "network.latency.vlue",
+        ["unknown key, did you mean 'value'?", "allowed: kind, value"],
+    ),
+    "unknown key of a protocol": (
+        "[protocol]\nkind = 'sap'\nslot = 0.1",
+        3,
+        "protocol.slot",
+        ["unknown key", "allowed: kind, schedule, tau"],
+    ),
+    "unknown key of a temperature": (
+        "[protocol]\nkind = 'sap'\n\n[protocol.tau]\nkind = 'paper'\nscal = 1.0",
+        6,
+        "protocol.tau.scal",
+        ["unknown key, did you mean 'scale'?", "allowed: kind, scale"],
+    ),
+    "unknown key of the speeds": (
+        "[team]\nspeeds = { default = 1.0, lst = 2.0 }",
+        2,
+        "team.speeds.lst",
+        ["unknown key, did you mean 'last'?", "allowed: default, last"],
+    ),
+    "unknown table": ('name = "x"\n\n[foo.bar]\na = 1', 3, "foo", ["unknown key", TOP]),
+    "text for a number": ('[evader]\nspeed = "60"', 2, "evader.speed", ["should be a number", "m/s", "(got '60')"]),
+    "truth for a number": ("[evader]\nspeed = true", 2, "evader.speed", ["should be a number", "m/s"]),
+    "truth for a probability": ("[team]\nactive_at_start = true", 2, "team.active_at_start", ["should be a number"]),
+    "truth for a count": ("[team]\ncount = true", 2, "team.count", ["should be an integer"]),
+    "fraction for a count": ("[team]\ncount = 2.0", 2, "team.count", ["should be an integer", "(got 2.0)"]),
+    "number for a truth": ("[motion]\nfrozen = 1", 2, "motion.frozen", ["should be true or false", "(got 1)"]),
+    "number for a text": ("name = 3", 1, "name", ["should be a string", "(got 3)"]),
+    "number for a table": ("seed = 1\nteam = 3", 2, "team", ["should be a table", "(got 3)"]),
+    "table for a number": ("name = 'x'\n\n[horizon]\nx = 1", 3, "horizon", ["should be a number"]),
+    "table below a number": ("name = 'x'\n\n[horizon.x]\ny = 1", 3, "horizon", ["should be a number"]),
+    "array of tables for a table": ("name = 'x'\n\n[[team]]\ncount = 3", 3, "team", ["should be a table"]),
+    "date for a seed": ("seed = 2020-01-01", 1, "seed", ["should be an integer"]),
+    "number for speeds": ("[team]\nspeeds = 'fast'", 2, "team.speeds", ["one number, one per pursuer, or a table"]),
+    "negative speed of the evader": (
+        "[evader]\nspeed = -1.0",
+        2,
+        "evader.speed",
+        ["should be greater than or equal to 0", "m/s", "(got -1.0)"],
+    ),
+    "negative speed of all": ("[team]\nspeeds = -1", 2, "team.speeds", ["greater than or equal to 0", "(got -1)"]),
+    "negative speed of one": ("[team]\ncount = 2\nspeeds = [1.0, -2.0]", 3, "team.speeds.1", ["or equal to 0"]),
+    "negative speed of the last": ("[team.speeds]\ndefault = 1.0\nlast = -2.0", 3, "team.speeds.last", ["equal to 0"]),
+    "tau of 0": (
+        "[protocol]\nkind = 'sap'\ntau = { kind = 'constant', value = 0.0 }",
+        3,
+        "protocol.tau.value",
+        ["should be greater than 0", "Temperature tau, s", "(got 0.0)"],
+    ),
+    "negative tau": (
+        "[protocol]\nkind = 'sap'\ntau.kind = 'paper'\ntau.scale = -1.0",
+        4,
+        "protocol.tau.scale",
+        ["should be greater than 0", "(got -1.0)"],
+    ),
+    "horizon of 0": ("horizon = 0", 1, "horizon", ["should be greater than 0", "Time t_f", "s (got 0)"]),
+    "negative horizon": ("seed = 1\nhorizon = -30.0", 2, "horizon", ["should be greater than 0", "(got -30.0)"]),
+    "infinite horizon": ("horizon = inf", 1, "horizon", ["should be a finite number", "(got inf)"]),
+    "negative seed": ("seed = -1", 1, "seed", ["greater than or equal to 0", "(got -1)"]),
+    "no pursuers": ("[team]\ncount = 0", 2, "team.count", ["greater than or equal to 1", "(got 0)"]),
+    "empty list of pursuers": ("[team]\npositions = []", 2, "team.positions", []),
+    "too few positions": (
+        "[team]\ncount = 3\npositions = [[1.0, 2.0]]",
+        3,
+        "team.positions",
+        ["should be one per pursuer: count is 3, there are 1", "[x, y]"],
+    ),
+    "too many positions": (
+        "[team]\ncount = 1\npositions = [\n  [1.0, 2.0],\n  [3.0, 4.0],\n]",
+        3,
+        "team.positions",
+        ["should be one per pursuer: count is 1, there are 2"],
+    ),
+    "speeds of the wrong length": (
+        "[team]\ncount = 3\nspeeds = [1.0, 2.0]",
+        3,
+        "team.speeds",
+        ["should be one per pursuer: count is 3, there are 2"],
+    ),
+    "more speeds than positions": (
+        "[team]\npositions = [[0.0, 0.0]]\nspeeds = [1.0, 2.0]",
+        3,
+        "team.speeds",
+        ["should be one per pursuer: count is 1, there are 2"],
+    ),
+    "numbers where points are expected": ("[team]\npositions = [1.0]", 2, "team.positions.0", ["should be a list"]),
+    "a list where a coordinate is expected": (
+        "[team]\npositions = [[0.0, 0.0], [1.0, [2.0]]]",
+        2,
+        "team.positions.1.1",
+        ["should be a number", "(got [2.0])"],
+    ),
+    "a point of three coordinates": (
+        "[team]\npositions = [[1.0, 2.0, 3.0]]",
+        2,
+        "team.positions.0",
+        ["should have at most 2"],
+    ),
+    "a point of one coordinate": ("[team]\npositions = [[1.0]]", 2, "team.positions.0.1", ["is missing"]),
+    "a number where a point is expected": ("[evader]\nposition = 3.0", 2, "evader.position", ["should be a list"]),
+    "box upside down": ("[team]\nbox = [20.0, 0.0]", 2, "team.box", ["[lower, upper]", "m"]),
+    "range of 0": ("[network]\nrange = 0.0", 2, "network.range", ["should be greater than 0", "m;", "inf = any"]),
+    "p0 below 0": ("[team]\nactive_at_start = -0.1", 2, "team.active_at_start", ["[0, 1]", "(got -0.1)"]),
+    "p0 above 1": ("[team]\nactive_at_start = 1.5", 2, "team.active_at_start", ["[0, 1]", "(got 1.5)"]),
+    "loss above 1": ("[network]\nloss = { kind = 'bernoulli', p = 2 }", 2, "network.loss.p", ["[0, 1]", "(got 2)"]),
+    "radius of 0": ("[capture]\nradius = 0.0", 2, "capture.radius", ["should be greater than 0", "m"]),
+    "test that does not exist": ("[capture]\ntest = 'x'", 2, "capture.test", ["'segment' or 'sample'", "(got 'x')"]),
+    "protocol that does not exist": (
+        "name = 'x'\n[protocol]\nkind = 'sop'",
+        3,
+        "protocol.kind",
+        ["there is no 'sop', did you mean 'sap'?", "allowed: centralised, sap"],
+    ),
+    "protocol that is no word": ("[protocol]\nkind = [1]", 2, "protocol.kind", ["allowed: centralised, sap"]),
+    "protocol that is no table": ("protocol = 'sap'", 1, "protocol", ["should be a table", "desim protocols"]),
+    "schedule that does not exist": (
+        "[protocol]\nkind = 'sap'\nschedule = { kind = 'posson' }",
+        3,
+        "protocol.schedule.kind",
+        ["did you mean 'poisson'?", "allowed: shared_seed, poisson"],
+    ),
+    "latency without a kind": ("[network]\nlatency = {}", 2, "network.latency", ["kind", "constant"]),
+    "NaN for a horizon": ("horizon = nan", 1, "horizon", ["should be a finite number", "(got nan)"]),
+    "NaN for a range": ("[network]\nrange = nan", 2, "network.range", ["(got nan)"]),
+    "NaN for a probability": ("[team]\nactive_at_start = nan", 2, "team.active_at_start", ["[0, 1]", "(got nan)"]),
+    "NaN for a coordinate": ("[evader]\nposition = [nan, 0.0]", 2, "evader.position.0", ["finite", "(got nan)"]),
+    "NaN for a bound": ("[evader]\nbox = [0.0, nan]", 2, "evader.box.1", ["finite", "(got nan)"]),
+    # Times that the clock of whole nanoseconds cannot tell from 0, or cannot count: such a run would never end.
+    "samples at every instant": (
+        "[record]\ntrajectory = 1e-12",
+        2,
+        "record.trajectory",
+        ["should be"],
+    ),
+    "slot of no length": (
+        "[protocol]\nkind = 'centralised'\nslot = 1e-12",
+        3,
+        "protocol.slot",
+        ["should be"],
+    ),
+    "step of no length": ("[motion]\nstep = 1e-12", 2, "motion.step", ["should be greater than or equal to 0.000001"]),
+    "horizon beyond the clock": ("horizon = 1e300", 1, "horizon", ["should be"]),
+    "latency beyond the clock": (
+        "network.latency = { kind = 'constant', value = 1e300 }",
+        1,
+        "network.latency.value",
+        ["should be"],
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "line", "key", "words"), FAULTS.values(), ids=FAULTS.keys())
+def test_a_fault_is_told_with_file_line_key_and_what_is_allowed(file, text, line, key, words):
+    path = file(text + "\n")
+    (said,) = refused("check", path)
+    assert said.startswith(f"{path}:{line}: {key}: ")
+    assert not [each for each in words if each not in said], said
+
+
+@pytest.mark.parametrize(
+    ("text", "key"), [("[evader]\nposition = [[1.0, 2.0]]", "evader.position"), ("team.box = [[0.0, 1.0]]", "team.box")]
+)
+def test_a_nested_list_where_a_point_is_expected_is_told_wherever_it_hurts(file, text, key):
+    """It is wrong twice: its first coordinate is a list, and it has no second."""
+    path = file(text)
+    line = text.count("\n") + 1
+    said = refused("check", path)
+    assert said
+    assert all(each.startswith(f"{path}:{line}: {key}.") for each in said)
+
+
+def test_a_key_that_is_named_like_the_kind_of_its_table_does_not_hide_another_fault(file):
+    path = file("[protocol]\nkind = 'sap'\nsap = 1\ntau = { kind = 'constant', value = -1.0 }\n")
+    unknown, negative = refused("check", path)
+    assert unknown.startswith(f"{path}:3: protocol.sap: unknown key")
+    assert negative.startswith(f"{path}:4: protocol.tau.value: should be greater than 0")
+
+
+def test_all_faults_of_a_file_are_told_at_once_in_order_of_lines(file):
+    """Keys are neither in the order of the model nor of the alphabet, and 10 comes after 9."""
+    path = file(
+        "seed = -1\nhorizon = 0.0\n\n[team]\ncount = 0\nactive_at_start = 2.0\n\n[evader]\nspeed = 'x'\nsped = 1\n"
+        "box = [1.0, 'y']\n\n[capture]\nradius = 0.0\n"
+    )
+    places = ["1: seed", "2: horizon", "5: team.count", "6: team.active_at_start", "9: evader.speed"]
+    places += ["10: evader.sped", "11: evader.box.1", "14: capture.radius"]
+    said = refused("check", path)
+    assert [each.split(": ")[:2] for each in said] == [f"{path}:{place}".split(": ") for place in places]
+
+
+def test_faults_of_overrides_are_told_with_those_of_the_file_and_named_as_such(file):
+    path = file("horizn = 1.0\n[evader]\nspeed = 'x'\n")
+    said = refused("check", path, "--set", "capture.radius=0", "--set", "evader.sped=1")
+    starts = [
+        "--set capture.radius=0: capture.radius: should be greater than 0",
+        "--set evader.sped=1: evader.sped: unknown key, did you mean 'speed'?",
+        f"{path}:1: horizn: unknown key, did you mean 'horizon'?",
+        f"{path}:3: evader.speed: should be a number",
+    ]
+    assert [each[: len(start)] for each, start in zip(said, starts, strict=True)] == starts
+
+
+@pytest.mark.parametrize(
+    ("text", "override", "key", "words"),
+    [
+        ("", "horizn=3", "horizn", ["unknown key, did you mean 'horizon'?", TOP]),
+        ("horizon = 3.0", "horizon=-1", "horizon", ["should be greater than 0", "(got -1)"]),
+        ("horizon = 3.0", "horizon=", "horizon", ["should be a number"]),
+        ("", "horizon=nan", "horizon", ["should be a finite number", "(got nan)"]),
+        ("", "team.count=many", "team.count", ["(got 'many')"]),
+        ("[evader]\nspeed = 1.0", "evader={ speed = -1.0 }", "evader.speed", ["greater than or equal to 0"]),
+        ("team.positions = [[0.0, 0.0]]", "team.positions.0.1=x", "team.positions.0.1", ["should be a number"]),
+        ("", "protocol={ kind = 'sop' }", "protocol.kind", ["did you mean 'sap'?", "allowed: centralised, sap"]),
+        # The file says nothing of the number that the override wants to be a table.
+        ("", "horizon.x=3", "horizon", ["should be a number"]),
+        ("", "team.0.count=3", "team", []),
+    ],
+)
+def test_the_fault_of_an_override_is_told_with_the_override(file, text, override, key, words):
+    (said,) = refused("check", file(text), "--set", override)
+    assert said.startswith(f"--set {override}: {key}")
+    assert not [each for each in words if each not in said], said
+
+
+@pytest.mark.parametrize("override", ["horizon", "", "=3", "team..count=3", ".=3", "  =3"])
+def test_an_override_that_is_not_key_and_value_is_refused_with_an_example(file, override):
+    (said,) = refused("check", file(DUEL), "--set", override)
+    assert said.startswith(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
+
+
+@pytest.mark.parametrize(
+    "key", ["horizon.x", "horizon.x.y", "team.speeds.last", "team.positions.2", "evader.position.x"]
+)
+def test_an_override_below_what_is_no_table_is_refused(file, key):
+    """DUEL gives a number, two lists of two, and a point."""
+    (said,) = refused("check", file(DUEL), "--set", f"{key}=3")
+    assert said.startswith(f"--set {key}=3: {key} is not a key of a table")
+
+
+def test_an_override_whose_key_is_no_number_in_spite_of_its_looks_is_refused(file):
+    (said,) = refused("check", file(DUEL), "--set", "team.positions.²=3")
+    assert said.startswith("--set team.positions.²=3: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("name = 'x'\nhorizon =\n", 2),
+        ("name = 'x'\n\n[team\ncount = 3\n", 3),
+        ("name = 'x'\nname = 'y'\n", 2),
+        ("name = 'x'\n[team]\n[evader]\n[team]\n", 4),
+        ("{}", 1),
+        (b"name = 'x'\n\n# \xff\n", 3),
+        (b"\xff", 1),
+    ],
+    ids=["no value", "open bracket", "key twice", "table twice", "JSON", "Latin-1 in line 3", "Latin-1"],
+)
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_file_that_is_not_toml_is_refused_with_the_line(file, command, text, line):
+    path = file(text)
+    (said,) = refused(command, path)
+    assert said.startswith(f"{path}:{line}: not TOML: ")
+
+
+@pytest.mark.parametrize(("name", "why"), [("nowhere.toml", "No such file"), (".", "Is a directory")])
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_file_that_cannot_be_read_is_refused(tmp_path, command, name, why):
+    (said,) = refused(command, tmp_path / name)
+    assert said.startswith(f"{tmp_path / name}: cannot be read: {why}")
+
+
+@pytest.mark.parametrize("below", [".", "x", "x/y"])
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_runs(file, tmp_path, monkeypatch, below):
+    monkeypatch.setattr("desim.simulation.run", lambda *_: pytest.fail("it ran"))
+    taken = tmp_path / "taken"
+    taken.write_text("precious")
+    (said,) = refused("run", file(DUEL), "-o", taken / below)
+    assert said.startswith(f"--out {taken / below}: cannot be written: ")
+    assert taken.read_text() == "precious"
+
+
+@pytest.mark.parametrize("option", [("-s", -1), ("-n", 0), ("-j", -1), ("--sed", 1)])
+def test_an_option_out_of_range_is_refused(file, option):
+    assert str(option[0]) in " ".join(refused("run", file(DUEL), *option))
+
+
+def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("desim.simulation.run", interrupt)
+    assert desim("run", file(DUEL)).exit_code == 130
+
+
+# What is accepted with a warning.
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+@pytest.mark.parametrize("speed", [2.0, 2.5])
+def test_a_team_of_which_nobody_is_faster_than_the_evader_is_warned_of(file, command, speed):
+    path = file(DUEL)
+    result = accepted(command, path, "--set", f"evader.speed={speed}")
+    assert result.stderr.startswith(f"warning: {path}:7: team.speeds: no pursuer is faster than the evader: ")
+    assert "2.0 m/s" in result.stderr
+    assert f"the evader at {speed} m/s" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_step_that_may_jump_across_the_capture_disc_is_warned_of(file):
+    """0.2 s x 2 m/s = 0.4 m, and the disc is 0.2 m across."""
+    path = file(DUEL + "\n[capture]\ntest = 'sample'\n\n[motion]\nstep = 0.2\n")
+    result = accepted("check", path)
+    assert result.stderr.startswith(f"warning: {path}:20: motion.step: ")
+    assert "0.4 m is more than 2 x radius = 0.2 m" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "change", ["evader.speed=1.99", "capture={ test = 'sample' }", "motion.step=0.2"], ids=["fast", "sample", "segment"]
+)
+def test_what_is_in_order_is_not_warned_of(file, change):
+    assert accepted("check", file(DUEL), "--set", change).stderr == ""
+
+
+# check, schema, protocols, help
+
+
+def leaves(value: Value, place: tuple[str, ...] = ()):
+    """Yield the place of every field of a scenario that has a value, and the value."""
+    for name in type(value).model_fields:
+        each = getattr(value, name)
+        if isinstance(each, Value):
+            yield from leaves(each, (*place, name))
+        elif each is not None:
+            yield (*place, name), each
+
+
+@pytest.mark.parametrize("text", ["", DUEL, LUCK], ids=["empty", "duel", "luck"])
+def test_check_prints_a_valid_scenario_file_with_every_default_filled_in(file, text):
+    path = file(text)
+    printed = accepted("check", path).stdout
+    tables = tomllib.loads(printed)
+    for place, value in leaves(load(path)):
+        node = tables
+        for key in place:
+            node = node[key]
+        assert json.dumps(node) == json.dumps(value)
+    again = file(printed, "again.toml")
+    assert load(again) == load(path)
+    assert accepted("check", again).stdout == printed
+
+
+def test_check_prints_what_an_override_changed(file):
+    printed = accepted("check", file(DUEL), "--set", "evader.speed=0.5", "--set", "name=other").stdout
+    tables = tomllib.loads(printed)
+    assert (tables["evader"]["speed"], tables["name"]) == (0.5, "other")
+
+
+def test_the_override_that_the_help_names_works_on_a_file_that_says_nothing_of_the_network(file):
+    example = re.search(r"e\.g\.\s+(network\S+=\S+?)\.?\s", accepted("run", "--help").stdout)[1]
+    printed = accepted("check", file(DUEL), "--set", example).stdout
+    assert tomllib.loads(printed)["network"]["latency"] == {"kind": "constant", "value": 0.05}
+
+
+def resolved(schema: dict, node: dict, value: object) -> dict:
+    """Return the part of a JSON schema that describes a table: behind references, kinds and alternatives."""
+    if "$ref" in node:
+        return resolved(schema, schema["$defs"][node["$ref"].removeprefix("#/$defs/")], value)
+    if "discriminator" in node:
+        return resolved(schema, {"$ref": node["discriminator"]["mapping"][value["kind"]]}, value)
+    for choice in node.get("anyOf", node.get("oneOf", [])):
+        if "properties" in (found := resolved(schema, choice, value)):
+            return found
+    return node
+
+
+def unknown_keys(schema: dict, node: dict, tables: dict) -> list[str]:
+    """Return the keys that a JSON schema does not allow."""
+    properties = node["properties"]
+    unknown = [] if node["additionalProperties"] else [key for key in tables if key not in properties]
+    for key, value in tables.items():
+        if isinstance(value, dict) and key in properties:
+            unknown += unknown_keys(schema, resolved(schema, properties[key], value), value)
+    return unknown
+
+
+@pytest.fixture(scope="module")
+def schema() -> dict:
+    return json.loads(accepted("schema").stdout)
+
+
+def test_the_schema_is_strict_json():
+    assert strict_json(accepted("schema").stdout)["title"] == "Scenario"
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_the_schema_knows_every_key_of_the_scenarios(schema, path):
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert unknown_keys(schema, schema, tables) == []
+    tables["team"]["cuont"] = 3
+    assert unknown_keys(schema, schema, tables) == ["cuont"]
+
+
+def test_the_schema_lists_the_protocols_and_describes_every_key(schema):
+    protocol = schema["properties"]["protocol"]
+    kinds = {resolved(schema, each, {})["properties"]["kind"]["const"] for each in protocol["oneOf"]}
+    assert kinds == {"sap", "centralised"}
+    for model in [schema, *schema["$defs"].values()]:
+        assert model["description"]
+    for key in ("name", "seed", "horizon", "protocol"):
+        assert schema["properties"][key]["description"]
+
+
+def test_protocols_lists_each_protocol_with_each_of_its_parameters():
+    sections = accepted("protocols").stdout.strip().split("\n\n")
+    assert [section.split(":")[0] for section in sections] == ["centralised", "sap"]
+    for section, protocol in zip(sections, PROTOCOLS.choices().values(), strict=True):
+        for name, field in protocol.model_fields.items():
+            described = re.search(rf"^    {name} = .+: {re.escape(field.description or '')}$", section, re.MULTILINE)
+            assert bool(described) == (name != "kind")
+    for inner in (
+        "paper",
+        "scale = 10.0",
+        "constant",
+        "value = 0.1",
+        "shared_seed",
+        "slot = 0.01",
+        "poisson",
+        "rate = 5.0",
+    ):
+        assert f"        {inner}" in sections[1]
+
+
+@pytest.mark.parametrize("args", [["--help"], ["run", "--help"], ["--version"]], ids=" ".join)
+def test_help_loads_nothing_that_takes_time_to_import(args):
+    program = (
+        "import sys\nfrom desim.cli import main\n"
+        f"try:\n    main({args})\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'numpy', 'scipy', 'simpy', 'networkx', 'pydantic', 'matplotlib', 'loky', 'tqdm'}\n"
+        "print('loaded:', sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("loaded: []\n")
+
+
+# run
+
+
+def rows(table: str) -> dict[str, str]:
+    """Return the cells after the first of each row of a table, joined by a space."""
+    cells = (re.split(r"\s{2,}", line.strip()) for line in table.splitlines())
+    return {first: " ".join(rest) for first, *rest in cells}
+
+
+def test_run_prints_what_happened_as_a_table(file):
+    result = accepted("run", file(DUEL))
+    assert result.stderr == ""
+    assert result.stdout.splitlines()[0] == "duel: 2 pursuers, centralised, seed 7"
+    table = rows(result.stdout)
+    assert table["captured"] == "after 0.900 s by pursuer 0"
+    assert table["active time"].startswith("0.900 s")
+    assert table["idle time"].startswith("0.000 s")
+    assert table["crowded time"].startswith("0.000 s")
+    assert table["decisions"] == "1 1 of them changed an action"
+    assert re.fullmatch(r"\d+\.\d{3} s 0 messages/s", table["wall time"])
+
+
+def test_run_tells_when_the_evader_got_away(file):
+    """A capture would take 0.9 s, so for 0.5 s the centre sends nobody."""
+    table = rows(accepted("run", file(DUEL), "--set", "horizon=0.5").stdout)
+    assert table["captured"] == "no, the pursuit ended after 0.500 s"
+    assert table["idle time"].startswith("0.500 s")
+
+
+@pytest.mark.parametrize(
+    ("change", "delivered", "lost", "in_flight"),
+    [
+        ("network={}", 18, 0, 0),
+        ("network={ loss = { kind = 'bernoulli', p = 1.0 } }", 0, 18, 0),
+        ("network={ latency = { kind = 'constant', value = 2.0 } }", 0, 0, 18),
+        # What is sent at 0.1 ... 0.5 s arrives by 1.0 s (at 0.55 ... 0.95 s), what is sent later does not.
+        ("network={ latency = { kind = 'constant', value = 0.45 } }", 10, 0, 8),
+    ],
+    ids=["ideal", "all lost", "all late", "some late"],
+)
+def test_run_tells_what_became_of_the_messages(file, change, delivered, lost, in_flight):
+    path = file(TALK)
+    table = rows(accepted("run", path, "--set", change).stdout)
+    names = ("messages sent", "delivered", "lost", "in flight")
+    assert [int(table[name].split()[0]) for name in names] == [18, delivered, lost, in_flight]
+    assert re.fullmatch(r"\d+\.\d{3} s [\d,]+ messages/s", table["wall time"])
+    assert not table["wall time"].endswith(" 0 messages/s")
+    (run,) = strict_json(accepted("run", path, "--set", change, "--json").stdout)["runs"]
+    assert [run[f"messages_{name}"] for name in ("sent", "delivered", "lost")] == [18, delivered, lost]
+
+
+def test_json_tells_the_numbers_of_a_capture(file):
+    document = strict_json(accepted("run", file(DUEL), "--json").stdout)
+    assert set(document) == {"scenario", "runs"}
+    (run,) = document["runs"]
+    expected = {
+        "seed": 7,
+        "captured": True,
+        "capture_time": pytest.approx(0.9, abs=1e-9),
+        "capturer": 0,
+        "active_time": pytest.approx(0.9, abs=1e-9),
+        "idle_time": 0.0,
+        "crowded_time": 0.0,
+        "switches": 1,
+        "messages_sent": 0,
+        "messages_delivered": 0,
+        "messages_lost": 0,
+    }
+    assert {key: run[key] for key in expected} == expected
+
+
+def test_json_has_null_for_what_did_not_happen(file):
+    (run,) = strict_json(accepted("run", file(DUEL), "--json", "--set", "horizon=0.5").stdout)["runs"]
+    assert (run["captured"], run["capture_time"], run["capturer"]) == (False, None, None)
+
+
+@pytest.mark.parametrize("options", [(), ("-n", 2)], ids=["one run", "two runs"])
+def test_json_is_one_document_on_stdout_and_all_else_is_on_stderr(file, tmp_path, options):
+    """The evader is too fast, which is warned of, and its range of hearing is infinite, which is no JSON number."""
+    path = file(LUCK)
+    overrides = ("evader.speed=9.0", "record.trajectory=0")
+    result = accepted("run", path, "--json", *(f"--set={each}" for each in overrides), "-o", tmp_path / "out", *options)
+    assert result.stderr.startswith("warning: ")
+    scenario = strict_json(result.stdout)["scenario"]
+    assert scenario["network"]["range"] == "Infinity"
+    assert scenario == load(path, overrides).plain()
+
+
+def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_of_its_seed(file):
+    path = file(LUCK)
+    runs = strict_json(accepted("run", path, "-n", 3, "--json").stdout)["runs"]
+    assert [run["seed"] for run in runs] == [7, 8, 9]
+    alone = [strict_json(accepted("run", path, "-s", seed, "--json").stdout)["runs"] for seed in (7, 8, 9)]
+    assert [[run] for run in runs] == alone
+    assert len({run["active_time"] for run in runs}) == 3
+
+
+def test_the_seed_of_the_command_line_replaces_that_of_the_file(file):
+    path = file(LUCK)
+    runs = strict_json(accepted("run", path, "-s", 3, "-n", 2, "--json").stdout)["runs"]
+    assert [run["seed"] for run in runs] == [3, 4]
+    changed = strict_json(accepted("run", path, "--set", "seed=3", "-n", 2, "--json").stdout)["runs"]
+    assert changed == runs
+
+
+def test_the_table_of_several_runs_has_means_with_intervals(file):
+    result = accepted("run", file(LUCK), "-n", 3)
+    assert result.stderr == ""
+    assert "seeds 7 to 9" in result.stdout.splitlines()[0]
+    table = rows(result.stdout)
+    for name in ("active time, s", "idle time, s", "crowded time, s", "messages sent", "messages delivered"):
+        assert len(table[name].split()) == 5
+    assert "captured in 0 of 3 runs" in result.stdout
+    assert re.search(r"^wall time \d+\.\d{3} s, [\d,]+ messages/s$", result.stdout, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_the_number_of_workers_changes_nothing_that_is_printed_or_written(file, tmp_path):
+    path = file(LUCK)
+    written = []
+    for jobs in (1, 2):
+        out = tmp_path / f"jobs-{jobs}"
+        printed = accepted("run", path, "-n", 4, "-j", jobs, "--json", "-o", out).stdout
+        files = sorted(each for each in out.rglob("*") if each.is_file())
+        written.append((printed, {str(each.relative_to(out)): each.read_bytes() for each in files}))
+    assert written[0] == written[1]
+    assert len(written[0][1]) == 4 * len(FILES)
+
+
+FILES = ["scenario.toml", "summary.json", "trace.jsonl", "trajectory.png", "trajectory.svg"]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(each.name for each in folder.iterdir())
+
+
+def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, tmp_path):
+    out = tmp_path / "deep" / "out"
+    printed = accepted("run", file(LUCK), "-s", 11, "-o", out, "--json").stdout
+    assert names(out) == FILES
+    assert strict_json((out / "summary.json").read_text(encoding="utf-8")) == strict_json(printed)["runs"][0]
+    events = [strict_json(line) for line in (out / "trace.jsonl").read_text(encoding="utf-8").splitlines()]
+    assert {event["event"] for event in events} >= {"Started", "Decided", "Broadcast", "Sampled", "Tally", "Ended"}
+    assert (out / "trajectory.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (out / "trajectory.svg").read_text(encoding="utf-8")
+
+
+def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
+    """Its seed is that of the command line, and what was overridden stays so."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    accepted("run", file(LUCK), "-s", 11, "--set", "evader.speed=0.5", "-o", first)
+    accepted("run", first / "scenario.toml", "-o", second)
+    for name in FILES:
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+    assert load(first / "scenario.toml").seed == 11
+
+
+@pytest.mark.slow
+def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
+    path = file(LUCK)
+    accepted("run", path, "-n", 2, "-o", tmp_path / "both")
+    accepted("run", path, "-s", 8, "-o", tmp_path / "alone")
+    assert names(tmp_path / "both") == ["seed-7", "seed-8"]
+    assert names(tmp_path / "both" / "seed-7") == FILES
+    for name in FILES:
+        assert (tmp_path / "both" / "seed-8" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), name
+
+
+def test_without_recorded_positions_there_is_no_picture(file, tmp_path):
+    result = accepted("run", file(LUCK), "--set", "record.trajectory=0", "-o", tmp_path / "out")
+    assert names(tmp_path / "out") == FILES[:3]
+    assert result.stderr == ""
+
+
+def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
+    result = accepted("run", file(LUCK), "-o", tmp_path / "out")
+    assert names(tmp_path / "out") == FILES[:3]
+    assert result.stderr == "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'\n"
+
+
+def test_the_default_scenario_needs_no_key_at_all(file):
+    assert load(file("")) == Scenario()

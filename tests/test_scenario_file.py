@@ -1,0 +1,396 @@
+"""Scenario files: where each key stands, overrides, and the way there and back."""
+
+import tomllib
+from math import inf
+from pathlib import Path
+
+import pytest
+import tomli_w
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.links import Bernoulli, Links
+from desim.kernel.links import Constant as ConstantLatency
+from desim.scenario import Capture, Evader, Motion, Record, Scenario, Speeds, Team
+from desim.scenario_file import ScenarioError, Source, dump, key_lines, load, read, validate
+from protocols.centralised import Centralised
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson, SharedSeed
+from protocols.temperature import Constant, Paper
+
+SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
+
+
+def line_of(text: str, *place: str | int) -> int:
+    """Return the line that a fault in a place of a TOML text is told with."""
+    source = Source("f", tomllib.loads(text), key_lines(text))
+    return int(source.where(place).removeprefix("f:"))
+
+
+# Where keys stand: a document is written together with the line of each of its keys.
+
+
+class Document:
+    """A TOML text, and the line of every key in it that is written out."""
+
+    def __init__(self):
+        self.lines: list[str] = []
+        self.expected: dict[tuple[str | int, ...], int] = {}
+        self.count = 0
+
+    def write(self, text: str) -> int:
+        """Append lines and return the number of the first."""
+        first = len(self.lines) + 1
+        self.lines += text.split("\n")
+        return first
+
+    def key(self, style: str) -> tuple[str, str]:
+        """Return a new key as it is written, and as it is."""
+        self.count += 1
+        bare = f"k{self.count}"
+        odd = f"{bare} [x] = # .y"
+        return {"bare": (bare, bare), "digits": (f"{self.count}", f"{self.count}")}.get(
+            style, (f'"{odd}"', odd) if style == "quoted" else (f"'{odd}'", odd)
+        )
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines) + "\n"
+
+
+STYLES = st.sampled_from(["bare", "bare", "digits", "quoted", "literal"])
+# What surrounds a statement without being one, though some of it looks it.
+FILLERS = st.sampled_from(["", "# a comment", "  # [x]", "\t", "# k = 1", "#" * 3])
+SCALARS = st.sampled_from(
+    ["1", "-0.5", "true", "inf", '"[x]"', "'a # b'", '"\\"["', "1979-05-27T07:32:00Z", '""', "''", '"""x"""']
+)
+# Values of several lines, with lines inside that look like headers, keys, comments and ends of strings.
+LONG = st.sampled_from(
+    [
+        '"""\n[x]\nk1 = 2\n"""',
+        "'''\n[[x]]\n# no comment\n\"\"\"\n'''",
+        '"""a\n\\"""\n[x]""""',
+        '"""\\\n   folded \\\n\n  on\n"""',
+        "[\n  1, # one ]\n  2,\n]",
+        "[ # [\n\n  [1, 2],\n  [3,\n   4],\n]",
+        '[\n  "]",\n  """\n]\n""",\n  "x = 1"\n]',
+        "[\n  '[x]'\n]  # [x]",
+    ]
+)
+TRAILERS = st.sampled_from(["", "  # [x]", " # k = [", "\t"])
+
+
+def write_statement(draw, document: Document, table: tuple[str | int, ...]) -> None:
+    """Write one key, and what belongs to it, into a table."""
+    kind = draw(st.sampled_from(["scalar", "long", "dotted", "inline", "list of tables", "filler"]))
+    if kind == "filler":
+        document.write(draw(FILLERS))
+        return
+    (written, key), (written_inside, inside) = document.key(draw(STYLES)), document.key(draw(STYLES))
+    indent, trailer = draw(st.sampled_from(["", "  ", "\t"])), draw(TRAILERS)
+    if kind in {"scalar", "long"}:
+        value, below = draw(SCALARS if kind == "scalar" else LONG), []
+        parsed = tomllib.loads(f"v = {value}")["v"]
+        below = [(k,) for k in range(len(parsed))] if isinstance(parsed, list) else []
+    elif kind == "dotted":
+        written, value, below = f"{written} . {written_inside}", draw(SCALARS), [(inside,)]
+    elif kind == "inline":
+        value, below = f"{{ {written_inside} = {draw(SCALARS)} }}", [(inside,)]
+    else:
+        value = f"[\n  {{ {written_inside} = 1 }},\n  {{ {written_inside} = {{ a.b = 2 }} }},\n]"
+        below = [(0,), (1,), (0, inside), (1, inside), (1, inside, "a", "b")]
+    first = document.write(f"{indent}{written} = {value}{trailer}")
+    for place in [(), *below]:
+        document.expected[*table, key, *place] = first
+
+
+def write_table(draw, document: Document, parent: tuple[str | int, ...], headers: str, depth: int) -> None:
+    """Write a table or an array of tables below another, with statements in it and tables below it."""
+    written, key = document.key(draw(STYLES))
+    headers = f"{headers}.{written}" if headers else written
+    is_array = draw(st.booleans())
+    for k in range(draw(st.integers(1, 3)) if is_array else 1):
+        table = (*parent, key, k) if is_array else (*parent, key)
+        spaced = draw(st.sampled_from(["{}", " {} "])).format(headers)
+        document.expected[table] = document.write((f"[[{spaced}]]" if is_array else f"[{spaced}]") + draw(TRAILERS))
+        for _ in range(draw(st.integers(0, 3))):
+            write_statement(draw, document, table)
+        if depth:
+            for _ in range(draw(st.integers(0, 2))):
+                write_table(draw, document, table, headers, depth - 1)
+
+
+@st.composite
+def documents(draw) -> Document:
+    document = Document()
+    for _ in range(draw(st.integers(0, 4))):
+        write_statement(draw, document, ())
+    for _ in range(draw(st.integers(0, 3))):
+        write_table(draw, document, (), "", depth=2)
+    return document
+
+
+@pytest.mark.slow
+@settings(deadline=None)
+@given(documents())
+def test_a_fault_is_told_with_the_line_where_its_key_stands(document):
+    """In tables, dotted keys, inline tables, arrays of several lines, arrays of tables and tables below them."""
+    tables, lines = tomllib.loads(document.text), key_lines(document.text)
+    source = Source("f", tables, lines)
+    found = {place: source.where(place) for place in document.expected}
+    assert found == {place: f"f:{line}" for place, line in document.expected.items()}
+    for place in lines:  # and nothing else has a line
+        node = tables
+        for part in place:
+            node = node[part]
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "line"),
+    [
+        ("a = 1\n\n[t.u]\nb = 1", ("t",), 3),
+        ("a = 1\n\n[t.u]\nb = 1\n\n[t]\nc = 1", ("t", "c"), 7),
+        ("a = 1\n\n[[t]]\nb = 1\n\n[[t]]\nb = 2", ("t",), 3),
+        ("a = 1\n\n[[t.u]]\nb = 1", ("t", "u"), 3),
+        ("[[t]]\n[[t.u]]\n[[t]]\n\n[[t.u]]\n[t.u.v]", ("t", 1, "u"), 5),
+    ],
+    ids=["table", "table that comes later", "array of tables", "array of tables below", "array below the second"],
+)
+def test_what_only_a_longer_header_names_is_told_with_the_line_of_that_header(text, place, line):
+    assert line_of(text, *place) == line
+
+
+def test_a_key_that_is_not_there_is_told_with_the_line_of_the_table_it_should_be_in():
+    text = "a = 1\n[t]\nb = 1\n[[l]]\n[[l]]\nc = 1"
+    assert line_of(text, "t", "missing") == 2
+    assert line_of(text, "l", 1, "missing", "too") == 5
+    assert line_of(text, "missing") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("# a\x85b\nkey = 1\n", 2), ('name = "a\u2028b"\nkey = 1\n', 2), ("name = '''\na\u2029b\n'''\n\nkey = 1\n", 5)],
+    ids=["comment", "string", "string of several lines"],
+)
+def test_only_what_toml_calls_a_line_counts_as_one(text, line):
+    """Python's str.splitlines also splits at these, which TOML allows inside comments and strings."""
+    assert line_of(text, "key") == line
+
+
+def test_lines_are_counted_alike_whatever_ends_them(tmp_path):
+    (tmp_path / "dos.toml").write_bytes(b"[team]\r\ncount = 3\r\n\r\n[evader]\r\nspeed = -1\r\n")
+    with pytest.raises(ScenarioError, match=r"dos\.toml:5: evader\.speed: "):
+        load(tmp_path / "dos.toml")
+
+
+def test_the_cost_of_finding_lines_grows_with_the_length_of_the_file_only(monkeypatch):
+    """A list of 200 points on 800 lines: to parse each beginning of it anew would read 400 times the file."""
+    text = tomli_w.dumps({"team": {"positions": [[float(k), 0.5] for k in range(200)]}})
+    read_so_far, loads = [], tomllib.loads
+    monkeypatch.setattr(tomllib, "loads", lambda part: read_so_far.append(len(part)) or loads(part))
+    assert key_lines(text)["team", "positions", 199, 1] == 2
+    assert sum(read_so_far) <= 10 * len(text)
+
+
+# Overrides.
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return a function that writes a scenario file."""
+
+    def write(text: str) -> Path:
+        (tmp_path / "scenario.toml").write_text(text, encoding="utf-8")
+        return tmp_path / "scenario.toml"
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("horizon=5", {"horizon": 5}),
+        (" horizon = 5 ", {"horizon": 5}),
+        ("name=relay race", {"name": "relay race"}),
+        ('name="5"', {"name": "5"}),
+        ("name=a=b", {"name": "a=b"}),
+        ("network.range=inf", {"network": {"range": inf}}),
+        ("motion.frozen=true", {"motion": {"frozen": True}}),
+        ("team.speeds=[1.0, 2.0]", {"team": {"count": 2, "speeds": [1.0, 2.0]}}),
+        ("team={ count = 3 }", {"team": {"count": 3}}),
+        ("a.b.c.d=1", {"a": {"b": {"c": {"d": 1}}}}),
+    ],
+)
+def test_the_value_of_an_override_is_toml_and_a_bare_word_is_text(written, override, expected):
+    before = {"seed": 1, "horizon": 9.0, "team": {"count": 2}}
+    source = read(written(tomli_w.dumps(before)), [override])
+    assert source.tables == before | expected
+
+
+def test_an_override_can_change_one_item_of_a_list(written):
+    text = "[team]\npositions = [[0.0, 0.0], [1.0, 1.0]]\nspeeds = [1.0, 2.0]\n"
+    team = load(written(text), ["team.positions.1.0=7.0", "team.speeds.0=0.5"]).team
+    assert (team.positions, team.speeds) == (((0.0, 0.0), (7.0, 1.0)), (0.5, 2.0))
+
+
+def test_the_last_override_of_a_key_counts(written):
+    assert load(written("seed = 1"), ["seed=2", "seed=3"]).seed == 3
+    assert load(written(""), ["evader={ speed = 0.1 }", "evader.speed=0.2"]).evader.speed == 0.2
+    assert load(written(""), ["evader.speed=0.2", "evader={ box = [1.0, 2.0] }"]).evader.speed == Evader().speed
+
+
+def test_an_override_replaces_what_is_wrong_in_the_file(written):
+    assert load(written("horizon = -1.0\n[evader]\nspeed = 0.5\n"), ["horizon=3.0"]).horizon == 3.0
+
+
+def test_what_an_override_did_not_touch_is_still_told_with_its_line(written):
+    path = written("\n[evader]\nspeed = -1.0\n")
+    with pytest.raises(ScenarioError) as error:
+        load(path, ["evader.box=[0.0, 1.0]"])
+    assert str(error.value).startswith(f"{path}:3: evader.speed: ")
+
+
+def test_a_scenario_error_is_a_value_error_with_one_line_per_fault(written):
+    with pytest.raises(ValueError, match="seed") as error:
+        load(written("seed = -1\nhorizon = -1\n"))
+    assert isinstance(error.value, ScenarioError)
+    assert len(str(error.value).split("\n")) == 2
+
+
+def test_a_file_that_is_not_there_is_an_os_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "nowhere.toml")
+
+
+# There and back.
+
+COORDINATES = st.floats(-1e6, 1e6)
+POINTS = st.tuples(COORDINATES, COORDINATES)
+SPEEDS = st.floats(0, 100)
+BOXES = st.tuples(st.floats(-50, 0), st.floats(0, 50))
+TIMES = st.floats(1e-3, 1e3)
+PROTOCOLS = st.one_of(
+    st.builds(Centralised, slot=TIMES),
+    st.builds(
+        SpatialAdaptivePlay,
+        tau=st.one_of(st.builds(Paper, scale=TIMES), st.builds(Constant, value=TIMES)),
+        schedule=st.one_of(st.builds(SharedSeed, slot=TIMES), st.builds(Poisson, rate=TIMES)),
+    ),
+)
+
+
+@st.composite
+def teams(draw) -> Team:
+    count = draw(st.integers(1, 5))
+    return Team(
+        count=count,
+        positions=draw(st.none() | st.lists(POINTS, min_size=count, max_size=count)),
+        box=draw(BOXES),
+        speeds=draw(
+            st.one_of(
+                SPEEDS,
+                st.lists(SPEEDS, min_size=count, max_size=count),
+                st.builds(Speeds, default=SPEEDS, last=SPEEDS),
+            )
+        ),
+        active_at_start=draw(st.floats(0, 1)),
+    )
+
+
+SCENARIO_VALUES = st.builds(
+    Scenario,
+    name=st.text(st.characters(codec="utf-8")),
+    seed=st.integers(0, 2**63 - 1),
+    horizon=TIMES,
+    team=teams(),
+    evader=st.builds(Evader, position=st.none() | POINTS, box=BOXES, speed=SPEEDS),
+    capture=st.builds(Capture, radius=TIMES, test=st.sampled_from(["segment", "sample"])),
+    motion=st.builds(Motion, step=TIMES, order=st.sampled_from(["evader_first", "simultaneous"]), frozen=st.booleans()),
+    protocol=PROTOCOLS,
+    network=st.builds(
+        Links,
+        range=TIMES | st.just(inf),
+        latency=st.builds(ConstantLatency, value=TIMES),
+        loss=st.builds(Bernoulli, p=st.floats(0, 1)),
+    ),
+    record=st.builds(Record, trajectory=TIMES | st.just(0.0), messages=st.booleans()),
+)
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("shelf") / "scenario.toml"
+
+
+@pytest.mark.slow
+@settings(deadline=None)
+@given(scenario=SCENARIO_VALUES)
+@example(scenario=Scenario())
+@example(scenario=Scenario(name='a\u2028b\x85c\r\nd"""\'\\ \x7f [x]\n# y'))
+def test_what_is_dumped_and_loaded_is_the_same_scenario(shelf, scenario):
+    shelf.write_text(dump(scenario), encoding="utf-8")
+    assert load(shelf) == scenario
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_the_scenarios_that_come_with_it_are_valid_and_survive_the_way_there_and_back(path, shelf):
+    scenario = load(path)
+    assert list(scenario.warnings()) == []
+    shelf.write_text(dump(scenario), encoding="utf-8")
+    assert load(shelf) == scenario
+
+
+def test_a_script_and_a_file_make_the_same_value(written):
+    from_file = load(
+        written(
+            """
+            name = "relay"
+            seed = 7
+            horizon = 12
+
+            [team]
+            positions = [[0, 0], [1.5, 2]]
+            speeds = [1, 2]
+
+            [evader]
+            speed = 0.5
+            strategy = { kind = "pure_evasion" }
+
+            [protocol]
+            kind = "sap"
+            schedule = { kind = "poisson", rate = 4.0 }
+            tau.kind = "constant"
+            tau.value = 0.2
+
+            [network]
+            range = inf
+            latency = { kind = "constant", value = 0.05 }
+            """
+        )
+    )
+    from_script = Scenario(
+        name="relay",
+        seed=7,
+        horizon=12.0,
+        team=Team(positions=((0.0, 0.0), (1.5, 2.0)), speeds=(1.0, 2.0)),
+        evader=Evader(speed=0.5),
+        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=4.0), tau=Constant(value=0.2)),
+        network=Links(latency=ConstantLatency(value=0.05)),
+    )
+    assert from_file == from_script
+    assert hash(from_file) == hash(from_script)
+    assert dump(from_file) == dump(from_script)
+
+
+def test_tables_are_validated_without_a_file():
+    assert validate(Source("x", {"seed": 3}, {})) == Scenario(seed=3)
+    with pytest.raises(ScenarioError, match=r"^x:1: sed: unknown key, did you mean 'seed'"):
+        validate(Source("x", {"sed": 3}, {}))
+
+
+def test_a_scenario_with_a_function_of_ones_own_cannot_be_dumped_and_says_why():
+    def mine(me):
+        yield me.at(0.0)
+
+    with pytest.raises(ValueError, match=r"mine.* is not one of centralised, sap and cannot be written"):
+        dump(Scenario(protocol=mine))

@@ -1,0 +1,158 @@
+"""Values: what their types take and refuse, what is frozen, and how one of several models is chosen."""
+
+import json
+from math import inf, nan
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from desim import value
+from desim.value import (
+    Extent,
+    Finite,
+    NonNegative,
+    OneOf,
+    Positive,
+    Probability,
+    Truth,
+    Value,
+    described,
+    kind_of,
+)
+
+
+class Circle(Value):
+    """Round."""
+
+    kind: Literal["circle"] = "circle"
+    radius: Positive = 1.0
+    """Radius, m."""
+
+
+class Square(Value):
+    """Has four corners.
+
+    And four sides.
+    """
+
+    kind: Literal["square"] = "square"
+    side: NonNegative = 2.0
+    """Length of a side, m."""
+
+
+class Drawing(Value):
+    """A shape on paper."""
+
+    kind: Literal["drawing"] = "drawing"
+    shape: Annotated[Any, OneOf(Circle, Square)] = Circle()
+    """What is drawn."""
+    reach: Extent = inf
+    """How far it is seen, m."""
+
+
+NO_NUMBERS = ["1", True, None, [1.0], {}, "nan", 1j]
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [
+        (Positive, [1, 0.5, 1e-300], [0, 0.0, -0.0, -1, inf, -inf, nan, *NO_NUMBERS]),
+        (NonNegative, [0, 0.0, -0.0, 3], [-1e-300, inf, -inf, nan, *NO_NUMBERS]),
+        (Finite, [-3, 0, 1e300], [inf, -inf, nan, *NO_NUMBERS]),
+        (Probability, [0, 1, 0.5], [-1e-300, 1.0000001, inf, nan, *NO_NUMBERS]),
+        (Extent, [1e-300, 3, inf], [0, -1, -inf, nan, *NO_NUMBERS]),
+        (Truth, [True, False], [0, 1, 1.0, "true", "yes", None]),
+    ],
+    ids=["Positive", "NonNegative", "Finite", "Probability", "Extent", "Truth"],
+)
+def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, bad):
+    adapter = TypeAdapter(kind)
+    assert [adapter.validate_python(each) for each in good] == good
+    for each in bad:
+        with pytest.raises(ValidationError):
+            adapter.validate_python(each)
+
+
+def test_a_value_is_frozen():
+    circle = Circle()
+    with pytest.raises(ValidationError, match="frozen"):
+        circle.radius = 2.0
+    assert circle == Circle()
+
+
+def test_equal_values_are_one_in_a_set():
+    assert len({Circle(radius=2), Circle(radius=2.0), Circle()}) == 2
+
+
+def test_an_unknown_key_of_a_value_is_an_error():
+    with pytest.raises(ValidationError, match="radios"):
+        Circle(radios=2.0)
+
+
+def test_the_string_below_a_field_describes_it():
+    assert Circle.model_fields["radius"].description == "Radius, m."
+
+
+def test_plain_is_what_strict_json_has():
+    plain = Drawing(shape=Square()).plain()
+    assert plain == {"kind": "drawing", "shape": {"kind": "square", "side": 2.0}, "reach": "Infinity"}
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+
+
+def test_kind_of_a_model_is_its_default():
+    assert (kind_of(Circle), kind_of(Square)) == ("circle", "square")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({"kind": "square", "side": 3}, Square(side=3.0)), ({"kind": "circle"}, Circle()), (Square(), Square())],
+)
+def test_a_table_is_told_by_its_kind(given, expected):
+    assert Drawing(shape=given).shape == expected
+
+
+@pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "square", 3, None])
+def test_what_is_neither_a_table_of_a_kind_nor_callable_is_refused(given):
+    with pytest.raises(ValidationError):
+        Drawing(shape=given)
+
+
+@pytest.mark.parametrize("given", [abs, lambda: 1.0, Circle], ids=["function", "lambda", "class"])
+def test_what_can_be_called_is_taken_as_it_is(given):
+    assert Drawing(shape=given).shape is given
+
+
+def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
+    class Point:
+        """An entry point that another distribution installs."""
+
+        name = "square"
+
+        def load(self) -> type[BaseModel]:
+            return Square
+
+    groups = []
+    monkeypatch.setattr(value, "entry_points", lambda *, group: groups.append(group) or [Point()])
+    shapes = OneOf(Circle, group="shapes")
+    assert list(shapes.choices().items()) == [("circle", Circle), ("square", Square)]
+    adapter = TypeAdapter(Annotated[Any, shapes])
+    assert adapter.validate_python({"kind": "square"}) == Square()
+    assert set(groups) == {"shapes"}
+
+
+def test_without_a_group_nothing_is_looked_up(monkeypatch):
+    monkeypatch.setattr(value, "entry_points", lambda **_: pytest.fail("looked up"))
+    assert OneOf(Circle, Square).choices() == {"circle": Circle, "square": Square}
+
+
+def test_a_model_is_described_with_its_parameters_and_what_they_may_hold():
+    assert list(described(Drawing, "drawing")) == [
+        "drawing: A shape on paper.",
+        "    shape = { kind = 'circle' }: What is drawn.",
+        "        circle: Round.",
+        "            radius = 1.0: Radius, m.",
+        "        square: Has four corners.",
+        "            side = 2.0: Length of a side, m.",
+        "    reach = inf: How far it is seen, m.",
+    ]
