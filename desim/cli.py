@@ -67,15 +67,18 @@ def run(
         _make_folder(out)
     seeds = seeds_from(scenario.seed if seed is None else seed, runs)
     start = time.perf_counter()
-    if runs == 1:
-        result = simulate(scenario, seeds[0])
-        wall_time = time.perf_counter() - start
-        results = [summary(result) if out is None else write(result, out)]
-        table = run_table(scenario, results[0], wall_time)
-    else:
-        measure = summary if out is None else partial(write_below, out)
-        results = run_many([(scenario, each) for each in seeds], jobs, scenario.name, measure)
-        table = batch_table(scenario, results, time.perf_counter() - start)
+    try:
+        if runs == 1:
+            result = simulate(scenario, seeds[0])
+            wall_time = time.perf_counter() - start
+            results = [summary(result) if out is None else write(result, out)]
+            table = run_table(scenario, results[0], wall_time)
+        else:
+            measure = summary if out is None else partial(write_below, out)
+            results = run_many([(scenario, each) for each in seeds], jobs, scenario.name, measure)
+            table = batch_table(scenario, results, time.perf_counter() - start)
+    except OSError as error:
+        _refuse(f"--out {error.filename}: cannot be written: {error.strerror}")
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [asdict(each) for each in results]}, indent=2)
     click.echo(table)

@@ -11,7 +11,7 @@ from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
-from desim.value import SHORTEST, Finite, Horizon, NonNegative, OneOf, Period, Positive, Probability, Time, Truth, Value
+from desim.value import SHORTEST, Coordinate, Horizon, Length, OneOf, Period, Probability, Speed, Time, Truth, Value
 
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -26,8 +26,8 @@ def _never_or_period(time: float) -> float:
     return time
 
 
-Point = tuple[Finite, Finite]
-Box = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+Point = tuple[Coordinate, Coordinate]
+Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
 PROTOCOLS = OneOf(group="desim.protocols")
 """The protocols that are installed."""
 
@@ -35,9 +35,9 @@ PROTOCOLS = OneOf(group="desim.protocols")
 class Speeds(Value):
     """One speed for all but the last pursuer, another for the last."""
 
-    default: NonNegative = 1.0
+    default: Speed = 1.0
     """Speed of all pursuers but the last, m/s."""
-    last: NonNegative = 2.0
+    last: Speed = 2.0
     """Speed of the last pursuer, m/s."""
 
 
@@ -50,16 +50,14 @@ def _form_of_speeds(value: Any) -> str:
 class Team(Value):
     """The pursuers: how many, from where, how fast, and who chases at first."""
 
-    count: Annotated[int, Field(ge=1, strict=True)] = 20
+    count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
     """Number of pursuers N; follows from `positions` if they are given."""
     positions: tuple[Point, ...] | None = None
     """Initial positions, one [x, y] per pursuer, m; if absent they are drawn from `box`, anew for every seed."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both initial coordinates, m."""
     speeds: Annotated[
-        Annotated[NonNegative, Tag("number")]
-        | Annotated[tuple[NonNegative, ...], Tag("list")]
-        | Annotated[Speeds, Tag("table")],
+        Annotated[Speed, Tag("number")] | Annotated[tuple[Speed, ...], Tag("list")] | Annotated[Speeds, Tag("table")],
         Discriminator(_form_of_speeds),
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
@@ -106,7 +104,7 @@ class Evader(Value):
     """Initial position [x, y], m; if absent it is drawn from `box`, anew for every seed."""
     box: Box = (8.0, 12.0)
     """Lower and upper bound of both initial coordinates, m."""
-    speed: NonNegative = 0.9
+    speed: Speed = 0.9
     """Speed v_e, m/s."""
     strategy: Annotated[Strategy, OneOf(PureEvasion)] = PureEvasion()
     """How it flees."""
@@ -121,7 +119,7 @@ class Evader(Value):
 class Capture(Value):
     """When the evader is captured."""
 
-    radius: Positive = 0.1
+    radius: Length = 0.1
     """Distance eps at which the evader is captured, m."""
     test: Literal["segment", "sample"] = "segment"
     """segment: at the very instant the distance falls to the radius; sample: judged at motion steps only."""
@@ -138,7 +136,7 @@ class Motion(Value):
     """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
 
 
-class Record(Value):
+class Recording(Value):
     """What is recorded beside decisions."""
 
     trajectory: Annotated[Time, AfterValidator(_never_or_period)] = 0.05
@@ -148,7 +146,10 @@ class Record(Value):
 
 
 def _default_protocol() -> Any:
-    return PROTOCOLS.choices()["sap"]()
+    installed = PROTOCOLS.choices()
+    if "sap" not in installed:
+        raise ValueError("no protocols are installed: pip install -e . in the folder of desim")
+    return installed["sap"]()
 
 
 class Scenario(Value):
@@ -167,10 +168,10 @@ class Scenario(Value):
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
     """How the pursuers negotiate; `desim protocols` lists the kinds."""
     network: Links = Links()
-    record: Record = Record()
+    record: Recording = Recording()
 
     def warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield what is legal but hardly meant: the key it concerns, and why."""
+        """Yield what is legal but probably unintended: the key it concerns, and why."""
         fastest = max(self.team.all_speeds())
         if fastest <= self.evader.speed:
             yield (
@@ -178,10 +179,12 @@ class Scenario(Value):
                 f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
                 f" {self.evader.speed} m/s, so every time of capture is inf and nobody will chase",
             )
-        stride = self.motion.step * fastest
+        if self.motion.step > self.horizon:
+            yield "motion.step", f"the step of {self.motion.step:g} s is longer than the horizon of {self.horizon:g} s"
+        stride = self.motion.step * max(fastest, self.evader.speed)
         if self.capture.test == "sample" and stride > 2 * self.capture.radius:
             yield (
                 "motion.step",
-                f"a pursuer may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+                f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
                 f" than 2 x radius = {2 * self.capture.radius:g} m",
             )

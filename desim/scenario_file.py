@@ -36,11 +36,11 @@ class Source:
     def where(self, place: Place) -> str:
         """Return where a key was set: `file:line`, or the override that set it."""
         within = [place[:end] for end in range(len(place), 0, -1)]
-        set_by = [self.overrides[each] for each in within if each in self.overrides]
+        set_by = [text for key, text in self.overrides.items() if key in within]
         if not set_by and place not in self.lines:  # an override may have made the table
             set_by = [text for key, text in self.overrides.items() if key[: len(place)] == place]
         if set_by:
-            return f"--set {set_by[0]}"
+            return f"--set {set_by[-1]}"
         return f"{self.name}:{next((self.lines[each] for each in within if each in self.lines), 1)}"
 
 
@@ -165,7 +165,11 @@ def _apply(override: str, source: Source) -> None:
     key = _key(last, node)
     if not isinstance(node, dict) and not _holds(node, key):
         raise ScenarioError(f"--set {override}: {name} is not a key of a table")
-    node[key] = _parsed(text.strip())
+    try:
+        node[key] = _parsed(text.strip())
+    except ScenarioError as error:
+        raise ScenarioError(f"--set {override}: {error}") from error
+    source.overrides.pop((*place, key), None)  # the last one counts
     source.overrides[*place, key] = override
 
 
@@ -180,11 +184,20 @@ def _holds(node: Any, key: Any) -> bool:
 
 
 def _parsed(text: str) -> Any:
-    """Return a TOML value; a bare word is a string."""
+    """Return a TOML value; text that does not begin like one is a string.
+
+    Raises:
+        ScenarioError: if it begins like a TOML value and is none, or is more than one.
+    """
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError as error:
+        if text.startswith(('"', "'", "[", "{")):
+            raise ScenarioError(f"{text!r} is not a TOML value") from error
         return text
+    if len(tables) > 1:
+        raise ScenarioError(f"{text!r} is more than one value")
+    return tables["value"]
 
 
 def _text(file: Path) -> str:
@@ -199,7 +212,8 @@ def _text(file: Path) -> str:
 def _syntax_fault(file: str | Path, message: str, text: str) -> str:
     """Return the fault of a text that is not TOML, with its line in front."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
-    line = found[1] if found and found[1] else text.count("\n") + 1
+    last = text.rstrip().count("\n") + 1
+    line = min(int(found[1]), last) if found and found[1] else last
     return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
 
 
@@ -268,13 +282,13 @@ def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None
         return f"unknown key{_suggestion(name.split('.')[-1], allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
-    if kind == "union_tag_not_found":
-        return f"should be a table with a kind; allowed kinds: {', '.join(kinds)}"
+    if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
+        return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
     if kind == "literal_error":
         return f"should be {context['expected']}"
     if kind == "missing":
         return "is missing"
-    if kind in {"model_type", "model_attributes_type"}:
+    if kind in NOT_A_TABLE:
         return "should be a table"
     if kind in {"too_long", "too_short"}:
         most = kind == "too_long"
@@ -286,6 +300,7 @@ def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None
     return text
 
 
+NOT_A_TABLE = {"model_type", "model_attributes_type"}
 WORDS = {
     "Input should be": "should be",
     "a valid tuple": "a list",
@@ -305,5 +320,5 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
 def _got(error: ErrorDetails) -> str:
     if error["type"] in {"extra_forbidden", "union_tag_invalid", "missing", "value_error"}:
         return ""
-    got = repr(error["input"])
+    got = str(error["input"]).lower() if isinstance(error["input"], bool) else repr(error["input"])
     return f" (got {got if len(got) < 60 else got[:57] + '...'})"

@@ -35,7 +35,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
-    trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.finish("stopped"))
+    trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.stop())
     world = World(env, scenario, seed, trace)
     graph = nx.complete_graph(world.size)
     network = Network(

@@ -7,18 +7,32 @@ from Python any callable will do.
 import json
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
+from math import inf
+from types import FunctionType
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+FARTHEST = 1e9
+"""The plane ends here, so that no square overflows, m or m/s."""
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False, strict=True)]
+"""m"""
+Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
+"""m"""
+Speed = Annotated[float, Field(ge=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
+"""m/s"""
 Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
-Extent = Annotated[float, Field(gt=0, strict=True)]
-"""Positive, and possibly infinite."""
+
+
+def _infinity(value: Any) -> Any:
+    return inf if value == "Infinity" else value
+
+
+Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
+"""Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
 LONGEST = 1e9
 """The clock counts nanoseconds in 64 bits: thirty years, s."""
 SHORTEST = 1e-6
@@ -29,7 +43,7 @@ Horizon = Annotated[float, Field(gt=0, le=LONGEST, allow_inf_nan=False, strict=T
 """A time at which something ends, s."""
 Period = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, strict=True)]
 """A time between two of many events, s."""
-Rate = Annotated[float, Field(gt=0, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
+Rate = Annotated[float, Field(ge=1 / LONGEST, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""
 Truth = Annotated[bool, Field(strict=True)]
 
@@ -72,9 +86,11 @@ class OneOf:
         by_kind = core_schema.tagged_union_schema(schemas, discriminator="kind")
 
         def written(value: Any, write: Callable[[Any], Any]) -> Any:
-            if type(value) not in choices.values():
-                raise ValueError(f"{value!r} is not one of {', '.join(choices)} and cannot be written to a file")
-            return write(value)
+            if type(value) in choices.values():
+                return write(value)
+            home = value if isinstance(value, FunctionType) else type(value)
+            parameters = value.model_dump() if isinstance(value, BaseModel) else {}
+            return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
 
         return core_schema.no_info_wrap_validator_function(
             _callable_or,
@@ -84,6 +100,8 @@ class OneOf:
 
 
 def _callable_or(value: Any, validate: Callable[[Any], Any]) -> Any:
+    if isinstance(value, type):
+        raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
     return value if callable(value) else validate(value)
 
 

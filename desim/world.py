@@ -32,6 +32,7 @@ class World:
         self._evader_rng = stream(seed, "evader strategy")
         self._speeds = np.array(scenario.team.all_speeds())
         self._radial_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
+        self._slow: list[bool] = self._radial_time.slow.tolist()
         self._closing_bound = float(self._speeds.max()) + self._evader_speed
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
@@ -66,7 +67,7 @@ class World:
     def state(self) -> State:
         """Return where everyone is now, and who chases."""
         now = self._env.now
-        if self._state.t != now:
+        if self._state.t != now and not self._motion.frozen:
             elapsed = seconds(now - self._since)
             self._enter(State(now, self._origins + self._velocities * elapsed, self._active))
         return self._state
@@ -93,7 +94,14 @@ class World:
     # What changes it.
 
     def order(self, pursuer: int, active: bool) -> None:
-        """Let a pursuer chase or stay from this very instant on."""
+        """Let a pursuer chase or stay from this very instant on; one that is too slow to capture stays.
+
+        Raises:
+            ValueError: if there is no such pursuer.
+        """
+        if not 0 <= pursuer < self.size:
+            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
+        active = bool(active) and not self._slow[pursuer]
         now = self._env.now
         self._trace.append(Decided(now, pursuer, active))
         if self._active[pursuer] == active:
@@ -120,13 +128,20 @@ class World:
             self.end = Ended(self._env.now, reason, capturer)
             self.over.succeed()
 
+    def stop(self) -> None:
+        """End the pursuit when all that happens at this instant has happened."""
+        self._at(self._env.now, Phase.SAMPLE + 1, lambda _: self.finish("stopped"))
+
     def _move(self, step: int) -> Generator[simpy.Event, None, None]:
         """Give everyone a new heading at every motion step."""
         for end in count(step, step):
             yield Instant(self._env, self._step_end, Phase.MOTION)
             state = self.state()
             self._step_end = min(end, self._horizon)
-            flight = self._evader_speed * self._flee(state, self._evader_rng)
+            heading = self._flee(state, self._evader_rng)
+            if not abs(heading) <= 1.0 + 1e-9:
+                raise ValueError(f"an evader's heading should be at most 1 long, got {heading} from {self._flee!r}")
+            flight = self._evader_speed * heading
             ahead = flight * seconds(self._step_end - state.t) if self._motion.order == "evader_first" else 0j
             self._aim = state.evader + ahead
             velocities = np.empty_like(state.players)

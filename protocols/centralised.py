@@ -11,10 +11,9 @@ Messages: none.
 from itertools import count
 from typing import Literal
 
-from desim.pursuit.agent import Agent
+from desim.pursuit.agent import Agent, Process
 from desim.pursuit.game import relay_pursuer
 from desim.value import Period, Value
-from protocols.schedules import Process
 
 
 class Centralised(Value):

@@ -11,18 +11,18 @@ Robust to loss: yes, for every revision repeats the action even if it is unchang
 
 from typing import Annotated, Literal
 
-from desim.pursuit.agent import Agent
+from desim.pursuit.agent import Agent, Process
 from desim.pursuit.game import activation_probability
 from desim.value import OneOf, Value
-from protocols.schedules import Poisson, Process, Schedule, SharedSeed
-from protocols.temperature import Constant, Paper, Temperature
+from protocols.schedules import Poisson, Schedule, SharedSeed
+from protocols.temperature import ConstantTau, PaperTau, Temperature
 
 
 class SpatialAdaptivePlay(Value):
     """Each pursuer in its turn chooses to chase with probability expit(gain / tau), and says so."""
 
     kind: Literal["sap"] = "sap"
-    tau: Annotated[Temperature, OneOf(Paper, Constant)] = Paper()
+    tau: Annotated[Temperature, OneOf(PaperTau, ConstantTau)] = PaperTau()
     """Temperature, s."""
     schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson)] = SharedSeed()
     """When each pursuer revises."""

@@ -4,17 +4,14 @@ A schedule is called with an agent and with what to do at its turn, and is the p
 `revise`, and waits again. `mean_slot(team_size)` is the mean time delta between two revisions in the whole team.
 """
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from itertools import count
 from typing import Literal, Protocol
 
 import numpy as np
-import simpy
 
-from desim.pursuit.agent import Agent
+from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Rate, Value
-
-Process = Generator[simpy.Event, None, None]
 
 
 class Schedule(Protocol):

@@ -15,7 +15,7 @@ class Temperature(Protocol):
     def __call__(self, eta: float) -> float: ...  # noqa: D102
 
 
-class Paper(Value):
+class PaperTau(Value):
     """tau = scale / eta^2 (Lee & Bakolas, Algorithm 1): infinite at first, 0.001 after a hundred slots."""
 
     kind: Literal["paper"] = "paper"
@@ -27,7 +27,7 @@ class Paper(Value):
         return eta * eta / self.scale
 
 
-class Constant(Value):
+class ConstantTau(Value):
     """The same temperature for ever; the profile then follows the Gibbs law."""
 
     kind: Literal["constant"] = "constant"

@@ -4,7 +4,6 @@ Left: the relay of scenarios/relay.toml. Right: the number of active pursuers ov
 going on, for several latencies of the same network.
 """
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,8 @@ from desim.analysis.tables import aligned
 from scenarios.study import SCENARIOS, Options, study
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from desim.analysis import batch
+from desim.analysis.batch import run_many
 from desim.cli import main
 from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
@@ -161,6 +163,7 @@ FAULTS = {
     "table for a number": ("name = 'x'\n\n[horizon]\nx = 1", 3, "horizon", ["should be a number"]),
     "table below a number": ("name = 'x'\n\n[horizon.x]\ny = 1", 3, "horizon", ["should be a number"]),
     "array of tables for a table": ("name = 'x'\n\n[[team]]\ncount = 3", 3, "team", ["should be a table"]),
+    "text for a seed": ("seed = '7'", 1, "seed", ["should be an integer", "(got '7')"]),
     "date for a seed": ("seed = 2020-01-01", 1, "seed", ["should be an integer"]),
     "number for speeds": ("[team]\nspeeds = 'fast'", 2, "team.speeds", ["one number, one per pursuer, or a table"]),
     "negative speed of the evader": (
@@ -277,6 +280,15 @@ FAULTS = {
         "network.latency.value",
         ["should be"],
     ),
+    "rate of almost never": (
+        "[protocol]\nkind = 'sap'\nschedule = { kind = 'poisson', rate = 1e-300 }",
+        3,
+        "protocol.schedule.rate",
+        ["should be"],
+    ),
+    # Lengths whose squares are beyond what a float can hold.
+    "radius beyond any plane": ("[capture]\nradius = 1e300", 2, "capture.radius", ["should be"]),
+    "box beyond any plane": ("[evader]\nbox = [0.0, 1.7e308]", 2, "evader.box.1", ["should be"]),
 }
 
 
@@ -670,11 +682,12 @@ def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_
     assert len({run["active_time"] for run in runs}) == 3
 
 
-def test_the_seed_of_the_command_line_replaces_that_of_the_file(file):
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
     path = file(LUCK)
-    runs = strict_json(accepted("run", path, "-s", 3, "-n", 2, "--json").stdout)["runs"]
-    assert [run["seed"] for run in runs] == [3, 4]
-    changed = strict_json(accepted("run", path, "--set", "seed=3", "-n", 2, "--json").stdout)["runs"]
+    runs = strict_json(accepted("run", path, "-s", seed, "-n", 2, "--json").stdout)["runs"]
+    assert [run["seed"] for run in runs] == [seed, seed + 1]
+    changed = strict_json(accepted("run", path, "--set", f"seed={seed}", "-n", 2, "--json").stdout)["runs"]
     assert changed == runs
 
 
@@ -687,6 +700,14 @@ def test_the_table_of_several_runs_has_means_with_intervals(file):
         assert len(table[name].split()) == 5
     assert "captured in 0 of 3 runs" in result.stdout
     assert re.search(r"^wall time \d+\.\d{3} s, [\d,]+ messages/s$", result.stdout, re.MULTILINE)
+
+
+@pytest.mark.parametrize(("options", "jobs"), [((), 1), (("-j", 2), 2), (("-j", 0), 0)], ids=["default", "2", "0"])
+def test_as_many_workers_are_asked_for_as_the_option_says(file, monkeypatch, options, jobs):
+    asked = []
+    monkeypatch.setattr(batch, "run_many", lambda tasks, jobs, *_: asked.append(jobs) or run_many(tasks, 1))
+    accepted("run", file(LUCK), "-n", 2, *options)
+    assert asked == [jobs]
 
 
 @pytest.mark.slow
@@ -756,3 +777,24 @@ def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, mo
 
 def test_the_default_scenario_needs_no_key_at_all(file):
     assert load(file("")) == Scenario()
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ('name="a', "is not a TOML value"),
+        ("seed=1\nhorizon=-2", "is more than one value"),
+        ("team.count=100000000000", "should be less than or equal to 1000000"),
+    ],
+)
+def test_an_override_that_is_no_value_is_refused(file, override, words):
+    (said, *rest) = refused("check", file(DUEL), "--set", override)
+    assert said.startswith("--set ")
+    assert words in "\n".join([said, *rest])
+
+
+def test_a_folder_that_cannot_be_made_for_one_of_several_runs_is_told(file, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "seed-8").touch()
+    (said,) = refused("run", file(DUEL), "-n", "2", "-o", tmp_path / "out")
+    assert said.startswith(f"--out {tmp_path / 'out' / 'seed-8'}: cannot be written")

@@ -12,12 +12,12 @@ from pydantic import ValidationError
 from desim.kernel.links import Bernoulli, Links
 from desim.kernel.links import Constant as ConstantLatency
 from desim.pursuit.events import Decided, Ended
-from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Record, Scenario, Speeds, Team
+from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.simulation import run
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
-from protocols.temperature import Paper
+from protocols.temperature import PaperTau
 
 SEEDS = st.integers(0, 2**63)
 SHARES = st.floats(0, 1)
@@ -29,7 +29,7 @@ def test_the_default_is_the_scenario_of_the_paper():
     assert scenario.team.count == 20
     assert scenario.team.all_speeds() == [1.0] * 19 + [2.0]
     assert (scenario.horizon, scenario.evader.speed, scenario.capture.radius) == (30.0, 0.9, 0.1)
-    assert scenario.protocol == SpatialAdaptivePlay(tau=Paper(scale=10.0), schedule=SharedSeed(slot=0.01))
+    assert scenario.protocol == SpatialAdaptivePlay(tau=PaperTau(scale=10.0), schedule=SharedSeed(slot=0.01))
     assert scenario.network == Links(range=inf, latency=ConstantLatency(value=0.0), loss=Bernoulli(p=0.0))
     assert list(scenario.warnings()) == []
 
@@ -109,6 +109,11 @@ def test_positions_are_drawn_in_the_box_and_anew_for_every_seed(seed):
     for one in (team, evader):
         np.testing.assert_array_equal(one.start(seed), one.start(seed))
         assert (one.start(seed) != one.start(seed + 1)).all()
+
+
+def test_the_evader_does_not_begin_where_a_pursuer_begins_though_they_have_one_seed_and_one_box():
+    pursuers, evader = Team(box=(0.0, 1.0)).start(3), Evader(box=(0.0, 1.0)).start(3)
+    assert (pursuers != evader).all()
 
 
 @settings(deadline=None)
@@ -196,7 +201,7 @@ def own() -> Scenario:
         evader=Evader(position=(0, 1), speed=0.5, strategy=upwards),
         protocol=chase_at_once,
         network=Links(latency=half_a_second, loss=to_even_nodes),
-        record=Record(messages=True),
+        record=Recording(messages=True),
     )
 
 

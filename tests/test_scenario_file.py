@@ -1,5 +1,6 @@
 """Scenario files: where each key stands, overrides, and the way there and back."""
 
+import re
 import tomllib
 from math import inf
 from pathlib import Path
@@ -11,12 +12,12 @@ from hypothesis import strategies as st
 
 from desim.kernel.links import Bernoulli, Links
 from desim.kernel.links import Constant as ConstantLatency
-from desim.scenario import Capture, Evader, Motion, Record, Scenario, Speeds, Team
+from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.scenario_file import ScenarioError, Source, dump, key_lines, load, read, validate
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed
-from protocols.temperature import Constant, Paper
+from protocols.temperature import ConstantTau, PaperTau
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 
@@ -75,6 +76,7 @@ LONG = st.sampled_from(
         "[ # [\n\n  [1, 2],\n  [3,\n   4],\n]",
         '[\n  "]",\n  """\n]\n""",\n  "x = 1"\n]',
         "[\n  '[x]'\n]  # [x]",
+        '[\n  """a"""", "[",\n  \'\'\'b\'\'\'\', "[",\n]',  # four quotes: the first still belongs to the string
     ]
 )
 TRAILERS = st.sampled_from(["", "  # [x]", " # k = [", "\t"])
@@ -211,7 +213,7 @@ def written(tmp_path):
     [
         ("horizon=5", {"horizon": 5}),
         (" horizon = 5 ", {"horizon": 5}),
-        ("name=relay race", {"name": "relay race"}),
+        ("name=Relay race", {"name": "Relay race"}),
         ('name="5"', {"name": "5"}),
         ("name=a=b", {"name": "a=b"}),
         ("network.range=inf", {"network": {"range": inf}}),
@@ -243,11 +245,28 @@ def test_an_override_replaces_what_is_wrong_in_the_file(written):
     assert load(written("horizon = -1.0\n[evader]\nspeed = 0.5\n"), ["horizon=3.0"]).horizon == 3.0
 
 
+def test_a_fault_is_told_with_the_override_that_counts_and_not_with_an_earlier_one(written):
+    overrides = ["evader.speed=-1.0", "evader={ speed = -2.0 }"]
+    with pytest.raises(ScenarioError) as error:
+        load(written(""), overrides)
+    assert str(error.value).startswith("--set evader={ speed = -2.0 }: evader.speed: ")
+    with pytest.raises(ScenarioError) as error:
+        load(written(""), overrides[::-1])
+    assert str(error.value).startswith("--set evader.speed=-1.0: evader.speed: ")
+
+
 def test_what_an_override_did_not_touch_is_still_told_with_its_line(written):
     path = written("\n[evader]\nspeed = -1.0\n")
     with pytest.raises(ScenarioError) as error:
         load(path, ["evader.box=[0.0, 1.0]"])
     assert str(error.value).startswith(f"{path}:3: evader.speed: ")
+
+
+def test_the_fault_of_a_table_in_the_file_is_not_told_with_an_override_of_another_key_in_it(written):
+    path = written("[network]\nlatency = { value = 0.1 }\n")
+    with pytest.raises(ScenarioError) as error:
+        load(path, ["network.latency.value=0.2"])
+    assert str(error.value).startswith(f"{path}:2: network.latency: should be a table with a kind")
 
 
 def test_a_scenario_error_is_a_value_error_with_one_line_per_fault(written):
@@ -262,6 +281,76 @@ def test_a_file_that_is_not_there_is_an_os_error(tmp_path):
         load(tmp_path / "nowhere.toml")
 
 
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("shelf") / "scenario.toml"
+
+
+KNOWN = sorted({key for key in key_lines(dump(Scenario())) if all(isinstance(part, str) for part in key)})
+SCALAR = st.one_of(
+    st.integers(-3, 3),
+    st.floats(),
+    st.booleans(),
+    st.sampled_from(["", "sap", "constant", "poisson", "segment", "[x]", "1"]),
+    st.dates(),
+)
+ANYTHING = st.recursive(
+    SCALAR,
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["kind", "x", "value", "tau", "default", "list", "0", ""]), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+def inline(value: object) -> str:
+    """Return a value as TOML on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f'"{key}" = {inline(each)}' for key, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").strip()
+
+
+@pytest.mark.slow
+@settings(deadline=None)
+@given(place=st.sampled_from([*KNOWN, ("team", "positions"), ("team", "box", "0"), ("x",)]), value=ANYTHING)
+def test_whatever_an_override_sets_is_a_scenario_or_a_fault_of_that_override(shelf, place, value):
+    """No other exception, and no fault of the file, for the file is empty."""
+    shelf.write_text("", encoding="utf-8")
+    override = f"{'.'.join(place)}={inline(value)}"
+    try:
+        scenario = load(shelf, [override])
+    except ScenarioError as error:
+        for fault in str(error).split("\n"):
+            assert fault.startswith(f"--set {override}: {place[0]}")
+    else:
+        assert isinstance(scenario, Scenario)
+
+
+@pytest.mark.slow
+@settings(deadline=None)
+@given(place=st.sampled_from([*KNOWN, ("team", "positions"), ("x",)]), value=ANYTHING)
+def test_whatever_a_file_sets_is_a_scenario_or_faults_on_lines_that_name_them(shelf, place, value):
+    tables = tomllib.loads(dump(Scenario()))
+    node = tables
+    for key in place[:-1]:
+        node = node[key]
+    node[place[-1]] = value
+    shelf.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    lines = shelf.read_text(encoding="utf-8").split("\n")
+    try:
+        scenario = load(shelf)
+    except ScenarioError as error:
+        for fault in str(error).split("\n"):
+            found = re.match(rf"{re.escape(str(shelf))}:(\d+): ([^:]*): .", fault)
+            assert found, fault
+            assert any(part in lines[int(found[1]) - 1] for part in found[2].split(".")), fault
+    else:
+        assert isinstance(scenario, Scenario)
+
+
 # There and back.
 
 COORDINATES = st.floats(-1e6, 1e6)
@@ -273,7 +362,7 @@ PROTOCOLS = st.one_of(
     st.builds(Centralised, slot=TIMES),
     st.builds(
         SpatialAdaptivePlay,
-        tau=st.one_of(st.builds(Paper, scale=TIMES), st.builds(Constant, value=TIMES)),
+        tau=st.one_of(st.builds(PaperTau, scale=TIMES), st.builds(ConstantTau, value=TIMES)),
         schedule=st.one_of(st.builds(SharedSeed, slot=TIMES), st.builds(Poisson, rate=TIMES)),
     ),
 )
@@ -313,13 +402,8 @@ SCENARIO_VALUES = st.builds(
         latency=st.builds(ConstantLatency, value=TIMES),
         loss=st.builds(Bernoulli, p=st.floats(0, 1)),
     ),
-    record=st.builds(Record, trajectory=TIMES | st.just(0.0), messages=st.booleans()),
+    record=st.builds(Recording, trajectory=TIMES | st.just(0.0), messages=st.booleans()),
 )
-
-
-@pytest.fixture(scope="module")
-def shelf(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("shelf") / "scenario.toml"
 
 
 @pytest.mark.slow
@@ -374,7 +458,7 @@ def test_a_script_and_a_file_make_the_same_value(written):
         horizon=12.0,
         team=Team(positions=((0.0, 0.0), (1.5, 2.0)), speeds=(1.0, 2.0)),
         evader=Evader(speed=0.5),
-        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=4.0), tau=Constant(value=0.2)),
+        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=4.0), tau=ConstantTau(value=0.2)),
         network=Links(latency=ConstantLatency(value=0.05)),
     )
     assert from_file == from_script
@@ -388,9 +472,10 @@ def test_tables_are_validated_without_a_file():
         validate(Source("x", {"sed": 3}, {}))
 
 
-def test_a_scenario_with_a_function_of_ones_own_cannot_be_dumped_and_says_why():
-    def mine(me):
-        yield me.at(0.0)
+def test_a_scenario_with_a_function_of_ones_own_is_dumped_with_where_the_function_is():
+    written = tomllib.loads(dump(Scenario(protocol=mine)))
+    assert written["protocol"] == {"kind": f"{__name__}:mine"}
 
-    with pytest.raises(ValueError, match=r"mine.* is not one of centralised, sap and cannot be written"):
-        dump(Scenario(protocol=mine))
+
+def mine(me):
+    yield me.at(0.0)

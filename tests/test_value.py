@@ -9,12 +9,17 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from desim import value
 from desim.value import (
+    Coordinate,
     Extent,
-    Finite,
-    NonNegative,
+    Horizon,
+    Length,
     OneOf,
+    Period,
     Positive,
     Probability,
+    Rate,
+    Speed,
+    Time,
     Truth,
     Value,
     described,
@@ -37,7 +42,7 @@ class Square(Value):
     """
 
     kind: Literal["square"] = "square"
-    side: NonNegative = 2.0
+    side: Speed = 2.0
     """Length of a side, m."""
 
 
@@ -52,19 +57,25 @@ class Drawing(Value):
 
 
 NO_NUMBERS = ["1", True, None, [1.0], {}, "nan", 1j]
+NO_TIMES = [inf, -inf, nan, *NO_NUMBERS]
 
 
 @pytest.mark.parametrize(
     ("kind", "good", "bad"),
     [
         (Positive, [1, 0.5, 1e-300], [0, 0.0, -0.0, -1, inf, -inf, nan, *NO_NUMBERS]),
-        (NonNegative, [0, 0.0, -0.0, 3], [-1e-300, inf, -inf, nan, *NO_NUMBERS]),
-        (Finite, [-3, 0, 1e300], [inf, -inf, nan, *NO_NUMBERS]),
+        (Coordinate, [-3, 0, 1e9], [-1.1e9, 1.1e9, *NO_TIMES]),
+        (Length, [1e-300, 1e9], [0.0, -1, 1.1e9, *NO_TIMES]),
+        (Speed, [0, 0.0, -0.0, 1e9], [-1e-300, 1.1e9, *NO_TIMES]),
+        (Time, [0, 1e-12, 1e9], [-1e-12, 1.1e9, *NO_TIMES]),
+        (Horizon, [1e-12, 1e9], [0, -1, 1.1e9, *NO_TIMES]),
+        (Period, [1e-6, 1e9], [0, 0.9e-6, 1.1e9, *NO_TIMES]),
+        (Rate, [1e-9, 1e6], [0, 0.9e-9, 1.1e6, *NO_TIMES]),
         (Probability, [0, 1, 0.5], [-1e-300, 1.0000001, inf, nan, *NO_NUMBERS]),
         (Extent, [1e-300, 3, inf], [0, -1, -inf, nan, *NO_NUMBERS]),
         (Truth, [True, False], [0, 1, 1.0, "true", "yes", None]),
     ],
-    ids=["Positive", "NonNegative", "Finite", "Probability", "Extent", "Truth"],
+    ids=str,
 )
 def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, bad):
     adapter = TypeAdapter(kind)
@@ -118,9 +129,14 @@ def test_what_is_neither_a_table_of_a_kind_nor_callable_is_refused(given):
         Drawing(shape=given)
 
 
-@pytest.mark.parametrize("given", [abs, lambda: 1.0, Circle], ids=["function", "lambda", "class"])
+@pytest.mark.parametrize("given", [abs, lambda: 1.0], ids=["function", "lambda"])
 def test_what_can_be_called_is_taken_as_it_is(given):
     assert Drawing(shape=given).shape is given
+
+
+def test_a_class_is_refused_where_its_instance_is_wanted():
+    with pytest.raises(ValidationError, match=r"should be an instance: Circle\(\) instead of Circle"):
+        Drawing(shape=Circle)
 
 
 def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):

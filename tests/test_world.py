@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
 from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.scenario import Capture, Evader, Motion, Record, Team
+from desim.scenario import Capture, Evader, Motion, Recording, Team
 
 
 def orders(*plan):
@@ -31,7 +31,7 @@ def still(*plan, **changes):
         "evader": Evader(position=(3.0, 0.0), speed=0.0),
         "motion": Motion(step=1.0),
         "protocol": orders(*plan),
-        "record": Record(trajectory=0.25),
+        "record": Recording(trajectory=0.25),
     }
     return Scenario(**(given | changes))
 
@@ -63,15 +63,15 @@ def test_an_order_changes_nobody_elses_path(order):
 
 @pytest.mark.parametrize(("order", "aim"), [("evader_first", (3.0, 2.0)), ("simultaneous", (3.0, 1.0))])
 def test_pursuers_head_for_where_the_evader_will_be_or_for_where_it_is(order, aim):
-    """The evader at (3, 0) flees pursuer 1 at (3, -4) upwards at 2 m/s; pursuer 0 starts at 0.5 s, half way up."""
+    """The evader at (3, 0) flees pursuer 1 at (3, -2) upwards at 2 m/s; pursuer 0 starts at 0.5 s at 4 m/s."""
     scenario = still(
         (0.5, 0, True),
-        team=Team(positions=[(0.0, 0.0), (3.0, -2.0)], speeds=1.0, active_at_start=0.0),
+        team=Team(positions=[(0.0, 0.0), (3.0, -2.0)], speeds=4.0, active_at_start=0.0),
         evader=Evader(position=(3.0, 0.0), speed=2.0),
         motion=Motion(step=1.0, order=order),
     )
     at = np.array(positions(run(scenario))[1.0][1])
-    assert at == pytest.approx(0.5 * np.array(aim) / np.hypot(*aim), abs=1e-12)
+    assert at == pytest.approx(2.0 * np.array(aim) / np.hypot(*aim), abs=1e-12)
 
 
 def test_capture_between_two_steps_is_seen_at_its_instant():
@@ -153,7 +153,7 @@ def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
         capture=Capture(test=test),
         motion=Motion(step=step, order=order),
         protocol=orders(*sorted(plan)),
-        record=Record(trajectory=0.001),
+        record=Recording(trajectory=0.001),
     )
     samples = run(scenario, seed).trace.of(Sampled)
     at = np.array([[*sample.pursuers, sample.evader] for sample in samples])

@@ -22,8 +22,8 @@ def write(result: Result, folder: Path) -> Summary:
     (folder / "summary.json").write_text(json.dumps(asdict(numbers), indent=2) + "\n", encoding="utf-8")
     resolved = result.scenario.model_copy(update={"seed": result.seed})
     (folder / "scenario.toml").write_text(dump(resolved), encoding="utf-8")
-    for old in folder.glob("trajectory.*"):
-        old.unlink()
+    for old in ("trajectory.svg", "trajectory.png"):
+        (folder / old).unlink(missing_ok=True)
     if can_plot() and result.trace.of(Sampled):
         from desim.analysis.plots import save, trajectory
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.clock import seconds
+from desim.kernel.clock import SECOND, seconds
 from desim.kernel.events import Tally
 from desim.pursuit.events import Decided, Ended, Started
 from desim.simulation import Result
@@ -77,7 +77,7 @@ def activity(result: Result) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         times.append(change.t)
         counts.append(counts[-1] + (1 if change.active else -1))
     times.append(ending(result).t)
-    return np.diff(times) / 1e9, np.array(counts)
+    return np.diff(times) / SECOND, np.array(counts)
 
 
 def changes(result: Result) -> list[Decided]:

@@ -72,14 +72,16 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     end = ending(result)
     evader = np.array([sample.evader for sample in samples])
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
-    helpers = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]
+    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
-    for i in helpers:
-        label = "pursuer that chased for a while" if i == helpers[0] else None
+    for i in others:
+        label = "pursuer that chased for a while" if i == others[0] else None
         axes.plot(*pursuers[:, i].T, color=SKY, lw=1.4, label=label)
     if end.capturer is not None:
-        axes.plot(*pursuers[:, end.capturer].T, color=BLUE, lw=2.0, label=f"pursuer {end.capturer}, the last", zorder=3)
+        axes.plot(
+            *pursuers[:, end.capturer].T, color=BLUE, lw=2.0, label=f"pursuer {end.capturer}, which captures", zorder=3
+        )
     axes.plot(*evader.T, color=VERMILION, lw=1.6, label="evader", zorder=4)
     axes.plot(*evader[0], "s", color=VERMILION, ms=5, zorder=4)
     if end.reason == "captured":

@@ -8,13 +8,14 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import simpy
-from simpy.events import EventPriority
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
+LONGEST = 1e9
+"""Up to thirty years of nanoseconds fit in 64 bits with room for a delay, s."""
 
 
 class Phase(IntEnum):
@@ -75,4 +76,4 @@ class Instant(simpy.Event):
         wait = when - env.now
         if wait < 0:
             raise ValueError(f"the instant {when} ns has passed, it is {env.now} ns")
-        env.schedule(self, EventPriority(priority), wait)
+        env.schedule(self, priority, wait)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from desim.kernel.clock import SECOND
+from desim.kernel.clock import seconds
 
 LOST = -1
 """The arrival time of a message that never arrives."""
@@ -111,8 +111,8 @@ class Trace:
     def lines(self) -> Iterator[str]:
         """Yield each event as one line of JSON: its type, then its fields with times in seconds (null: never)."""
         for event in self.events:
-            fields = {name: _seconds(value) if name in _TIMES else value for name, value in event._asdict().items()}
-            yield json.dumps({"event": type(event).__name__} | fields) + "\n"
+            fields = {name: _plain(name, value) for name, value in event._asdict().items()}
+            yield json.dumps({"event": type(event).__name__} | fields, default=repr) + "\n"
 
     def write(self, path: Path) -> None:
         """Write the trace as JSON lines."""
@@ -123,7 +123,14 @@ class Trace:
 _TIMES = frozenset({"t", "arrival"})
 
 
+def _plain(name: str, value: Any) -> Any:
+    """Return a field of an event as what JSON has; of a body it does not know, the `repr`."""
+    if name in _TIMES:
+        return _seconds(value)
+    return value._asdict() if hasattr(value, "_asdict") else value
+
+
 def _seconds(time: Any) -> Any:
     if isinstance(time, tuple):
         return [_seconds(each) for each in time]
-    return None if time == LOST else time / SECOND
+    return None if time == LOST else seconds(time)

@@ -2,11 +2,11 @@
 
 A *record* is state: a newer one supersedes an older one of the same source, and it matters only when somebody reads
 it. `publish` therefore needs no SimPy event: it notes when the record becomes visible to whom. A *message* is an
-event: `send` wakes its receiver. Both obey the same links, and a record read at some instant is just what would have
-been delivered by then.
+event: `send` wakes its receiver. Both obey the same links, and a record read in the phase of decisions of some instant,
+or later, is just what would have been delivered by then.
 """
 
-from functools import partial
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 from itertools import count, repeat
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,7 +16,7 @@ import simpy
 from numpy.typing import NDArray
 from simpy.events import EventPriority
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.clock import LONGEST, SECOND, Clock, Phase
 from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
 from desim.kernel.links import Hops, Links
 from desim.kernel.seeds import stream
@@ -49,6 +49,9 @@ Heard = tuple[int, Record]
 """A record and the nanosecond at which it arrived."""
 Table = dict[int, Heard]
 """The newest record of each source that has been heard of."""
+Nodes = NDArray[np.intp]
+Arrival = int | list[int]
+"""When a transmission reaches its receivers, ns: one number if they get it together."""
 
 
 class Inbox:
@@ -59,6 +62,8 @@ class Inbox:
         self._node = node
         self._mail: list[Message] = []
         self._bell: simpy.Event | None = None
+        self.delivered = 0
+        """How many messages have arrived in all."""
 
     def arrival(self) -> simpy.Event:
         """Return an event that happens as soon as there is mail: now, if there is some already."""
@@ -75,8 +80,10 @@ class Inbox:
 
     def put(self, message: Message) -> None:
         """Deliver a message and wake who waits for one."""
+        self.delivered += 1
         self._mail.append(message)
-        self._ring()
+        if self._bell is not None:
+            self._ring()
 
     def _ring(self) -> None:
         """Let the event that is waited for, if any, happen in this instant's phase of decisions."""
@@ -116,13 +123,16 @@ class Network:
         size = self.topology.size
         self._inboxes = [Inbox(env, node) for node in range(size)]
         self._seq = [count(1) for _ in range(size)]
-        # Records on their way, and those that have arrived. What reaches everyone at the same instant is kept once
-        # for all (in order of arrival); the rest is kept per receiver (in order of departure).
+        # Records that reach everyone at one instant are kept once for all: a heap by arrival, and a table.
         self._common_waiting: list[Heard] = []
         self._common: Table = {}
-        self._waiting: list[list[Heard]] = [[] for _ in range(size)]
+        # All others are kept per reader: what departed since it last read, in order of departure; what had departed
+        # but not arrived by then; and a table.
+        self._fresh: list[list[Heard]] = [[] for _ in range(size)]
+        self._late: list[list[Heard]] = [[] for _ in range(size)]
         self._tables: list[Table] = [{} for _ in range(size)]
-        self._sent = self._lost = self._in_the_air = 0
+        self._flights = count()
+        self._published = self._messages = self._sent = self._lost = 0
 
     def presume(self, src: int, body: Any) -> None:
         """Let everyone know a record of `src` from the start, without a message."""
@@ -130,66 +140,64 @@ class Network:
 
     def publish(self, src: int, body: Any) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours)."""
-        dst = self.topology.neighbours(src)
         record = Record(src, next(self._seq[src]), self._env.now, body)
-        arrival = self._arrivals(src, dst)
-        if isinstance(arrival, int):
-            if len(dst) == self.topology.size - 1:
-                heappush(self._common_waiting, (arrival, record))
-            else:
-                heard = (arrival, record)
-                for node in dst.tolist():
-                    self._waiting[node].append(heard)
+        neighbours = self.topology.neighbours(src)
+        reached, arrival = self._depart(src, neighbours)
+        if isinstance(arrival, int) and len(reached) == self.topology.size - 1:
+            heappush(self._common_waiting, (arrival, record))
         else:
-            for node, when in zip(dst.tolist(), arrival, strict=True):
-                if when != LOST:
-                    self._waiting[node].append((when, record))
+            fresh = self._fresh
+            for node, heard in zip(reached.tolist(), zip(_each(arrival), repeat(record)), strict=False):
+                fresh[node].append(heard)
+        self._published += 1
+        if self._published % 4096 == 0:
+            self._fold_what_nobody_reads()
         if self._trace is not None:
-            arrivals = (arrival,) if isinstance(arrival, int) else tuple(arrival)
-            self._trace.append_message(Broadcast(record.sent, src, record.seq, tuple(dst.tolist()), arrivals, body))
+            dst = tuple(neighbours.tolist())
+            fates = _fates(dst, reached, arrival)
+            alike = isinstance(arrival, int) and len(reached) == len(dst) > 0
+            arrivals = tuple(fates[:1] if alike else fates)
+            self._trace.append_message(Broadcast(record.sent, src, record.seq, dst, arrivals, body))
 
     def heard(self, node: int) -> Table:
         """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
         now = self._env.now
-        waiting = self._waiting[node]
-        table = self._tables[node]
-        if waiting:
-            self._waiting[node] = [heard for heard in waiting if not _note(heard, table, now)]
+        if self._fresh[node] or self._late[node]:
+            self._fold(node)
         while self._common_waiting and self._common_waiting[0][0] <= now:
-            _note(heappop(self._common_waiting), self._common, now)
+            _enter([heappop(self._common_waiting)], self._common)
         if not self._common:
-            return table.copy()
+            return self._tables[node].copy()
         known = self._common.copy()
         known.pop(node, None)
-        for heard in table.values():
-            _note(heard, known, now)
+        _enter(self._tables[node].values(), known)
         return known
 
     def send(self, src: int, dst: int | None, body: Any) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
 
         A message to a node that is out of reach when it is sent is lost.
+
+        Raises:
+            ValueError: if there is no such node.
         """
-        now = self._env.now
-        message = Message(src, now, body)
-        hearers = self.topology.neighbours(src)
+        neighbours = self.topology.neighbours(src)
+        receivers: list[int] = neighbours.tolist()
         if dst is not None:
-            hearers = hearers[hearers == dst]
-            if not len(hearers):
-                self._sent += 1
-                self._lost += 1
-                if self._trace is not None:
-                    self._trace.append_message(Sent(now, src, dst, LOST, body))
-                return
-        arrival = self._arrivals(src, hearers)
-        nodes = hearers.tolist()
-        for node, when in zip(nodes, repeat(arrival) if isinstance(arrival, int) else arrival, strict=False):
-            if when != LOST:
-                self._in_the_air += 1
-                delivery = Instant(self._env, when, Phase.DELIVERY)
-                delivery.callbacks.append(partial(self._deliver, node, message))
-            if self._trace is not None:
-                self._trace.append_message(Sent(now, src, node, when, body))
+            if not 0 <= dst < self.topology.size:
+                raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
+            receivers, neighbours = [dst], neighbours[neighbours == dst]
+            self._sent += 1 - len(neighbours)
+            self._lost += 1 - len(neighbours)
+        reached, arrival = self._depart(src, neighbours)
+        message = Message(src, self._env.now, body)
+        if len(reached):
+            due = sorted(zip(_each(arrival), reached.tolist(), strict=False), reverse=True)
+            self._messages += len(due)
+            _Flight(self._env, next(self._flights), message, due, self._inboxes)
+        if self._trace is not None:
+            for node, when in zip(receivers, _fates(receivers, reached, arrival), strict=True):
+                self._trace.append_message(Sent(message.sent, src, node, when, body))
 
     def inbox(self, node: int) -> Inbox:
         """Return the inbox of a node."""
@@ -198,35 +206,96 @@ class Network:
     def tally(self) -> Tally:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
         now = self._env.now
-        in_flight = self._in_the_air + sum(arrival > now for waiting in self._waiting for arrival, _ in waiting)
-        in_flight += (self.topology.size - 1) * sum(arrival > now for arrival, _ in self._common_waiting)
+        in_flight = self._messages - sum(inbox.delivered for inbox in self._inboxes)
+        in_flight += sum(heard[0] > now for waiting in (*self._fresh, *self._late) for heard in waiting)
+        in_flight += (self.topology.size - 1) * sum(heard[0] > now for heard in self._common_waiting)
         return Tally(now, self._sent, self._sent - self._lost - in_flight, self._lost, in_flight)
 
-    def _arrivals(self, src: int, dst: NDArray[np.intp]) -> int | list[int]:
-        """Let a transmission leave now; return when it reaches each receiver, one number if all alike, ns."""
+    def _depart(self, src: int, dst: Nodes) -> tuple[Nodes, Arrival]:
+        """Let a transmission leave now; return whom it will reach, and when.
+
+        Raises:
+            ValueError: if the latency model answers with what is not a time.
+        """
         now = self._env.now
-        hops = Hops(src, dst)
         self._sent += len(dst)
+        hops = Hops(src, dst)
         lost = self._links.loss(hops, self._loss_rng)
         delay = self._links.latency(hops, self._latency_rng)
-        if lost is False and isinstance(delay, float):
-            return now + round(delay * SECOND)
-        arrival = np.broadcast_to(now + np.rint(np.multiply(delay, SECOND)).astype(np.int64), len(dst))
-        arrival = np.where(lost, LOST, arrival)
-        self._lost += int(np.count_nonzero(arrival == LOST))
-        return list(arrival.tolist())
+        if lost is not False:
+            kept = ~np.broadcast_to(lost, dst.shape)
+            self._lost += len(dst) - int(kept.sum())
+            dst, delay = dst[kept], delay if np.ndim(delay) == 0 else np.asarray(delay)[kept]
+        if isinstance(delay, float) or np.ndim(delay) == 0:
+            if not 0.0 <= delay <= LONGEST:
+                raise ValueError(f"a latency should be from 0 to {LONGEST:g} s, got {delay}")
+            return dst, now + round(float(delay) * SECOND)
+        if not delay.sum() <= LONGEST:  # nan and inf, too
+            raise ValueError(f"latencies should be finite and sum up to at most {LONGEST:g} s, got {delay}")
+        arrivals: list[int] = ((delay * SECOND + 0.5).astype(np.int64) + now).tolist()
+        if arrivals and min(arrivals) < now:
+            raise ValueError(f"latencies should be at least 0 s, got {delay}")
+        return dst, arrivals
 
-    def _deliver(self, node: int, message: Message, _: simpy.Event) -> None:
-        self._in_the_air -= 1
-        self._inboxes[node].put(message)
+    def _fold(self, node: int) -> None:
+        """Enter what has arrived at a node in its table."""
+        now = self._env.now
+        table, fresh, late = self._tables[node], self._fresh[node], self._late[node]
+        if late:
+            _enter((heard for heard in late if heard[0] <= now), table)
+            late[:] = [heard for heard in late if heard[0] > now]
+        # What has arrived of the fresh is newer than all that departed before, and the last of a source its newest.
+        table.update({heard[1].src: heard for heard in fresh if heard[0] <= now})
+        late += [heard for heard in fresh if heard[0] > now]
+        fresh.clear()
+
+    def _fold_what_nobody_reads(self) -> None:
+        """Bound the memory that nodes cost which do not read."""
+        for node, fresh in enumerate(self._fresh):
+            if len(fresh) > 1024:
+                self._fold(node)
 
 
-def _note(heard: Heard, table: Table, now: int) -> bool:
-    """Enter what was heard in a table unless it is older than what is there; return False if it has yet to arrive."""
-    if heard[0] > now:
-        return False
-    src = heard[1].src
-    known = table.get(src)
-    if known is None or known[1].seq < heard[1].seq:
-        table[src] = heard
-    return True
+class _Flight(simpy.Event):
+    """A message on its way: one event, which happens anew at each instant at which it reaches somebody.
+
+    Messages that arrive at one instant arrive in the order in which they were sent.
+    """
+
+    def __init__(self, clock: Clock, number: int, message: Message, due: list[tuple[int, int]], inboxes: list[Inbox]):
+        self.env: Clock = clock
+        self._ok, self._value = True, None
+        self._priority = EventPriority(Phase.DELIVERY + number)
+        self._message, self._due, self._inboxes = message, due, inboxes
+        self._fly()
+
+    def _fly(self) -> None:
+        self.callbacks = [self._land]
+        self.env.schedule(self, self._priority, self._due[-1][0] - self.env.now)
+
+    def _land(self, _: simpy.Event) -> None:
+        now, due = self.env.now, self._due
+        while due and due[-1][0] == now:
+            self._inboxes[due.pop()[1]].put(self._message)
+        if due:
+            self._fly()
+
+
+def _each(arrival: Arrival) -> Iterable[int]:
+    """Return the arrival at each receiver."""
+    return repeat(arrival) if isinstance(arrival, int) else arrival
+
+
+def _fates(receivers: Sequence[int], reached: Nodes, arrival: Arrival) -> list[int]:
+    """Return when a transmission reaches each receiver, or LOST."""
+    when = dict(zip(reached.tolist(), _each(arrival), strict=False))
+    return [when.get(node, LOST) for node in receivers]
+
+
+def _enter(news: Iterable[Heard], table: Table) -> None:
+    """Enter what has arrived in a table, unless something newer of the same source is there."""
+    for heard in news:
+        record = heard[1]
+        known = table.get(record.src)
+        if known is None or known[1].seq < record.seq:
+            table[record.src] = heard

@@ -18,13 +18,15 @@ class Topology:
     so the neighbourhoods follow the positions.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, or a finite range comes without positions.
+        ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or a finite range comes without positions.
     """
 
     def __init__(self, graph: "nx.Graph[int]", reach: float = inf, positions: Positions | None = None):
         size = len(graph)
         if set(graph) != set(range(size)):
             raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
+        if any(node in graph.adj[node] for node in graph):
+            raise ValueError(f"no node should be linked to itself, got {[n for n in graph if n in graph.adj[n]]}")
         if reach < inf and positions is None:
             raise ValueError(f"a range of {reach} m needs positions")
         self.size = size
@@ -34,6 +36,8 @@ class Topology:
 
     def neighbours(self, node: int) -> NDArray[np.intp]:
         """Return the nodes that hear `node` now, ascending."""
+        if node < 0:
+            raise IndexError(f"there is no node {node}")
         linked = self._linked[node]
         if self._positions is None:
             return linked

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import simpy
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.network import Message, Network, Table
 from desim.kernel.seeds import stream
 from desim.pursuit import game
@@ -23,7 +23,7 @@ class Assignment(NamedTuple):
     active: bool
 
 
-class World(Protocol):
+class Surroundings(Protocol):
     """The part of the world that agents sense and act on."""
 
     @property
@@ -48,6 +48,10 @@ class World(Protocol):
         ...
 
 
+Process = Generator[simpy.Event, Any, None]
+"""What a protocol is when it runs: it yields the events it waits for."""
+
+
 class Agent:
     """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
 
@@ -56,17 +60,18 @@ class Agent:
         rng: the stream of its decisions.
     """
 
-    def __init__(self, pursuer: int, env: Clock, world: World, network: Network, seed: int):
+    def __init__(self, pursuer: int, env: Clock, world: Surroundings, network: Network, seed: int):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
         self._env, self._world, self._network, self._seed = env, world, network, seed
+        self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
 
     # What it knows.
 
     @property
     def now(self) -> float:
         """The time, s."""
-        return self._env.now / SECOND
+        return seconds(self._env.now)
 
     @property
     def team_size(self) -> int:
@@ -115,7 +120,7 @@ class Agent:
     # What it does.
 
     def assign(self, active: bool) -> None:
-        """Chase or stay from now on."""
+        """Chase or stay from now on; who cannot capture (phi = inf) stays whatever it wants."""
         self._world.order(self.id, active)
 
     def command(self, pursuer: int, active: bool) -> None:
@@ -138,16 +143,16 @@ class Agent:
 
     def at(self, time: float) -> simpy.Event:
         """Return an event at a time, s."""
-        return Instant(self._env, nanoseconds(time), Phase.DECISION + self.id)
+        return Instant(self._env, nanoseconds(time), self._turn)
 
     def sleep(self, duration: float) -> simpy.Event:
         """Return an event a duration from now, s."""
-        return Instant(self._env, self._env.now + nanoseconds(duration), Phase.DECISION + self.id)
+        return Instant(self._env, self._env.now + nanoseconds(duration), self._turn)
 
     def arrival(self) -> simpy.Event:
         """Return an event that happens as soon as there is mail."""
         return self._network.inbox(self.id).arrival()
 
 
-Behaviour = Callable[[Agent], Generator[simpy.Event, Any, None]]
+Behaviour = Callable[[Agent], Process]
 """A protocol: the process that a pursuer runs."""

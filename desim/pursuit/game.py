@@ -15,9 +15,10 @@ from itertools import product
 from math import exp, inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from desim.pursuit.state import Floats
+
 Profile = tuple[bool, ...]
 """Who is active, one truth per pursuer."""
 
@@ -54,16 +55,16 @@ class RadialTime:
     def __init__(self, speeds: Floats, evader_speed: float, radius: float):
         closing = speeds - evader_speed
         self._radius = radius
-        self._slow = closing <= NO_SPEED
-        self._some_slow = bool(self._slow.any())
-        self._closing = np.where(self._slow, 1.0, closing)
+        self.slow = closing <= NO_SPEED  # (N,) who can never capture
+        self._some_slow = bool(self.slow.any())
+        self._closing = np.where(self.slow, 1.0, closing)
 
     def __call__(self, distances: Floats) -> Floats:
         """Return the times of capture, s, given distances, m."""
         gap = np.maximum(distances - self._radius, 0.0)
         time = gap / self._closing
         if self._some_slow:
-            time[self._slow & (gap > 0.0)] = inf
+            time[self.slow & (gap > 0.0)] = inf
         return time
 
 
@@ -141,8 +142,8 @@ def is_equilibrium(phi: Sequence[float], active: Sequence[bool], reward: float) 
     """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium)."""
     for i, own in enumerate(phi):
         others = [phi_j for j, phi_j in enumerate(phi) if active[j] and j != i and phi_j < inf]
-        step = gain(own, others, reward)
-        if step < 0.0 if active[i] else step > 0.0:
+        advantage = gain(own, others, reward)
+        if advantage < 0.0 if active[i] else advantage > 0.0:
             return False
     return True
 
@@ -176,22 +177,27 @@ def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
     """Return the (2^N,) stationary law of log-linear learning at temperature tau (s), in the order of `profiles`.
 
     P(profile) is proportional to exp(U_E(profile) / tau): Blume 1993, "The Statistical Mechanics of Strategic
-    Interaction". All phi should be finite.
+    Interaction".
+
+    Raises:
+        ValueError: if not all phi are finite.
     """
+    if not np.isfinite(phi).all():
+        raise ValueError(f"all times of capture should be finite, got {list(phi)}")
     u = np.array([potential(phi, profile, reward) for profile in profiles(len(phi))]) / tau
     weight = np.exp(u - u.max())
     return np.asarray(weight / weight.sum())
 
 
-def activation_probability(step: float, inverse_temperature: float) -> float:
+def activation_probability(advantage: float, inverse_temperature: float) -> float:
     """Return the probability with which Spatial Adaptive Play chooses to be active, given its gain (s).
 
     The logistic function of gain / tau (Lee & Bakolas, Algorithm 1), written so that it cannot overflow. A gain of
     -inf means that there is no choice: 0, even at infinite temperature.
     """
-    if step == -inf:
+    if advantage == -inf:
         return 0.0
-    x = step * inverse_temperature
+    x = advantage * inverse_temperature
     if x >= 0.0:
         return 1.0 / (1.0 + exp(-x))
     e = exp(x)

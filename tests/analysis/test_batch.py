@@ -7,7 +7,7 @@ import pytest
 from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time, summary
 from desim.kernel.links import Bernoulli, Links
-from desim.scenario import Motion, Record, Scenario, Team
+from desim.scenario import Motion, Recording, Scenario, Team
 from desim.simulation import run
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
@@ -18,7 +18,7 @@ SMALL = Scenario(
     motion=Motion(step=0.1),
     protocol=SpatialAdaptivePlay(schedule=Poisson(rate=5.0)),
     network=Links(loss=Bernoulli(p=0.2)),
-    record=Record(trajectory=0.0),
+    record=Recording(trajectory=0.0),
 )
 LONGER = SMALL.model_copy(update={"horizon": 2.0})
 

@@ -8,13 +8,13 @@ import pytest
 
 from desim.analysis.folder import can_plot, write, write_below
 from desim.analysis.metrics import summary
-from desim.scenario import Record, Scenario, Team
+from desim.scenario import Recording, Scenario, Team
 from desim.scenario_file import load
 from desim.simulation import run
 
 DATA = {"trace.jsonl", "summary.json", "scenario.toml"}
 PICTURES = {"trajectory.svg", "trajectory.png"}
-SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3), record=Record(trajectory=0.0))
+SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3), record=Recording(trajectory=0.0))
 
 
 def names(folder) -> set[str]:
@@ -55,7 +55,7 @@ def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
 
 @pytest.fixture
 def seen() -> Scenario:
-    return SCENARIO.model_copy(update={"record": Record(trajectory=0.1)})
+    return SCENARIO.model_copy(update={"record": Recording(trajectory=0.1)})
 
 
 def test_there_are_pictures_if_positions_were_recorded(seen, tmp_path):
@@ -75,3 +75,10 @@ def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_o
     write(run(seen), tmp_path)
     write(result, tmp_path)
     assert names(tmp_path) == DATA
+
+
+def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
+    (tmp_path / "trajectory.csv").write_text("precious")
+    (tmp_path / "notes.txt").write_text("precious")
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA | PICTURES | {"trajectory.csv", "notes.txt"}

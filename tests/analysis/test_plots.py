@@ -57,6 +57,7 @@ def test_the_paths_of_the_evader_and_of_those_who_moved_are_drawn():
     assert [[5.0, 5.0], [6.0, 5.0], [7.0, 5.0]] in paths
     assert [[7.0, 7.0], [8.0, 7.0], [9.0, 7.0]] in paths
     assert [list(each) for each in START] in paths
+    assert all(paths.count(path) == 1 for path in paths)
     # Where the evader began, and where it was captured.
     assert [path for path in paths if len(path) == 1] == [[[1.0, 2.0]], [[1.0, 4.0]]]
 
@@ -78,6 +79,15 @@ def test_each_role_is_in_the_legend_once(reason, capturer):
 
 def test_without_helpers_nobody_is_said_to_have_chased_for_a_while():
     assert not [label for label in legend(trajectory(chase(samples=1))) if "for a while" in label]
+
+
+def test_the_legend_is_outside_of_the_axes_and_inside_of_the_picture():
+    figure = trajectory(chase())
+    (axes,), (box,) = figure.axes, figure.legends
+    taken, around = box.get_window_extent(), figure.bbox
+    assert not taken.overlaps(axes.get_tightbbox())
+    assert around.x0 <= taken.x0 < taken.x1 <= around.x1
+    assert around.y0 <= taken.y0 < taken.y1 <= around.y1
 
 
 def test_who_captured_is_drawn_in_a_style_of_its_own():
@@ -130,10 +140,11 @@ def test_a_picture_takes_the_name_it_is_given_and_says_where_it_is(tmp_path):
     "name",
     [
         "<script>alert(1)</script>",
-        "costs $5 or $x^2$",
+        "costs $5",
+        "$x^2$",
         "a & b --> ]]>",
         "\"quoted\" 'twice'",
-        "100 % \\frac{}",
+        "100 % $\\frac{}$",
         "\u03c4 = 1",
     ],
 )
@@ -149,9 +160,11 @@ def test_the_text_of_an_svg_is_text(tmp_path):
 
 
 def test_drawing_leaves_the_style_and_the_luck_of_others_alone(tmp_path):
-    style, luck = dict(mpl.rcParams), np.random.get_state()[1].tolist()  # noqa: NPY002 - the global generator is the subject
-    save(trajectory(chase()), tmp_path / "picture")
-    assert dict(mpl.rcParams) == style
+    luck = np.random.get_state()[1].tolist()  # noqa: NPY002 - the global generator is the subject
+    with mpl.rc_context({"svg.fonttype": "path", "font.size": 17.0, "axes.spines.top": True}):
+        style = dict(mpl.rcParams)
+        save(trajectory(chase()), tmp_path / "picture")
+        assert dict(mpl.rcParams) == style
     assert np.random.get_state()[1].tolist() == luck  # noqa: NPY002
 
 

@@ -1,6 +1,7 @@
 """The network: records, messages, inboxes; publish against one event per record."""
 
 from itertools import pairwise
+from math import inf
 
 import networkx as nx
 import numpy as np
@@ -33,15 +34,27 @@ class PerBroadcast(Uniform):
         return round(rng.uniform(0.0, self.longest), 3)
 
 
+class Mixed(Uniform):
+    """Latencies that are now the same for all receivers and now not."""
+
+    def __call__(self, hops: Hops, rng):
+        return (PerBroadcast if rng.random() < 0.5 else Uniform)(self.longest)(hops, rng)
+
+
 class EagerNetwork:
     """The same network with one SimPy event per record and receiver, written without any of its tricks."""
 
-    def __init__(self, clock, graph, links, seed):
+    def __init__(self, clock, graph, links, *, seed, positions):
         self.clock, self.links = clock, links
-        self.topology = Topology(graph)
+        self.topology = Topology(graph, links.range, positions)
         self.rng = {name: stream(seed, name) for name in ("latency", "loss")}
         self.seq = dict.fromkeys(graph, 0)
         self.tables = {node: {} for node in graph}
+
+    def presume(self, src, body):
+        for node in self.tables:
+            if node != src:
+                self.tables[node][src] = (0, Record(src, 0, 0, body))
 
     def publish(self, src, body):
         self.seq[src] += 1
@@ -67,23 +80,28 @@ class EagerNetwork:
 @st.composite
 def histories(draw):
     """A random graph, its links, and a random order of publishing and reading with many ties in time."""
-    size = draw(st.integers(2, 6))
-    graph = draw(st.sampled_from([nx.complete_graph, nx.path_graph, nx.star_graph, nx.empty_graph]))(size)
-    graph = nx.convert_node_labels_to_integers(graph)
+    size, seed = draw(st.integers(2, 6)), draw(st.integers(0, 2**32))
+    density = draw(st.sampled_from([0.0, 0.5, 1.0, 1.0]))
+    graph = nx.gnp_random_graph(size, density, seed=seed, directed=draw(st.booleans()))
     latency = draw(
-        st.sampled_from([Constant(), Constant(value=0.02), Uniform(0.05), PerBroadcast(0.05), Uniform(0.002)])
+        st.sampled_from(
+            [Constant(), Constant(value=0.02), Uniform(0.05), PerBroadcast(0.05), Uniform(0.002), Mixed(0.05)]
+        )
     )
     loss = Bernoulli(p=draw(st.sampled_from([0.0, 0.3, 1.0])))
     times = st.integers(0, 40).map(lambda k: k * SECOND // 1000)
     nodes = st.integers(0, len(graph) - 1)
     acts = draw(st.lists(st.tuples(times, nodes, st.sampled_from(["publish", "read", "both"])), max_size=60))
-    return graph, Links(latency=latency, loss=loss), acts, draw(st.integers(0, 2**32))
+    reach = draw(st.sampled_from([inf, inf, 0.5]))
+    return graph, Links(latency=latency, loss=loss, range=reach), acts, seed
 
 
 def observe(make, graph, links, acts, seed):
     """Return what every read of a history sees."""
     clock = Clock()
-    network = make(clock, graph, links, seed)
+    places = np.random.default_rng(seed).random((len(graph), 2))
+    network = make(clock, graph, links, seed=seed, positions=lambda: places * np.cos(clock.now / 1e7))
+    network.presume(0, "presumed")
     seen = []
 
     def act(node, what, number):
@@ -104,7 +122,7 @@ def observe(make, graph, links, acts, seed):
 @given(histories())
 def test_publish_is_observationally_equal_to_one_event_per_record(history):
     """Every read sees the same records with the same times of arrival, and none of its own."""
-    lazy = observe(lambda c, g, links, seed: Network(c, g, links, seed=seed), *history)
+    lazy = observe(Network, *history)
     assert lazy == observe(EagerNetwork, *history)
     assert all(node not in table for _, node, table in lazy)
 
@@ -283,3 +301,77 @@ def test_a_receiver_within_range_of_some_hears_only_them():
     network = Network(Clock(), nx.complete_graph(3), Links(range=2.0), positions=lambda: at)
     network.publish(0, "near")
     assert (list(network.heard(1)), list(network.heard(2))) == ([0], [])
+
+
+@pytest.mark.parametrize("bad", [-2e-9, -1.0, float("nan"), float("inf"), 1e10])
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("p", [0.0, 0.5])
+def test_a_latency_that_is_not_a_time_is_refused(bad, many, p):
+    """A value beyond 64 bits of nanoseconds would wrap round to the past, and be read at once."""
+
+    def latency(hops, rng):
+        return np.full(len(hops.dst), bad) if many else bad
+
+    network = Network(Clock(), nx.complete_graph(40), Links(latency=latency, loss=Bernoulli(p=p)))
+    for tell in (network.publish, lambda src, body: network.send(src, None, body)):
+        with pytest.raises(ValueError, match="latenc"):
+            tell(0, "x")
+
+
+@pytest.mark.parametrize("latency", [0, 1, np.float32(0.5), np.int64(1), np.array(0.5), 0.5])
+def test_a_latency_may_be_any_kind_of_number(latency):
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=lambda hops, rng: latency))
+    network.publish(0, "x")
+    Instant(clock, round(float(latency) * SECOND), Phase.SAMPLE)
+    clock.run()
+    assert network.heard(1)[0] == (clock.now, Record(0, 1, 0, "x"))
+
+
+def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(5), Links(latency=Uniform(0.01)))
+
+    def speak():
+        for k in range(30_000):
+            network.publish(k % 4, k)
+            yield Instant(clock, clock.now + SECOND // 1000, Phase.DECISION)
+
+    run_process(clock, speak())
+    Instant(clock, clock.now + SECOND, Phase.SAMPLE)
+    clock.run()
+    assert len(network._fresh[4]) + len(network._late[4]) < 10_000
+    assert sorted(record.body for _, record in network.heard(4).values()) == [29_996, 29_997, 29_998, 29_999]
+
+
+def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_were_sent():
+    """The first message of node 0 flies on to node 2 after it has reached node 1; it is still before the second."""
+
+    class Longer:
+        def __call__(self, hops, rng):
+            return hops.dst * 0.1 if hops.src == 0 else np.full(len(hops.dst), 0.2)
+
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(4), Links(latency=Longer()))
+    network.send(0, None, "first")
+    network.send(3, 2, "second")
+    Instant(clock, SECOND, Phase.SAMPLE)
+    clock.run()
+    assert [message.body for message in network.inbox(2).drain()] == ["first", "second"]
+
+
+@pytest.mark.parametrize("dst", [-1, 3])
+def test_a_message_to_a_node_that_does_not_exist_is_refused(dst):
+    with pytest.raises(ValueError, match=r"there is no node -?\d: the nodes are 0 \.\. 2"):
+        Network(Clock(), nx.complete_graph(3)).send(0, dst, "x")
+
+
+def test_nobody_speaks_who_does_not_exist():
+    with pytest.raises(IndexError):
+        Network(Clock(), nx.complete_graph(3)).publish(-1, "x")
+
+
+def test_a_broadcast_to_nobody_is_recorded_as_such():
+    trace = Trace()
+    Network(Clock(), nx.empty_graph(2), trace=trace).publish(0, "x")
+    assert trace.of(Broadcast) == [Broadcast(0, 0, 1, (), (), "x")]

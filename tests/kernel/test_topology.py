@@ -41,6 +41,11 @@ def test_nodes_must_be_numbered_from_0():
         Topology(nx.Graph([(1, 2), (2, 3)]))
 
 
+def test_no_node_is_linked_to_itself():
+    with pytest.raises(ValueError, match=r"linked to itself, got \[1\]"):
+        Topology(nx.Graph([(0, 1), (1, 1)]))
+
+
 def test_a_finite_range_needs_positions():
     with pytest.raises(ValueError, match="needs positions"):
         Topology(nx.complete_graph(2), 1.0)
