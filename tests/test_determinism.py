@@ -48,7 +48,7 @@ def test_traces_are_equal_for_one_worker_and_two():
     assert len(set(one)) == 4
 
 
-@pytest.mark.parametrize("schedule", [SharedSeed(slot=0.05), Poisson(rate=2.0), "all at once"])
+@pytest.mark.parametrize("schedule", [SharedSeed(slot=0.05), Poisson(rate=2.0), "all at once", "by message"])
 @pytest.mark.parametrize("latency", [0.0, 0.05])
 def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatch):
     """Processes made backwards, and the world's own after or before them, give the same trace."""
@@ -59,10 +59,21 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
             me.assign(me.gain() > 0)
             me.announce()
 
+    def by_message(me):
+        """Start by a message to all, then answer every message to its sender while there is something to say."""
+        me.send(None, me.id)
+        while True:
+            yield me.arrival()
+            for message in me.mail():
+                me.assign((message.body + me.id) % 3 == 0)
+                if message.body < 40 and me.id != message.src:
+                    me.send(message.src, message.body + 7)
+
+    own = {"all at once": all_at_once, "by message": by_message}
     scenario = Scenario(
         horizon=3.0,
         team=Team(count=7, active_at_start=0.5),
-        protocol=all_at_once if schedule == "all at once" else SpatialAdaptivePlay(schedule=schedule),
+        protocol=own.get(schedule) or SpatialAdaptivePlay(schedule=schedule),
         network=Links(latency=Constant(value=latency), loss=Bernoulli(p=0.1), range=8.0),
         record={"messages": True},
     )
@@ -73,7 +84,7 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
     )
     monkeypatch.setattr(simulation.World, "begin", lambda world: None)
     assert lines(run(scenario, 5)) == forwards
-    assert forwards.count("Broadcast") > 10
+    assert forwards.count("Broadcast") + forwards.count("Sent") > 10
 
 
 def world_of(agents):

@@ -74,6 +74,29 @@ def test_pursuers_head_for_where_the_evader_will_be_or_for_where_it_is(order, ai
     assert at == pytest.approx(2.0 * np.array(aim) / np.hypot(*aim), abs=1e-12)
 
 
+def test_the_last_step_ends_at_the_horizon():
+    """h = 2 s, horizon 3 s: from 2 s on pursuers head for where the evader is at 3 s, not for where it would be at 4 s.
+
+    The evader flees pursuer 1 upwards at 2 m/s, is at (3, 4) at 2 s, and would be at (3, 6) at 3 s; pursuer 0 starts
+    at 2 s from (-3, 0), in the direction (6, 6).
+    """
+    scenario = still(
+        (2.0, 0, True),
+        horizon=3.0,
+        team=Team(positions=[(-3.0, 0.0), (3.0, -2.0)], speeds=4.0, active_at_start=0.0),
+        evader=Evader(position=(3.0, 0.0), speed=2.0),
+        motion=Motion(step=2.0),
+    )
+    at = np.array(positions(run(scenario))[3.0][1])
+    assert at == pytest.approx(np.array([-3.0, 0.0]) + 4.0 / np.sqrt(2.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("heading", [1.1, 2j, complex("nan")])
+def test_a_heading_is_at_most_1_long(heading):
+    with pytest.raises(ValueError, match="at most 1 long"):
+        run(still(evader=Evader(position=(3.0, 0.0), speed=1.0, strategy=lambda state, rng: heading)))
+
+
 def test_capture_between_two_steps_is_seen_at_its_instant():
     """From 3 m at 1 m/s to eps = 0.1 m: 2.9 s, with steps of 1 s; sampled, it is 3 s."""
     segment = run(still((0.0, 0, True), horizon=5.0))
@@ -155,11 +178,18 @@ def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
         protocol=orders(*sorted(plan)),
         record=Recording(trajectory=0.001),
     )
-    samples = run(scenario, seed).trace.of(Sampled)
+    result = run(scenario, seed)
+    samples = result.trace.of(Sampled)
     at = np.array([[*sample.pursuers, sample.evader] for sample in samples])
     elapsed = np.diff([sample.t for sample in samples]) / 1e9
     moved = np.hypot(*np.moveaxis(np.diff(at, axis=0), 2, 0))
     assert (moved <= np.outer(elapsed, [1.0, 1.5, 2.0, 0.9]) + 1e-9).all()
+    for pursuer, start in enumerate(result.trace.of(Started)[0].active):
+        orders_of = [d for d in result.trace.of(Decided) if d.pursuer == pursuer]
+        active = [start, *(d.active for d in orders_of)]
+        since = np.searchsorted([d.t for d in orders_of], [sample.t for sample in samples], side="right")
+        stays = (since[1:] == since[:-1]) & ~np.array(active)[since[1:]]
+        assert (moved[stays, pursuer] == 0.0).all()
 
 
 def _random_plan(seed):

@@ -4,6 +4,7 @@ import pytest
 
 from desim import Scenario, run
 from desim.kernel.links import Constant, Links
+from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
 from desim.scenario import Evader, Team
 
@@ -41,6 +42,42 @@ def test_the_gain_is_judged_against_what_has_arrived():
     assert seen[0.0] == ([], 6.1, 10.0)
     assert seen[1.2] == ([], 4.9, 8.8)
     assert seen[1.25] == (*seen[1.3][:2], 8.75) == ([0], -1.5, 8.75)
+
+
+def test_an_active_teammate_that_cannot_capture_does_not_count():
+    """Pursuer 0 (v = 0) says that it chases; its phi is inf, so pursuer 2 gains r - phi = 10 - 3.9 all the same."""
+
+    def protocol(me):
+        yield me.at(me.id * 0.0)
+        if me.id == 0:
+            me._network.publish(0, Assignment(active=True))
+        if me.id == 2:
+            seen.append((me.believed_active(), me.gain()))
+
+    seen = []
+    team = Team(positions=[(1.0, 0.0), (2.0, 0.0), (4.0, 0.0)], speeds=[0.0, 1.0, 1.0], active_at_start=0.0)
+    play(protocol, team=team)
+    assert seen == [([0], pytest.approx(6.1))]
+
+
+def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants():
+    def protocol(me):
+        yield me.at(1.0)
+        me.assign(True)
+        actions.append(me.action)
+
+    actions = []
+    team = Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=[0.0, 1.0], active_at_start=1.0)
+    assert [d.active for d in play(protocol, team=team, horizon=1.5).trace.of(Decided)] == actions == [False, True]
+
+
+def test_nobody_commands_a_pursuer_that_does_not_exist():
+    def protocol(me):
+        yield me.at(0.5)
+        me.command(-1, True)
+
+    with pytest.raises(ValueError, match="there is no pursuer -1"):
+        play(protocol)
 
 
 def test_an_agent_knows_itself_and_its_team():
