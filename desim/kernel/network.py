@@ -2,13 +2,15 @@
 
 A *record* is state: a newer one supersedes an older one of the same source, and it matters only when somebody reads
 it. `publish` therefore needs no SimPy event: it notes when the record becomes visible to whom. A *message* is an
-event: `send` wakes its receiver. Both obey the same links, and a record read in the phase of decisions of some instant,
-or later, is just what would have been delivered by then.
+event: `send` wakes its receiver; but it, too, needs a SimPy event only if somebody waits for it. Both obey the same
+links, and what is read in the phase of decisions of some instant, or later, is just what would have been delivered by
+then.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import count, repeat
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ import simpy
 from numpy.typing import NDArray
 from simpy.events import EventPriority
 
-from desim.kernel.clock import LONGEST, SECOND, Clock, Phase
+from desim.kernel.clock import LONGEST, SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
 from desim.kernel.links import Hops, Links
 from desim.kernel.seeds import stream
@@ -59,38 +61,59 @@ class Inbox:
 
     def __init__(self, env: Clock, node: int):
         self._env = env
-        self._node = node
-        self._mail: list[Message] = []
+        self._turn = EventPriority(int(Phase.DECISION) + node)
+        self._mail: list[tuple[int, int, Message]] = []
+        """A heap of what has arrived or will: arrival, order of departure, message."""
         self._bell: simpy.Event | None = None
-        self.delivered = 0
-        """How many messages have arrived in all."""
+        self._alarm: float = inf
+        """When the bell will ring for mail that has yet to arrive, ns."""
 
     def arrival(self) -> simpy.Event:
         """Return an event that happens as soon as there is mail: now, if there is some already."""
         bell = self._bell or self._env.event()
         self._bell = bell
-        if self._mail:
-            self._ring()
+        self._expect()
         return bell
 
     def drain(self) -> list[Message]:
         """Return the mail that has arrived and not been read, oldest first, and empty the box."""
-        mail, self._mail = self._mail, []
+        now, mail = self._env.now, []
+        while self._mail and self._mail[0][0] <= now:
+            mail.append(heappop(self._mail)[2])
         return mail
 
-    def put(self, message: Message) -> None:
-        """Deliver a message and wake who waits for one."""
-        self.delivered += 1
-        self._mail.append(message)
+    def put(self, message: Message, arrival: int, number: int) -> None:
+        """Let a message arrive at an instant, after those of lower number, and wake who waits for one."""
+        heappush(self._mail, (arrival, number, message))
         if self._bell is not None:
+            self._expect()
+
+    def in_flight(self) -> int:
+        """Return how many messages have yet to arrive."""
+        return sum(arrival > self._env.now for arrival, _, _ in self._mail)
+
+    def _expect(self) -> None:
+        """See to it that the bell rings when the first mail arrives."""
+        if not self._mail:
+            return
+        first = self._mail[0][0]
+        if first <= self._env.now:
             self._ring()
+        elif first < self._alarm:
+            self._alarm = first
+            Instant(self._env, first, Phase.DELIVERY).callbacks.append(self._wake)
+
+    def _wake(self, _: simpy.Event) -> None:
+        self._alarm = inf
+        if self._bell is not None:
+            self._expect()
 
     def _ring(self) -> None:
         """Let the event that is waited for, if any, happen in this instant's phase of decisions."""
         bell, self._bell = self._bell, None
         if bell is not None:
             bell._ok, bell._value = True, None
-            self._env.schedule(bell, EventPriority(Phase.DECISION + self._node))
+            self._env.schedule(bell, self._turn)
 
 
 class Network:
@@ -126,13 +149,12 @@ class Network:
         # Records that reach everyone at one instant are kept once for all: a heap by arrival, and a table.
         self._common_waiting: list[Heard] = []
         self._common: Table = {}
-        # All others are kept per reader: what departed since it last read, in order of departure; what had departed
-        # but not arrived by then; and a table.
-        self._fresh: list[list[Heard]] = [[] for _ in range(size)]
-        self._late: list[list[Heard]] = [[] for _ in range(size)]
+        # All others are kept per reader: a list of arrival, record, arrival, record ... that have not been looked at or
+        # have not arrived, and a table. Flat, because an object per delivery would keep the garbage collector busy.
+        self._waiting: list[list[Any]] = [[] for _ in range(size)]
         self._tables: list[Table] = [{} for _ in range(size)]
         self._flights = count()
-        self._published = self._messages = self._sent = self._lost = 0
+        self._published = self._sent = self._lost = 0
 
     def presume(self, src: int, body: Any) -> None:
         """Let everyone know a record of `src` from the start, without a message."""
@@ -146,9 +168,9 @@ class Network:
         if isinstance(arrival, int) and len(reached) == self.topology.size - 1:
             heappush(self._common_waiting, (arrival, record))
         else:
-            fresh = self._fresh
-            for node, heard in zip(reached.tolist(), zip(_each(arrival), repeat(record)), strict=False):
-                fresh[node].append(heard)
+            waiting = self._waiting
+            for node, when in zip(reached.tolist(), _each(arrival), strict=False):
+                waiting[node] += (when, record)
         self._published += 1
         if self._published % 4096 == 0:
             self._fold_what_nobody_reads()
@@ -162,15 +184,15 @@ class Network:
     def heard(self, node: int) -> Table:
         """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
         now = self._env.now
-        if self._fresh[node] or self._late[node]:
+        if self._waiting[node]:
             self._fold(node)
         while self._common_waiting and self._common_waiting[0][0] <= now:
-            _enter([heappop(self._common_waiting)], self._common)
+            _enter([heappop(self._common_waiting)], self._common, now)
         if not self._common:
             return self._tables[node].copy()
         known = self._common.copy()
         known.pop(node, None)
-        _enter(self._tables[node].values(), known)
+        _enter(self._tables[node].values(), known, now)
         return known
 
     def send(self, src: int, dst: int | None, body: Any) -> None:
@@ -192,9 +214,9 @@ class Network:
         reached, arrival = self._depart(src, neighbours)
         message = Message(src, self._env.now, body)
         if len(reached):
-            due = sorted(zip(_each(arrival), reached.tolist(), strict=False), reverse=True)
-            self._messages += len(due)
-            _Flight(self._env, next(self._flights), message, due, self._inboxes)
+            number, inboxes = next(self._flights), self._inboxes
+            for node, when in zip(reached.tolist(), _each(arrival), strict=False):
+                inboxes[node].put(message, when, number)
         if self._trace is not None:
             for node, when in zip(receivers, _fates(receivers, reached, arrival), strict=True):
                 self._trace.append_message(Sent(message.sent, src, node, when, body))
@@ -206,8 +228,8 @@ class Network:
     def tally(self) -> Tally:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
         now = self._env.now
-        in_flight = self._messages - sum(inbox.delivered for inbox in self._inboxes)
-        in_flight += sum(heard[0] > now for waiting in (*self._fresh, *self._late) for heard in waiting)
+        in_flight = sum(inbox.in_flight() for inbox in self._inboxes)
+        in_flight += sum(arrival > now for waiting in self._waiting for arrival, _ in _pairs(waiting))
         in_flight += (self.topology.size - 1) * sum(heard[0] > now for heard in self._common_waiting)
         return Tally(now, self._sent, self._sent - self._lost - in_flight, self._lost, in_flight)
 
@@ -226,64 +248,36 @@ class Network:
             kept = ~np.broadcast_to(lost, dst.shape)
             self._lost += len(dst) - int(kept.sum())
             dst, delay = dst[kept], delay if np.ndim(delay) == 0 else np.asarray(delay)[kept]
-        if isinstance(delay, float) or np.ndim(delay) == 0:
+        if not isinstance(delay, np.ndarray) or not delay.ndim:
             if not 0.0 <= delay <= LONGEST:
                 raise ValueError(f"a latency should be from 0 to {LONGEST:g} s, got {delay}")
             return dst, now + round(float(delay) * SECOND)
-        if not delay.sum() <= LONGEST:  # nan and inf, too
-            raise ValueError(f"latencies should be finite and sum up to at most {LONGEST:g} s, got {delay}")
-        arrivals: list[int] = ((delay * SECOND + 0.5).astype(np.int64) + now).tolist()
-        if arrivals and min(arrivals) < now:
-            raise ValueError(f"latencies should be at least 0 s, got {delay}")
+        delays = delay.tolist()
+        if not (sum(delays) <= LONGEST and min(delays, default=0.0) >= 0.0):  # nor nan
+            raise ValueError(f"latencies should be at least 0 s and sum up to at most {LONGEST:g} s, got {delay}")
+        arrivals: list[int] = (np.rint(delay * SECOND).astype(np.int64) + now).tolist()
         return dst, arrivals
 
     def _fold(self, node: int) -> None:
         """Enter what has arrived at a node in its table."""
-        now = self._env.now
-        table, fresh, late = self._tables[node], self._fresh[node], self._late[node]
-        if late:
-            _enter((heard for heard in late if heard[0] <= now), table)
-            late[:] = [heard for heard in late if heard[0] > now]
-        # What has arrived of the fresh is newer than all that departed before, and the last of a source its newest.
-        table.update({heard[1].src: heard for heard in fresh if heard[0] <= now})
-        late += [heard for heard in fresh if heard[0] > now]
-        fresh.clear()
+        self._waiting[node] = _enter(_pairs(self._waiting[node]), self._tables[node], self._env.now)
 
     def _fold_what_nobody_reads(self) -> None:
         """Bound the memory that nodes cost which do not read."""
-        for node, fresh in enumerate(self._fresh):
-            if len(fresh) > 1024:
+        for node, waiting in enumerate(self._waiting):
+            if len(waiting) > 2048:
                 self._fold(node)
-
-
-class _Flight(simpy.Event):
-    """A message on its way: one event, which happens anew at each instant at which it reaches somebody.
-
-    Messages that arrive at one instant arrive in the order in which they were sent.
-    """
-
-    def __init__(self, clock: Clock, number: int, message: Message, due: list[tuple[int, int]], inboxes: list[Inbox]):
-        self.env: Clock = clock
-        self._ok, self._value = True, None
-        self._priority = EventPriority(Phase.DELIVERY + number)
-        self._message, self._due, self._inboxes = message, due, inboxes
-        self._fly()
-
-    def _fly(self) -> None:
-        self.callbacks = [self._land]
-        self.env.schedule(self, self._priority, self._due[-1][0] - self.env.now)
-
-    def _land(self, _: simpy.Event) -> None:
-        now, due = self.env.now, self._due
-        while due and due[-1][0] == now:
-            self._inboxes[due.pop()[1]].put(self._message)
-        if due:
-            self._fly()
 
 
 def _each(arrival: Arrival) -> Iterable[int]:
     """Return the arrival at each receiver."""
     return repeat(arrival) if isinstance(arrival, int) else arrival
+
+
+def _pairs(waiting: list[Any]) -> Iterator[Heard]:
+    """Return a flat list two by two."""
+    each = iter(waiting)
+    return zip(each, each, strict=True)
 
 
 def _fates(receivers: Sequence[int], reached: Nodes, arrival: Arrival) -> list[int]:
@@ -292,10 +286,14 @@ def _fates(receivers: Sequence[int], reached: Nodes, arrival: Arrival) -> list[i
     return [when.get(node, LOST) for node in receivers]
 
 
-def _enter(news: Iterable[Heard], table: Table) -> None:
-    """Enter what has arrived in a table, unless something newer of the same source is there."""
-    for heard in news:
-        record = heard[1]
-        known = table.get(record.src)
-        if known is None or known[1].seq < record.seq:
-            table[record.src] = heard
+def _enter(news: Iterable[Heard], table: Table, now: int) -> list[Any]:
+    """Enter what has arrived in a table, unless something newer of its source is there; return the rest, flat."""
+    late: list[Any] = []
+    for arrival, record in news:
+        if arrival > now:
+            late += (arrival, record)
+        else:
+            known = table.get(record[0])
+            if known is None or known[1][1] < record[1]:  # src and seq, by position for speed
+                table[record[0]] = (arrival, record)
+    return late

@@ -1,4 +1,4 @@
-"""Four ways to deliver the same broadcasts, and the workloads on which they are compared.
+"""Five ways to deliver the same broadcasts, and the workloads on which they are compared.
 
 In every workload the nodes take turns, one a millisecond: a node reads what it has heard and broadcasts the number of
 the turn. A table holds the newest number heard from each other node. All four ways draw the same latencies from the
@@ -54,6 +54,14 @@ def lognormal(hops: Hops, rng: np.random.Generator) -> np.ndarray:
     return rng.lognormal(log(0.02), 0.5, len(hops.dst))
 
 
+def one_latency(model: Latency) -> Callable[[np.random.Generator], float]:
+    """Return how one draws a single latency of a model, s."""
+    if isinstance(model, Constant):
+        return lambda rng: model.value
+    mean = log(0.02)
+    return lambda rng: rng.lognormal(mean, 0.5)
+
+
 def disk_graph(size: int, degree: float, seed: int) -> "nx.Graph[int]":
     """Return the graph of random points in a square that are near each other, of a given mean degree."""
     distances = pdist(np.random.default_rng(seed).random((size, 2)))
@@ -100,10 +108,10 @@ class Desim:
 
     def turns(self) -> Turns:
         """Let one node after the other read and broadcast."""
-        size, tick = self.work.size, round(TICK * SECOND)
+        size, tick, first = self.work.size, round(TICK * SECOND), int(Phase.DECISION)
         for number in range(self.work.turns):
             node = number % size
-            yield Instant(self.env, number * tick, Phase.DECISION + node)
+            yield Instant(self.env, number * tick, first + node)
             self.read(node)
             self.broadcast(node, number)
 
@@ -152,7 +160,7 @@ class Send(Desim):
 
 
 class PlainSimPy:
-    """What both ways without desim share: time in seconds, and latencies for all receivers at once."""
+    """What the ways without desim share: time in seconds, and a latency drawn for each message."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -176,12 +184,12 @@ class PlainSimPy:
             yield self.env.timeout(TICK)
 
     def hops(self, src: int) -> Iterable[tuple[int, float]]:
-        """Return each neighbour of a node and the latency of a message to it, s."""
+        """Yield each neighbour of a node and the latency of a message to it, s."""
         dst = self.neighbours[src]
-        delay = self.work.latency(Hops(src, dst), self.rng)
         self.sent += len(dst)
-        delays = [delay] * len(dst) if isinstance(delay, float) else delay.tolist()
-        return zip(dst.tolist(), delays, strict=True)
+        latency, rng = one_latency(self.work.latency), self.rng
+        for node in dst.tolist():
+            yield node, latency(rng)
 
     def outcome(self) -> Outcome:
         """Return what the run came to; beside the next turn, every timeout ahead is a message in flight."""
@@ -239,6 +247,17 @@ class ByHand(PlainSimPy):
             timeout(delay).callbacks.append(partial(deliver, tables[dst], src, number))
 
 
+class ByHandAtOnce(ByHand):
+    """By hand, but with the latencies of a broadcast drawn at once."""
+
+    def hops(self, src: int) -> Iterable[tuple[int, float]]:
+        dst = self.neighbours[src]
+        delay = self.work.latency(Hops(src, dst), self.rng)
+        self.sent += len(dst)
+        delays = [delay] * len(dst) if isinstance(delay, float) else delay.tolist()
+        return zip(dst.tolist(), delays, strict=True)
+
+
 def deliver(table: Table, src: int, number: int, _: simpy.Event) -> None:
     """Write a message that arrives into a table."""
     if table.get(src, -1) < number:
@@ -250,5 +269,6 @@ WAYS: dict[str, Callable[[Workload], Way]] = {
     "publish": Publish,
     "send": Send,
     "by hand": ByHand,
+    "by hand, drawn at once": ByHandAtOnce,
     "documented": Documented,
 }
