@@ -170,7 +170,7 @@ class Network:
         else:
             waiting = self._waiting
             for node, when in zip(reached.tolist(), _each(arrival), strict=False):
-                waiting[node] += (when, record)
+                waiting[node].extend((when, record))
         self._published += 1
         if self._published % 4096 == 0:
             self._fold_what_nobody_reads()
@@ -252,10 +252,12 @@ class Network:
             if not 0.0 <= delay <= LONGEST:
                 raise ValueError(f"a latency should be from 0 to {LONGEST:g} s, got {delay}")
             return dst, now + round(float(delay) * SECOND)
-        delays = delay.tolist()
-        if not (sum(delays) <= LONGEST and min(delays, default=0.0) >= 0.0):  # nor nan
-            raise ValueError(f"latencies should be at least 0 s and sum up to at most {LONGEST:g} s, got {delay}")
-        arrivals: list[int] = (np.rint(delay * SECOND).astype(np.int64) + now).tolist()
+        try:
+            arrivals = [now + int(each * SECOND + 0.5) for each in delay.tolist()]
+        except (ValueError, OverflowError) as error:  # nan, inf
+            raise ValueError(f"latencies should be finite, got {delay}") from error
+        if arrivals and min(arrivals) < now:
+            raise ValueError(f"latencies should be at least 0 s, got {delay}")
         return dst, arrivals
 
     def _fold(self, node: int) -> None:
