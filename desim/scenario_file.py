@@ -14,10 +14,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from desim.scenario import Scenario
+from desim.toml_lines import Place, key_lines
 from desim.value import OneOf
-
-Place = tuple[str | int, ...]
-"""Where a value stands in a file: keys and positions in lists, from the top."""
 
 
 class ScenarioError(ValueError):
@@ -83,67 +81,6 @@ def validate(source: Source) -> Scenario:
 def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML with every default filled in."""
     return tomli_w.dumps(scenario.model_dump(exclude_none=True))
-
-
-def key_lines(text: str) -> dict[Place, int]:
-    """Return the line on which each key of a valid TOML text is first set or named in the header of a table."""
-    lines: dict[Place, int] = {}
-    lengths: dict[Place, int] = {}  # of arrays of tables
-    header: Place = ()
-    for first, statement in _statements(text):
-        tables = tomllib.loads(statement)
-        if statement.startswith("["):
-            header = _header(tables, statement.startswith("[["), lengths)
-            places = [header[:end] for end in range(1, len(header) + 1)]
-        else:
-            places = [header + place for place in _places(tables)]
-        for place in places:
-            lines.setdefault(place, first)
-    return lines
-
-
-# What may hide a bracket or the end of a line in TOML: strings of four kinds, and comments.
-_TOKEN = re.compile(
-    r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
-    re.DOTALL,
-)
-
-
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield each statement of a TOML text with its first line: it ends with a line on which no bracket is open."""
-    depth = start = 0
-    for token in _TOKEN.finditer(text + "\n"):
-        depth += (token[0] in "[{") - (token[0] in "]}") if token[0] in "[]{}" else 0
-        if token[0] == "\n" and depth == 0:
-            statement = text[start : token.start()].strip()
-            if statement and not statement.startswith("#"):
-                yield text.count("\n", 0, start) + 1, statement
-            start = token.end()
-
-
-def _header(tables: dict[str, Any], is_array: bool, lengths: dict[Place, int]) -> Place:
-    """Return where a table header leads: below the newest table of each array on the way."""
-    place: Place = ()
-    node: Any = tables
-    while node:
-        key, node = next(iter(node.items()))
-        place += (key,)
-        if isinstance(node, list):
-            node = node[0]
-        if node and place in lengths:
-            place += (lengths[place] - 1,)
-    if is_array:
-        lengths[place] = lengths.get(place, 0) + 1
-        place += (lengths[place] - 1,)
-    return place
-
-
-def _places(value: Any, place: Place = ()) -> Iterator[Place]:
-    """Yield the place of everything inside a value."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, each in inner:
-        yield (*place, key)
-        yield from _places(each, (*place, key))
 
 
 def _apply(override: str, source: Source) -> None:

@@ -26,7 +26,8 @@ ALLOWED = {
     "desim.pursuit.evasion": {"desim.pursuit.state", "desim.value"},
     "desim.pursuit.agent": {"desim.kernel", "desim.pursuit.game"},
     "desim.scenario": {"desim.kernel", "desim.pursuit", "desim.value"},
-    "desim.scenario_file": {"desim.scenario", "desim.value"},
+    "desim.toml_lines": set(),
+    "desim.scenario_file": {"desim.scenario", "desim.toml_lines", "desim.value"},
     "desim.world": {"desim.kernel", "desim.pursuit", "desim.scenario"},
     "desim.simulation": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.world"},
     "desim.analysis": {

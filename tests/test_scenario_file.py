@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from desim.kernel.links import Bernoulli, Links
 from desim.kernel.links import Constant as ConstantLatency
 from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Speeds, Team
-from desim.scenario_file import ScenarioError, Source, dump, key_lines, load, read, validate
+from desim.scenario_file import ScenarioError, Source, dump, load, read, validate
+from desim.toml_lines import key_lines
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed

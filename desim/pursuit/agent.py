@@ -12,7 +12,8 @@ import numpy as np
 import simpy
 
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
-from desim.kernel.network import Message, Network, Table
+from desim.kernel.inbox import Message
+from desim.kernel.network import Network, Table
 from desim.kernel.seeds import stream
 from desim.pursuit import game
 
