@@ -1,8 +1,9 @@
 """Five ways to deliver the same broadcasts, and the workloads on which they are compared.
 
 In every workload the nodes take turns, one a millisecond: a node reads what it has heard and broadcasts the number of
-the turn. A table holds the newest number heard from each other node. All four ways draw the same latencies from the
-same stream, vectorised over the receivers of a broadcast, so at the end they must have the same tables.
+the turn. A table holds the newest number heard from each other node. All ways draw the same latencies from the same
+stream, so at the end they must have the same tables: desim for all receivers of a broadcast at once, plain SimPy for
+each message, as its documentation does, but for one way that shows what drawing at once is worth by hand.
 """
 
 from collections.abc import Callable, Generator, Iterable

@@ -1,4 +1,4 @@
-"""Deliveries per second of four ways to deliver the same broadcasts; they must all deliver the same.
+"""Deliveries per second of five ways to deliver the same broadcasts; they must all deliver the same.
 
 The ways take turns, lap after lap, so that a machine whose speed drifts does not favour one of them.
 """
