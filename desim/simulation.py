@@ -1,16 +1,13 @@
 """A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
 
-from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Any
 
 import networkx as nx
-import simpy
 
 from desim.kernel.clock import Clock
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.network import Network
-from desim.pursuit.agent import Agent, Assignment, Behaviour
+from desim.pursuit.agent import Agent, Assignment, Behaviour, Process
 from desim.pursuit.state import coordinates
 from desim.scenario import Scenario
 from desim.world import World
@@ -59,7 +56,7 @@ def _populate(agents: list[Agent], protocol: Behaviour, env: Clock) -> None:
         env.process(_start(agent, protocol))
 
 
-def _start(agent: Agent, protocol: Behaviour) -> Generator[simpy.Event, Any, None]:
+def _start(agent: Agent, protocol: Behaviour) -> Process:
     """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made."""
     yield agent.at(0.0)
     yield from protocol(agent)

@@ -34,7 +34,7 @@ def _infinity(value: Any) -> Any:
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
 """Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
 LONGEST = 1e9
-"""The clock counts nanoseconds in 64 bits: thirty years, s."""
+"""Thirty years: no time is longer, s."""
 SHORTEST = 1e-6
 """What recurs more often than every microsecond would never end, s."""
 Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True)]
@@ -67,8 +67,8 @@ class OneOf:
     """Annotation of a field that holds one of several models, told apart by their `kind`.
 
     Models that other distributions install under the entry point group `group` are accepted too; they are loaded
-    when the schema is built. An object that can be called is taken as it is, so that a script may pass a class or
-    a function of its own.
+    when the schema is built. An object that can be called is taken as it is, so that a script may pass a function
+    or a model of its own.
     """
 
     def __init__(self, *models: type[BaseModel], group: str | None = None):

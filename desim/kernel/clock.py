@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
-LONGEST = 1e9
-"""Up to thirty years of nanoseconds fit in 64 bits with room for a delay, s."""
 
 
 class Phase(IntEnum):

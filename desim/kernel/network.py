@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.clock import LONGEST, SECOND, Clock
+from desim.kernel.clock import SECOND, Clock, nanoseconds
 from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
 from desim.kernel.inbox import Inbox, Message
 from desim.kernel.links import Hops, Links
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Positions, Topology
+from desim.value import LONGEST
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -180,13 +181,13 @@ class Network:
         if not isinstance(delay, np.ndarray) or not delay.ndim:
             if not 0.0 <= delay <= LONGEST:
                 raise ValueError(f"a latency should be from 0 to {LONGEST:g} s, got {delay}")
-            return dst, now + round(float(delay) * SECOND)
+            return dst, now + nanoseconds(float(delay))
         try:
-            arrivals = [now + int(each * SECOND + 0.5) for each in delay.tolist()]
+            arrivals = [now + round(each * SECOND) for each in delay.tolist()]
         except (ValueError, OverflowError) as error:  # nan, inf
-            raise ValueError(f"latencies should be finite, got {delay}") from error
-        if arrivals and min(arrivals) < now:
-            raise ValueError(f"latencies should be at least 0 s, got {delay}")
+            raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delay}") from error
+        if arrivals and (min(arrivals) < now or max(arrivals) > now + LONGEST * SECOND):
+            raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delay}")
         return dst, arrivals
 
     def _fold(self, node: int) -> None:
