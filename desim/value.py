@@ -8,10 +8,11 @@ import json
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from math import inf
+from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
@@ -33,6 +34,8 @@ def _infinity(value: Any) -> Any:
 
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
 """Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
+Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
+"""A number that something does not exceed, possibly infinite."""
 LONGEST = 1e9
 """Thirty years: no time is longer, s."""
 SHORTEST = 1e-6
@@ -56,6 +59,17 @@ class Value(BaseModel):
     def plain(self) -> dict[str, Any]:
         """Return it as what JSON has: infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
+
+
+def beside(path: Any, info: ValidationInfo) -> Path:
+    """Return a path that a file names: relative to the folder of that file, if it is known.
+
+    Raises:
+        ValueError: if it is not a text.
+    """
+    if not isinstance(path, str | Path):
+        raise ValueError(f"file should be a path (got {path!r})")
+    return Path((info.context or {}).get("folder", "."), path)
 
 
 def kind_of(model: type[BaseModel]) -> str:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
 from desim.kernel.events import Broadcast
-from desim.kernel.links import Constant, Links
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.game import activation_probability, gibbs, profiles

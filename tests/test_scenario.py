@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from desim.kernel.links import Bernoulli, Links
-from desim.kernel.links import Constant as ConstantLatency
+from desim.kernel.latency import Constant as ConstantLatency
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided, Ended
 from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.simulation import run

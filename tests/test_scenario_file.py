@@ -10,8 +10,9 @@ import tomli_w
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.links import Bernoulli, Links
-from desim.kernel.links import Constant as ConstantLatency
+from desim.kernel.latency import Constant as ConstantLatency
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.scenario_file import ScenarioError, Source, dump, load, read, validate
 from desim.toml_lines import key_lines

@@ -6,7 +6,7 @@ Times are integer nanoseconds in memory and seconds in the file (one JSON object
 import json
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 from desim.kernel.clock import seconds
 
@@ -25,15 +25,35 @@ class Event(Protocol):
     def _asdict(self) -> dict[str, Any]: ...
 
 
-class Broadcast(NamedTuple):
-    """A record was published: one message to everyone in range, all of them in this one event."""
+Cause = Literal["loss", "reach", "partition", "jamming", "crash", "queue", "half_duplex"]
+"""Why a message was lost; "queue": dropped from a full one, "half_duplex": its receiver was on the air itself."""
+
+
+class Queued(NamedTuple):
+    """A transmission has to wait for its transmitter; it is on its way from now on, for the count of messages."""
 
     t: int
+    flight: int
+    src: int
+    dst: tuple[int, ...]
+    size: int
+
+
+class Broadcast(NamedTuple):
+    """A record left: one message to everyone in reach, all of them in this one event."""
+
+    t: int
+    flight: int
+    """The number of the transmission."""
     src: int
     seq: int
     dst: tuple[int, ...]
     arrival: tuple[int, ...]
-    """When it reaches each of `dst`, or `LOST`; one entry for all if it reaches them together."""
+    """When it reaches each of `dst`, unless it is lost on arrival, or `LOST`; one entry for all if they are alike."""
+    created: int
+    """When it was announced, ns; earlier than t if the transmitter was busy."""
+    size: int
+    """Bytes."""
     body: Any
 
 
@@ -41,21 +61,45 @@ class Sent(NamedTuple):
     """A message left for one receiver."""
 
     t: int
+    flight: int
+    """The number of the transmission; all receivers of one transmission have the same."""
     src: int
     dst: int
     arrival: int
-    """When it reaches the inbox of `dst`, or `LOST`."""
+    """When it reaches `dst`, unless it is lost on arrival, or `LOST`."""
+    created: int
+    """When it was sent, ns; earlier than t if the transmitter was busy."""
+    size: int
+    """Bytes."""
     body: Any
 
 
+class Lost(NamedTuple):
+    """A message to one receiver will never be read: lost as it left, while it waited to, or as it arrived."""
+
+    t: int
+    flight: int
+    src: int
+    dst: int
+    cause: Cause
+
+
 class Tally(NamedTuple):
-    """How many messages there were when the run ended, each receiver of a broadcast counted as one message."""
+    """What the network carried until the run ended, each receiver of a transmission counted as one message."""
 
     t: int
     sent: int
     delivered: int
     lost: int
     in_flight: int
+    lost_by: dict[Cause, int]
+    """How many were lost by each cause."""
+    transmissions: int
+    """How many times something was put on the air, whatever the number of receivers."""
+    octets: int
+    """Bytes put on the air."""
+    utilisation: float
+    """Share of the time in which the channels were busy, in [0, 1]."""
 
 
 Kind = TypeVar("Kind")
@@ -120,13 +164,15 @@ class Trace:
             file.writelines(self.lines())
 
 
-_TIMES = frozenset({"t", "arrival"})
+_TIMES = frozenset({"t", "arrival", "created"})
 
 
 def _plain(name: str, value: Any) -> Any:
     """Return a field of an event as what JSON has; of a body it does not know, the `repr`."""
     if name in _TIMES:
         return _seconds(value)
+    if hasattr(value, "plain"):
+        return value.plain()
     return value._asdict() if hasattr(value, "_asdict") else value
 
 

@@ -1,67 +1,75 @@
-"""How long a message travels, and whether it arrives: frozen models, vectorised over the receivers of a broadcast.
-
-A latency is always one way. A model answers for all hops at once: with one number if all of them fare alike, else
-with one number per hop.
-"""
+"""The links of a network as one value: who is linked to whom, how far word reaches, how long it takes, what is lost."""
 
 from math import inf
-from typing import Annotated, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from pydantic import model_validator
 
-from desim.value import Extent, OneOf, Probability, Time, Value
-
-
-class Hops(NamedTuple):
-    """The hops of one transmission: from `src` to each of the (k,) nodes `dst`."""
-
-    src: int
-    dst: NDArray[np.intp]
+from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link
+from desim.kernel.latency import LATENCIES, Constant, Latency
+from desim.kernel.loss import LOSSES, Bernoulli, Loss
+from desim.kernel.medium import MEDIA, Medium, Unlimited
+from desim.kernel.presets import PRESETS
+from desim.kernel.reach import REACHES, Disk, Reach
+from desim.value import Extent, Time, Value
 
 
-class Latency(Protocol):
-    """A model of the one-way latency: `latency(hops, rng)` is a number or (k,) numbers >= 0, s."""
+class Processing(Value):
+    """Time that a message spends at both ends, beside its latency."""
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> float | NDArray[np.float64]: ...  # noqa: D102
-
-
-class Loss(Protocol):
-    """A model of the loss: `loss(hops, rng)` is one truth or (k,) truths, True where the message is lost."""
-
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | NDArray[np.bool_]: ...  # noqa: D102
-
-
-class Constant(Value):
-    """Every message travels for the same time."""
-
-    kind: Literal["constant"] = "constant"
-    value: Time = 0.0
-    """One-way latency, s."""
-
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> float:
-        """Return the latency, s."""
-        return self.value
-
-
-class Bernoulli(Value):
-    """Every message is lost with the same probability, independently of all others."""
-
-    kind: Literal["bernoulli"] = "bernoulli"
-    p: Probability = 0.0
-    """Probability that a message is lost, in [0, 1]."""
-
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | NDArray[np.bool_]:
-        """Return which of the hops lose the message."""
-        return rng.random(len(hops.dst)) < self.p if self.p else False
+    sender: Time = 0.0
+    """From the decision to send to the message's leaving, s."""
+    receiver: Time = 0.0
+    """From the message's coming in to its being readable, s."""
 
 
 class Links(Value):
-    """What every link of a network does to a message; the default is the ideal network."""
+    """What the links of a network are like; the default is the ideal network."""
 
+    preset: (
+        Literal[
+            "wifi",
+            "lte",
+            "5g",
+            "satellite",
+            "acoustic",
+            "lora_sf7",
+            "lora_sf8",
+            "lora_sf9",
+            "lora_sf10",
+            "lora_sf11",
+            "lora_sf12",
+        ]
+        | None
+    ) = None
+    """A named network whose values stand where this table gives none; they are illustrative."""
+    graph: Annotated[GraphModel, GRAPHS] = Complete()
+    """Who is linked to whom, before range."""
     range: Extent = inf
-    """Distance up to which two nodes hear each other when a message is sent, m; inf = any distance."""
-    latency: Annotated[Latency, OneOf(Constant)] = Constant()
+    """Distance up to which two nodes hear each other, m; inf = any distance."""
+    reach: Annotated[Reach, REACHES] = Disk()
+    """How reception depends on distance and range."""
+    fading: Literal["frozen", "message"] = "frozen"
+    """Whether chance in the reach is drawn once per pair of nodes, or for every message."""
+    range_check: Literal["send", "delivery", "both"] = "send"
+    """When the reach is judged: as a message leaves, as it arrives, or both."""
+    latency: Annotated[Latency, LATENCIES] = Constant()
     """One-way latency, s."""
-    loss: Annotated[Loss, OneOf(Bernoulli)] = Bernoulli()
+    order: Literal["overtaking", "fifo"] = "overtaking"
+    """Whether a message may overtake an earlier one of its link, or waits for it."""
+    processing: Processing = Processing()
+    """Time spent at both ends."""
+    loss: Annotated[Loss, LOSSES] = Bernoulli()
     """Which messages are lost."""
+    medium: Annotated[Medium, MEDIA] = Unlimited()
+    """What it takes to put a message on the air."""
+    link: tuple[Link, ...] = ()
+    """Links that are not like the rest."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        preset = given.get("preset") if isinstance(given, dict) else None
+        if isinstance(preset, str) and preset in PRESETS:
+            return PRESETS[preset] | given
+        return given

@@ -1,49 +1,55 @@
-"""The network: records and messages in flight between nodes, and the inboxes they arrive in.
+"""The network: records and messages in flight between nodes.
 
 A *record* is state: a newer one supersedes an older one of the same source, and it matters only when somebody reads
-it. `publish` therefore needs no SimPy event: it notes when the record becomes visible to whom. A *message* is an
+it. `publish` therefore needs no SimPy event: it notes when the record becomes readable by whom. A *message* is an
 event: `send` wakes its receiver; but it, too, needs a SimPy event only if somebody waits for it. Both obey the same
 links, and what is read in the phase of decisions of some instant, or later, is just what would have been delivered by
 then.
+
+Where the fate of a message is settled only as it arrives (faults, reach judged at delivery, half duplex), each instant
+at which a transmission arrives is an event.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from heapq import heappop, heappush
-from itertools import count, repeat
+from collections import Counter
+from functools import partial
+from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from desim.kernel.clock import SECOND, Clock, nanoseconds
-from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
+from desim.kernel.air import Air
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.conditions import Conditions
+from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.hops import Positions
 from desim.kernel.inbox import Inbox, Message
-from desim.kernel.links import Hops, Links
-from desim.kernel.seeds import stream
-from desim.kernel.topology import Positions, Topology
-from desim.value import LONGEST
+from desim.kernel.links import Links
+from desim.kernel.medium import Unlimited
+from desim.kernel.records import Arrival, Record, Records, Table, each
+from desim.kernel.topology import Topology
+from desim.kernel.travel import Travel
+from desim.kernel.wire import size_of
 
 if TYPE_CHECKING:
     import networkx as nx
+    import simpy
 
 
-class Record(NamedTuple):
-    """State that its source announced; `seq` orders the records of one source."""
+NOTHING_LOST: dict[int, Cause] = {}
 
+
+class Flight(NamedTuple):
+    """One transmission: a record or a message, and whom it is for."""
+
+    number: int
     src: int
-    seq: int
-    sent: int
-    """When it was published, ns."""
-    body: Any
-
-
-Heard = tuple[int, Record]
-"""A record and the nanosecond at which it arrived."""
-Table = dict[int, Heard]
-"""The newest record of each source that has been heard of."""
-Nodes = NDArray[np.intp]
-Arrival = int | list[int]
-"""When a transmission reaches its receivers, ns: one number if they get it together."""
+    created: int
+    """ns"""
+    size: int
+    """Bytes."""
+    receivers: list[int]
+    content: Record | Message
+    port: str
+    """Of the inbox, if it is a message."""
+    reachable: bool
 
 
 class Network:
@@ -51,11 +57,12 @@ class Network:
 
     Args:
         env: the clock of the simulation.
-        graph: who is linked to whom; its nodes are 0 .. n - 1.
-        links: latency, loss and range of every link.
-        seed: of the streams "latency" and "loss".
+        graph: who is linked to whom; its nodes are 0 .. n - 1, its edges may have a `latency` and a `loss`.
+        links: what the links are like.
+        seed: of every chance in the network.
         positions: where the nodes are now, (n, 2) m; needed if the range is finite.
         trace: where message events go, if it wants them.
+        conditions: what is broken; without it nothing ever is.
     """
 
     def __init__(
@@ -67,65 +74,53 @@ class Network:
         seed: int = 0,
         positions: Positions | None = None,
         trace: Trace | None = None,
+        conditions: Conditions | None = None,
     ):
         self._env = env
-        self._links = links or Links()
-        self.topology = Topology(graph, self._links.range, positions)
-        self._latency_rng, self._loss_rng = stream(seed, "latency"), stream(seed, "loss")
-        self._trace = trace if trace is not None and trace.wants_messages else None
+        links = links or Links()
+        self.topology = Topology(graph, links.range, positions, links.reach, frozen=links.fading == "frozen", seed=seed)
         size = self.topology.size
-        self._inboxes = [Inbox(env, node) for node in range(size)]
+        self._travel = Travel(links, graph, seed, positions)
+        self._conditions = conditions
+        self._may_lose = conditions is not None or not self._travel.lossless
+        self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
+        self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
+        self._receiving = nanoseconds(links.processing.receiver)
+        self._air: Air[Flight] | None = None
+        if not isinstance(links.medium, Unlimited):
+            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._receiving)
+        self._records = Records(env, size)
+        self._inboxes: dict[tuple[int, str], Inbox] = {}
+        self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
-        # Records that reach everyone at one instant are kept once for all: a heap by arrival, and a table.
-        self._common_waiting: list[Heard] = []
-        self._common: Table = {}
-        # All others are kept per reader: a list of arrival, record, arrival, record ... that have not been looked at or
-        # have not arrived, and a table. Flat, because an object per delivery would keep the garbage collector busy.
-        self._waiting: list[list[Any]] = [[] for _ in range(size)]
-        self._tables: list[Table] = [{} for _ in range(size)]
         self._flights = count()
-        self._published = self._sent = self._lost = 0
+        self._sent = self._arriving = self._transmissions = self._octets = 0
+        self._lost: Counter[Cause] = Counter()
+
+    # What nodes do.
 
     def presume(self, src: int, body: Any) -> None:
         """Let everyone know a record of `src` from the start, without a message."""
-        self._common[src] = (self._env.now, Record(src, 0, self._env.now, body))
-
-    def publish(self, src: int, body: Any) -> None:
-        """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours)."""
-        record = Record(src, next(self._seq[src]), self._env.now, body)
-        neighbours = self.topology.neighbours(src)
-        reached, arrival = self._depart(src, neighbours)
-        if isinstance(arrival, int) and len(reached) == self.topology.size - 1:
-            heappush(self._common_waiting, (arrival, record))
+        others = [node for node in range(self.topology.size) if node != src]
+        record = Record(src, 0, self._env.now, body)
+        if self._conditions is None:
+            self._records.note(record, others, self._env.now)
         else:
-            waiting = self._waiting
-            for node, when in zip(reached.tolist(), _each(arrival), strict=False):
-                waiting[node].extend((when, record))
-        self._published += 1
-        if self._published % 4096 == 0:
-            self._fold_what_nobody_reads()
-        if self._trace is not None:
-            dst = tuple(neighbours.tolist())
-            fates = _fates(dst, reached, arrival)
-            alike = isinstance(arrival, int) and len(reached) == len(dst) > 0
-            arrivals = tuple(fates[:1] if alike else fates)
-            self._trace.append_message(Broadcast(record.sent, src, record.seq, dst, arrivals, body))
+            for node in others:  # each may forget it
+                self._records.enter(node, record)
 
-    def heard(self, node: int) -> Table:
-        """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
-        now = self._env.now
-        if self._waiting[node]:
-            self._fold(node)
-        while self._common_waiting and self._common_waiting[0][0] <= now:
-            _enter([heappop(self._common_waiting)], self._common, now)
-        if not self._common:
-            return self._tables[node].copy()
-        known = self._common.copy()
-        known.pop(node, None)
-        _enter(self._tables[node].values(), known, now)
-        return known
+    def publish(self, src: int, body: Any, size: int | None = None) -> None:
+        """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
 
-    def send(self, src: int, dst: int | None, body: Any) -> None:
+        Args:
+            src: whose state it is.
+            body: what it is.
+            size: in bytes; counted from the body if None, see `desim.kernel.wire`.
+        """
+        record = Record(src, next(self._seq[src]), self._env.now, body)
+        self._hand_over(src, self._hearers(src), record, size)
+
+    def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
 
         A message to a node that is out of reach when it is sent is lost.
@@ -133,99 +128,203 @@ class Network:
         Raises:
             ValueError: if there is no such node.
         """
-        neighbours = self.topology.neighbours(src)
-        receivers: list[int] = neighbours.tolist()
-        if dst is not None:
-            if not 0 <= dst < self.topology.size:
-                raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
-            receivers, neighbours = [dst], neighbours[neighbours == dst]
-            self._sent += 1 - len(neighbours)
-            self._lost += 1 - len(neighbours)
-        reached, arrival = self._depart(src, neighbours)
-        message = Message(src, self._env.now, body)
-        if len(reached):
-            number, inboxes = next(self._flights), self._inboxes
-            for node, when in zip(reached.tolist(), _each(arrival), strict=False):
-                inboxes[node].put(message, when, number)
-        if self._trace is not None:
-            for node, when in zip(receivers, _fates(receivers, reached, arrival), strict=True):
-                self._trace.append_message(Sent(message.sent, src, node, when, body))
+        message, reachable = Message(src, self._env.now, body), True
+        if dst is None:
+            receivers = self._hearers(src)
+        elif 0 <= dst < self.topology.size:
+            receivers, reachable = [dst], self._reaches(src, dst)
+        else:
+            raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
+        self._hand_over(src, receivers, message, size, port, reachable)
 
-    def inbox(self, node: int) -> Inbox:
-        """Return the inbox of a node."""
-        return self._inboxes[node]
+    def next_record(self, src: int, body: Any) -> Record:
+        """Return the next record of a node, for who spreads it by other means than `publish`."""
+        return Record(src, next(self._seq[src]), self._env.now, body)
+
+    def enter(self, node: int, record: Record) -> None:
+        """Let a node know a record that reached it by other means than `publish`."""
+        if record.src != node:
+            self._records.enter(node, record)
+
+    def heard(self, node: int) -> Table:
+        """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
+        return self._records.heard(node)
+
+    def inbox(self, node: int, port: str = "") -> Inbox:
+        """Return an inbox of a node; each port has one of its own."""
+        if (node, port) not in self._inboxes:
+            self._inboxes[node, port] = Inbox(self._env, node)
+        return self._inboxes[node, port]
+
+    def neighbours(self, node: int) -> list[int]:
+        """Return the nodes that hear `node` now, ascending; see `Topology.neighbours`."""
+        found: list[int] = self.topology.neighbours(node).tolist()
+        return found
+
+    # What happens to them.
+
+    def break_down(self, node: int) -> None:
+        """Let the radio of a node be down: it neither sends nor receives, and what waits in its transmitter is lost.
+
+        Raises:
+            ValueError: if the network was made without conditions.
+        """
+        self.conditions.break_down(node)
+        for flight in self._air.silence(node) if self._air is not None else ():
+            self._lose(flight, flight.receivers, "crash")
+
+    def repair(self, node: int, *, memory: bool = True) -> None:
+        """Undo one breakdown of a node; without memory it has forgotten all it heard."""
+        self.conditions.repair(node)
+        if not memory:
+            self._records.forget(node)
+            for (owner, _), inbox in self._inboxes.items():
+                if owner == node:
+                    inbox.drain()
+
+    @property
+    def conditions(self) -> Conditions:
+        """What is broken."""
+        if self._conditions is None:
+            raise ValueError("a network whose nodes break down or are cut off should be made with conditions")
+        return self._conditions
 
     def tally(self) -> Tally:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
-        now = self._env.now
-        in_flight = sum(inbox.in_flight() for inbox in self._inboxes)
-        in_flight += sum(arrival > now for waiting in self._waiting for arrival, _ in _pairs(waiting))
-        in_flight += (self.topology.size - 1) * sum(heard[0] > now for heard in self._common_waiting)
-        return Tally(now, self._sent, self._sent - self._lost - in_flight, self._lost, in_flight)
+        now, lost = self._env.now, self._lost.total()
+        in_flight = self._arriving + self._records.in_flight() + sum(box.in_flight() for box in self._inboxes.values())
+        busy = 0.0
+        if self._air is not None:
+            in_flight += sum(len(flight.receivers) for flight in self._air.waiting())
+            busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
+        delivered = self._sent - lost - in_flight
+        by_cause = {cause: self._lost[cause] for cause in sorted(self._lost)}
+        return Tally(now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._octets, busy)
 
-    def _depart(self, src: int, dst: Nodes) -> tuple[Nodes, Arrival]:
-        """Let a transmission leave now; return whom it will reach, and when.
+    # How a transmission goes.
 
-        Raises:
-            ValueError: if the latency model answers with what is not a time.
-        """
-        now = self._env.now
-        self._sent += len(dst)
-        hops = Hops(src, dst)
-        lost = self._links.loss(hops, self._loss_rng)
-        delay = self._links.latency(hops, self._latency_rng)
-        if lost is not False:
-            kept = ~np.broadcast_to(lost, dst.shape)
-            self._lost += len(dst) - int(kept.sum())
-            dst, delay = dst[kept], delay if np.ndim(delay) == 0 else np.asarray(delay)[kept]
-        if not isinstance(delay, np.ndarray) or not delay.ndim:
-            if not 0.0 <= delay <= LONGEST:
-                raise ValueError(f"a latency should be from 0 to {LONGEST:g} s, got {delay}")
-            return dst, now + nanoseconds(float(delay))
-        try:
-            arrivals = [now + round(each * SECOND) for each in delay.tolist()]
-        except (ValueError, OverflowError) as error:  # nan, inf
-            raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delay}") from error
-        if arrivals and (min(arrivals) < now or max(arrivals) > now + LONGEST * SECOND):
-            raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delay}")
-        return dst, arrivals
+    def _hearers(self, src: int) -> list[int]:
+        return self.topology.hearers(src) if self._checks_departure else self.topology.linked(src)
 
-    def _fold(self, node: int) -> None:
-        """Enter what has arrived at a node in its table."""
-        self._waiting[node] = _enter(_pairs(self._waiting[node]), self._tables[node], self._env.now)
+    def _reaches(self, src: int, dst: int) -> bool:
+        return dst in self.topology.linked(src) and (not self._checks_departure or self.topology.reaches(src, dst))
 
-    def _fold_what_nobody_reads(self) -> None:
-        """Bound the memory that nodes cost which do not read."""
-        for node, waiting in enumerate(self._waiting):
-            if len(waiting) > 2048:
-                self._fold(node)
-
-
-def _each(arrival: Arrival) -> Iterable[int]:
-    """Return the arrival at each receiver."""
-    return repeat(arrival) if isinstance(arrival, int) else arrival
-
-
-def _pairs(waiting: list[Any]) -> Iterator[Heard]:
-    """Return a flat list two by two."""
-    each = iter(waiting)
-    return zip(each, each, strict=True)
-
-
-def _fates(receivers: Sequence[int], reached: Nodes, arrival: Arrival) -> list[int]:
-    """Return when a transmission reaches each receiver, or LOST."""
-    when = dict(zip(reached.tolist(), _each(arrival), strict=False))
-    return [when.get(node, LOST) for node in receivers]
-
-
-def _enter(news: Iterable[Heard], table: Table, now: int) -> list[Any]:
-    """Enter what has arrived in a table, unless something newer of its source is there; return the rest, flat."""
-    late: list[Any] = []
-    for arrival, record in news:
-        if arrival > now:
-            late += (arrival, record)
+    def _hand_over(
+        self,
+        src: int,
+        receivers: list[int],
+        content: Record | Message,
+        size: int | None,
+        port: str = "",
+        reachable: bool = True,
+    ) -> None:
+        """Give a transmission to the transmitter of its node, if that works."""
+        if self._conditions is not None and self._conditions.down(src):
+            return
+        if size is None:
+            size = size_of(content.body)
+        flight = Flight(next(self._flights), src, self._env.now, size, receivers, content, port, reachable)
+        self._sent += len(receivers)
+        if self._air is None:
+            self._leave(flight, 0)
         else:
-            known = table.get(record[0])
-            if known is None or known[1][1] < record[1]:  # src and seq, by position for speed
-                table[record[0]] = (arrival, record)
-    return late
+            self._air.give(flight)
+
+    def _wait(self, flight: Flight) -> None:
+        if self._trace is not None:
+            dst = tuple(flight.receivers)
+            self._trace.append_message(Queued(self._env.now, flight.number, flight.src, dst, flight.size))
+
+    def _overflow(self, flight: Flight) -> None:
+        self._lose(flight, flight.receivers, "queue")
+
+    def _leave(self, flight: Flight, airtime: int) -> None:
+        """Put a transmission on the air for so many ns."""
+        now, receivers = self._env.now, flight.receivers
+        self._transmissions += 1
+        self._octets += flight.size
+        arrival = self._travel.arrivals(flight.src, receivers, now, airtime, flight.size)
+        causes = self._losses(flight) if self._may_lose or not flight.reachable else NOTHING_LOST
+        reached = receivers
+        if causes:
+            reached = [node for node in receivers if node not in causes]
+            if not isinstance(arrival, int):
+                arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
+        if self._trace is not None:
+            self._record(flight, reached, arrival)
+        for node, cause in causes.items():
+            self._lose(flight, [node], cause)
+        if self._settles_on_arrival:
+            self._let_land(flight, reached, arrival, airtime)
+        elif isinstance(flight.content, Record):
+            self._records.note(flight.content, reached, arrival)
+        else:
+            for node, when in zip(reached, each(arrival), strict=False):
+                self.inbox(node, flight.port).put(flight.content, when, flight.number)
+
+    def _losses(self, flight: Flight) -> dict[int, Cause]:
+        """Return the receivers that a transmission is lost to as it leaves, and why."""
+        src, receivers, causes = flight.src, flight.receivers, dict[int, Cause]()
+        lost = self._travel.losses(src, receivers, self._env.now, flight.size)
+        if lost is not None:
+            causes |= dict.fromkeys(compress(receivers, lost), "loss")
+        if self._conditions is not None:
+            causes |= {node: "partition" for node in receivers if self._conditions.cut(src, node)}
+        return causes if flight.reachable else dict.fromkeys(receivers, "reach")
+
+    def _let_land(self, flight: Flight, reached: list[int], arrival: Arrival, airtime: int) -> None:
+        """Let the fate of a transmission be settled as it arrives."""
+        self._arriving += len(reached)
+        landings: dict[int, list[int]] = {}
+        for node, when in zip(reached, each(arrival), strict=False):
+            landings.setdefault(when, []).append(node)
+        for when, nodes in landings.items():
+            Instant(self._env, when, Phase.DELIVERY).callbacks.append(partial(self._land, flight, nodes, airtime))
+
+    def _land(self, flight: Flight, nodes: list[int], airtime: int, _: "simpy.Event") -> None:
+        """Let a transmission arrive at nodes where it does."""
+        self._arriving -= len(nodes)
+        for node in nodes:
+            cause = self._obstacle(flight, node, airtime)
+            if cause is not None:
+                self._lose(flight, [node], cause)
+            elif isinstance(flight.content, Record):
+                self._records.enter(node, flight.content)
+            else:
+                self.inbox(node, flight.port).put(flight.content, self._env.now, flight.number)
+
+    def _obstacle(self, flight: Flight, node: int, airtime: int) -> Cause | None:
+        """Return why a message cannot be received that arrives now, if so."""
+        broken = self._conditions
+        if broken is not None:
+            if broken.down(node):
+                return "crash"
+            if broken.cut(flight.src, node):
+                return "partition"
+            if broken.jammed(node):
+                return "jamming"
+        if self._checks_arrival and not self.topology.reaches(flight.src, node):
+            return "reach"
+        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._receiving, airtime)
+        return "half_duplex" if deaf else None
+
+    def _lose(self, flight: Flight, nodes: list[int], cause: Cause) -> None:
+        self._lost[cause] += len(nodes)
+        if self._trace is not None:
+            for node in nodes:
+                self._trace.append_message(Lost(self._env.now, flight.number, flight.src, node, cause))
+
+    def _record(self, flight: Flight, reached: list[int], arrival: Arrival) -> None:
+        """Record that a transmission left."""
+        assert self._trace is not None
+        number, src, created, size, receivers, content = flight[:6]
+        now, when = self._env.now, dict(zip(reached, each(arrival), strict=False))
+        fates = [when.get(node, LOST) for node in receivers]
+        if isinstance(content, Record):
+            alike = isinstance(arrival, int) and len(reached) == len(receivers) > 0
+            fate = tuple(fates[:1] if alike else fates)
+            event = Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
+            self._trace.append_message(event)
+        else:
+            for node, arrives in zip(receivers, fates, strict=True):
+                self._trace.append_message(Sent(now, number, src, node, arrives, created, size, content.body))

@@ -5,10 +5,47 @@ swept value, so two scenarios with the same seed share their luck (common random
 """
 
 import zlib
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     """Return the generator of a name, for instance `stream(7, "pursuer", 3)`; equal arguments, equal draws."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), index)))
+    return np.random.default_rng(_sequence(seed, name, index))
+
+
+def pair_luck(seed: int, name: str, src: int, dst: NDArray[np.intp], *, symmetric: bool = True) -> NDArray[np.float64]:
+    """Return a uniform number in (0, 1) for each pair (src, dst[k]) that is the same whenever it is asked for.
+
+    A hash instead of a table, so that ten thousand nodes do not need 10^8 numbers: splitmix64 (Steele, Lea & Flood
+    2014, "Fast Splittable Pseudorandom Number Generators") of the key of the name and the pair.
+
+    Args:
+        seed: of the run.
+        name: of what the luck is about.
+        src: one node.
+        dst: (k,) other nodes.
+        symmetric: whether (i, j) and (j, i) share their luck.
+    """
+    other = np.asarray(dst)
+    first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
+    pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
+    mixed = _mix(_mix(pair + _key(seed, name)) + np.uint64(0x9E3779B97F4A7C15))
+    return ((mixed >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+
+
+@lru_cache(maxsize=256)
+def _key(seed: int, name: str) -> np.uint64:
+    return np.uint64(_sequence(seed, name, 0).generate_state(1, np.uint64)[0])
+
+
+def _sequence(seed: int, name: str, index: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()), index))
+
+
+def _mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))

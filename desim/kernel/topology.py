@@ -1,14 +1,17 @@
-"""Who can hear whom: a static graph, cut down to the pairs that are within range of each other now."""
+"""Who can hear whom: a static graph, cut down to the pairs that are within reach of each other now."""
 
-from collections.abc import Callable
 from math import inf
 
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-Positions = Callable[[], NDArray[np.float64]]
-"""Where the nodes are now, (n, 2) m."""
+from desim.kernel.hops import Positions, distances
+from desim.kernel.reach import Disk, Reach
+from desim.kernel.seeds import pair_luck, stream
+
+Nodes = NDArray[np.intp]
+Truths = NDArray[np.bool_]
 
 
 class Topology:
@@ -17,38 +20,83 @@ class Topology:
     A static graph that is not limited by range is read once; with a range, distances are taken at every question,
     so the neighbourhoods follow the positions.
 
+    Args:
+        graph: who is linked to whom.
+        range: of every node, m.
+        positions: where the nodes are now; needed if the range is finite.
+        reach: the probability of reception at a distance.
+        frozen: whether its chance is drawn once per pair of nodes; if not, for every message.
+        seed: of that chance.
+
     Raises:
         ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or a finite range comes without positions.
     """
 
-    def __init__(self, graph: "nx.Graph[int]", reach: float = inf, positions: Positions | None = None):
-        size = len(graph)
-        if set(graph) != set(range(size)):
+    def __init__(
+        self,
+        graph: "nx.Graph[int]",
+        range: float = inf,  # noqa: A002
+        positions: Positions | None = None,
+        reach: Reach | None = None,
+        *,
+        frozen: bool = True,
+        seed: int = 0,
+    ):
+        self.size = size = len(graph)
+        nodes = np.arange(size)
+        if set(graph) != set(nodes.tolist()):
             raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
         if any(node in graph.adj[node] for node in graph):
             raise ValueError(f"no node should be linked to itself, got {[n for n in graph if n in graph.adj[n]]}")
-        if reach < inf and positions is None:
-            raise ValueError(f"a range of {reach} m needs positions")
-        self.size = size
-        self._linked = [np.array(sorted(graph.adj[node]), dtype=np.intp) for node in range(size)]
-        self._reach = reach
-        self._positions = positions if reach < inf else None
+        if range < inf and positions is None:
+            raise ValueError(f"a range of {range} m needs positions")
+        self._lists = [sorted(graph.adj[node]) for node in nodes.tolist()]
+        self._linked: list[Nodes] = [np.array(each, dtype=np.intp) for each in self._lists]
+        self._range, self._reach = range, reach or Disk()
+        self._positions = positions if range < inf else None
+        self._certain = isinstance(self._reach, Disk)
+        self._frozen, self._seed, self._rng = frozen, seed, stream(seed, "fading")
 
-    def neighbours(self, node: int) -> NDArray[np.intp]:
-        """Return the nodes that hear `node` now, ascending."""
+    def linked(self, node: int) -> list[int]:
+        """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
+        return self._lists[node]
+
+    def hearers(self, node: int) -> list[int]:
+        """Return the nodes that a message of `node` reaches that leaves now, ascending; it may need a draw."""
+        if node < 0:
+            raise IndexError(f"there is no node {node}")
+        if self._positions is None:
+            return self._lists[node]
+        near: list[int] = self._linked[node][self._received(node, self._linked[node])].tolist()
+        return near
+
+    def reaches(self, src: int, dst: int) -> bool:
+        """Return whether a message of one node reaches another now; it may need a draw."""
+        return self._positions is None or bool(self._received(src, np.array([dst]))[0])
+
+    def neighbours(self, node: int) -> Nodes:
+        """Return the nodes that hear `node` now, ascending; with fading per message, those with even chance or more."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
         linked = self._linked[node]
-        if self._positions is None:
-            return linked
-        at = self._positions()
-        apart = at[linked] - at[node]
-        near: NDArray[np.intp] = linked[np.hypot(apart[:, 0], apart[:, 1]) <= self._reach]
-        return near
+        return linked if self._positions is None else linked[self._received(node, linked, chance=0.5)]
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""
         now: nx.DiGraph[int] = nx.DiGraph()
-        now.add_nodes_from(range(self.size))
-        now.add_edges_from((node, int(other)) for node in range(self.size) for other in self.neighbours(node))
+        now.add_nodes_from(np.arange(self.size).tolist())
+        now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
         return now
+
+    def _received(self, src: int, dst: Nodes, chance: float | None = None) -> Truths:
+        """Return which of the nodes `dst` are within reach; `chance` stands in for the draws per message."""
+        assert self._positions is not None
+        apart = distances(self._positions(), src, dst)
+        if self._certain:
+            return apart <= self._range
+        probability = self._reach(apart, self._range)
+        if self._frozen:
+            received: Truths = pair_luck(self._seed, "fading", src, dst) <= probability
+        else:
+            received = (self._rng.random(len(dst)) if chance is None else chance) <= probability
+        return received & (probability > 0.0)

@@ -13,7 +13,8 @@ import simpy
 
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.inbox import Message
-from desim.kernel.network import Network, Table
+from desim.kernel.network import Network
+from desim.kernel.records import Table
 from desim.kernel.seeds import stream
 from desim.pursuit import game
 

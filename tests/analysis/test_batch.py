@@ -6,7 +6,8 @@ import pytest
 
 from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time, summary
-from desim.kernel.links import Bernoulli, Links
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.scenario import Motion, Recording, Scenario, Team
 from desim.simulation import run
 from protocols.sap import SpatialAdaptivePlay

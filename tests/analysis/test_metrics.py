@@ -35,7 +35,7 @@ def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 
     trace.append(Started(0, (9.0, 0.0), places, (2.0,) * len(active), active))
     for time, pursuer, action in decisions:
         trace.append(Decided(nanoseconds(time), pursuer, action))
-    trace.append(Tally(nanoseconds(end), *tally))
+    trace.append(Tally(nanoseconds(end), *tally, {}, 0, 0, 0.0))
     trace.append(Ended(nanoseconds(end), reason, capturer))
     return Result(Scenario(seed=1), 5, trace)
 
@@ -153,13 +153,13 @@ def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
 def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     before = summary(relay)
     relay.trace.append(Sampled(0, (0.0, 0.0), ((1.0, 1.0),)))
-    relay.trace.append_message(Broadcast(0, 0, 1, (1, 2), (0,), None))
+    relay.trace.append_message(Broadcast(0, 0, 0, 1, (1, 2), (0,), 0, 16, None))
     assert summary(relay) == before
 
 
 def test_ending_and_messages_are_the_last_words_of_a_trace(relay):
     assert ending(relay) == Ended(4 * SECOND, "captured", 2)
-    assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2)
+    assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2, {}, 0, 0, 0.0)
 
 
 @st.composite

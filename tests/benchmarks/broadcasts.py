@@ -18,7 +18,9 @@ import simpy
 from scipy.spatial.distance import pdist, squareform
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.links import Constant, Hops, Latency, Links
+from desim.kernel.hops import Hops
+from desim.kernel.latency import Constant, Latency
+from desim.kernel.links import Links
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim.kernel.links import Bernoulli, Constant, Hops, Links
+from desim.kernel.hops import Hops
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 
 HOPS = Hops(0, np.arange(1, 1001))
 

@@ -1,7 +1,8 @@
 """The centralised benchmark."""
 
 from desim import Scenario, run, summary
-from desim.kernel.links import Bernoulli, Links
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided
 from desim.scenario import Evader, Team
 from protocols.centralised import Centralised

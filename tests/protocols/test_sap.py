@@ -5,7 +5,9 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
-from desim.kernel.links import Bernoulli, Constant, Links
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import capture_time, relay_profile
 from desim.scenario import Motion, Team

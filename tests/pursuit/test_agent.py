@@ -3,7 +3,8 @@
 import pytest
 
 from desim import Scenario, run
-from desim.kernel.links import Constant, Links
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
 from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
 from desim.scenario import Evader, Team

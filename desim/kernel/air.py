@@ -1,0 +1,119 @@
+"""The transmitters of a network, in which messages wait for their turn.
+
+A node transmits one message at a time; what comes meanwhile waits, first in, first out. On a shared channel all nodes
+wait in one queue: an ideal medium access that wastes no time.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Generic, Protocol, TypeVar
+
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.medium import Medium
+
+
+class Transmission(Protocol):
+    """What is to be put on the air."""
+
+    @property
+    def src(self) -> int:
+        """Who transmits."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        ...
+
+
+Item = TypeVar("Item", bound=Transmission)
+
+
+class Air(Generic[Item]):
+    """The transmitters of all nodes, or the one they share.
+
+    Args:
+        env: the clock of the simulation.
+        medium: what the air is like.
+        size: number of nodes.
+        leave: called when a transmission begins, with its airtime in ns.
+        wait: called when a transmission has to wait.
+        drop: called when a transmission that waits is dropped.
+        lag: how long after it was received a message is judged, ns.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        medium: Medium,
+        size: int,
+        leave: Callable[[Item, int], None],
+        wait: Callable[[Item], None],
+        drop: Callable[[Item], None],
+        lag: int = 0,
+    ):
+        self._env, self._medium = env, medium
+        self._leave, self._wait, self._drop = leave, wait, drop
+        self.channels = 1 if medium.shared else size
+        self._waiting: list[deque[Item]] = [deque() for _ in range(self.channels)]
+        self._free_at = [0] * self.channels
+        self._busy = 0
+        # For half duplex: when each node was on the air lately.
+        self._spells: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
+        self._lag, self._longest = lag, 0
+
+    def give(self, item: Item) -> None:
+        """Transmit something now, or as soon as the transmitter is free."""
+        channel = 0 if self._medium.shared else item.src
+        waiting = self._waiting[channel]
+        if not waiting and self._env.now >= self._free_at[channel]:
+            self._begin(channel, item)
+            return
+        self._wait(item)
+        waiting.append(item)
+        if len(waiting) == 1:
+            self._await_turn(channel)
+        if len(waiting) > self._medium.queue_limit:
+            self._drop(waiting.popleft())
+
+    def silence(self, src: int) -> list[Item]:
+        """Take back everything of a node that waits, and return it."""
+        taken = [item for waiting in self._waiting for item in waiting if item.src == src]
+        for channel, waiting in enumerate(self._waiting):
+            self._waiting[channel] = deque(item for item in waiting if item.src != src)
+        return taken
+
+    def waiting(self) -> Iterator[Item]:
+        """Yield what waits for its turn."""
+        return (item for waiting in self._waiting for item in waiting)
+
+    def airtime(self) -> int:
+        """Return how long the channels have been busy so far, summed, ns."""
+        return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
+
+    def transmitted(self, node: int, received: int, airtime: int) -> bool:
+        """Return whether a node was on the air itself while something of an airtime came in until `received`, ns."""
+        return any(begin < received and end > received - airtime for begin, end in self._spells[node])
+
+    def _begin(self, channel: int, item: Item) -> None:
+        now, airtime = self._env.now, nanoseconds(self._medium(item.size))
+        self._free_at[channel] = now + airtime
+        self._busy += airtime
+        if self._medium.half_duplex:
+            self._longest = max(self._longest, airtime)
+            spells = self._spells[item.src]
+            spells.append((now, now + airtime))
+            while spells[0][1] < now - self._longest - self._lag:
+                spells.popleft()
+        self._leave(item, airtime)
+
+    def _await_turn(self, channel: int) -> None:
+        Instant(self._env, self._free_at[channel], Phase.DELIVERY).callbacks.append(lambda _: self._next(channel))
+
+    def _next(self, channel: int) -> None:
+        waiting = self._waiting[channel]
+        if not waiting or self._env.now < self._free_at[channel]:
+            return  # what it was called for is gone
+        self._begin(channel, waiting.popleft())
+        if waiting:
+            self._await_turn(channel)

@@ -1,0 +1,237 @@
+"""Faults: what breaks, when, and for how long; frozen models, and the process that lets them happen.
+
+A fault is a value with a time at which it begins and one at which it is over. A plan is a value that draws such faults
+from the seed. Both are kinds of `[[fault]]` in a scenario file.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from math import inf
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
+
+import numpy as np
+import simpy
+from pydantic import Field, model_validator
+
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.events import Trace
+from desim.kernel.graphs import Node
+from desim.kernel.network import Network
+from desim.kernel.seeds import stream
+from desim.value import Coordinate, Extent, Length, OneOf, Period, Rate, Time, Truth, Value
+
+
+class Began(NamedTuple):
+    """A fault began."""
+
+    t: int
+    fault: "Fault"
+
+
+class Over(NamedTuple):
+    """A fault was over."""
+
+    t: int
+    fault: "Fault"
+
+
+class _Window(Value):
+    """What all faults share: they are open for a while."""
+
+    at: Time
+    """When it begins, s."""
+    until: Extent = inf
+    """When it is over, s; inf = never."""
+
+    @model_validator(mode="after")
+    def _begins_before_it_ends(self) -> Self:
+        if self.until <= self.at:
+            raise ValueError(f"until should be greater than at (got {self.until:g} and {self.at:g})")
+        return self
+
+
+class Crash(_Window):
+    """A node breaks down and, perhaps, recovers."""
+
+    kind: Literal["crash"] = "crash"
+    node: Node
+    """Who: the number of the pursuer."""
+    scope: Literal["radio", "robot"] = "robot"
+    """radio: it neither sends nor receives; robot: it does not move or decide either."""
+    memory: Truth = True
+    """Whether it recovers with what it knew; if not, it starts anew and has heard of nobody."""
+
+
+class Partition(_Window):
+    """Groups of nodes cannot hear each other."""
+
+    kind: Literal["partition"] = "partition"
+    groups: Annotated[tuple[tuple[Node, ...], ...], Field(min_length=1)]
+    """Lists of nodes; those that are in no list form one more group."""
+
+    @model_validator(mode="after")
+    def _disjoint(self) -> Self:
+        named = [node for group in self.groups for node in group]
+        twice = sorted({node for node in named if named.count(node) > 1})
+        if twice:
+            raise ValueError(f"groups should be disjoint, {twice[0]} is named twice")
+        return self
+
+
+class Jamming(_Window):
+    """Nobody within a disc hears anything."""
+
+    kind: Literal["jamming"] = "jamming"
+    centre: tuple[Coordinate, Coordinate]
+    """[x, y], m."""
+    radius: Length
+    """m"""
+
+
+Fault = Crash | Partition | Jamming
+"""Something that is broken for a while."""
+
+
+class Plan(Protocol):
+    """What draws faults from chance."""
+
+    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
+        """Return the faults among `size` nodes until the horizon, s."""
+        ...
+
+
+class RandomCrashes(Value):
+    """Every node breaks down at a rate, for an exponential time."""
+
+    kind: Literal["random_crashes"] = "random_crashes"
+    rate: Rate = 0.1
+    """Breakdowns per second of each node that is up, 1/s."""
+    mean_downtime: Period = 1.0
+    """Mean time until it recovers, s."""
+    scope: Literal["radio", "robot"] = "robot"
+    """radio: it neither sends nor receives; robot: it does not move or decide either."""
+    memory: Truth = True
+    """Whether it recovers with what it knew."""
+
+    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
+        """Yield the crashes of each node until the horizon, s."""
+        for node, each in enumerate(rng.spawn(size)):
+            t = each.exponential(1.0 / self.rate)
+            while t < horizon:
+                until = t + max(each.exponential(self.mean_downtime), SHORTEST_FAULT)
+                yield Crash(at=t, until=until, node=node, scope=self.scope, memory=self.memory)
+                t = until + each.exponential(1.0 / self.rate)
+
+
+class RandomPlan(Value):
+    """Crashes, partitions and jamming of all sorts, at random: for soak runs."""
+
+    kind: Literal["random"] = "random"
+    rate: Rate = 1.0
+    """Faults per second, 1/s."""
+    mean_duration: Period = 1.0
+    """Mean duration of a fault, s."""
+    until: Extent = inf
+    """When the last fault is over at the latest, s."""
+    kinds: Annotated[tuple[Literal["crash", "partition", "jamming"], ...], Field(min_length=1)] = (
+        "crash",
+        "partition",
+        "jamming",
+    )
+    """What may happen."""
+    box: tuple[Coordinate, Coordinate] = (0.0, 20.0)
+    """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
+
+    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
+        """Yield the faults that begin before the horizon, s, in order of time."""
+        t, end = 0.0, min(self.until, horizon)
+        while (t := t + rng.exponential(1.0 / self.rate)) < end - SHORTEST_FAULT:
+            duration = max(rng.exponential(self.mean_duration), SHORTEST_FAULT)
+            window = {"at": t, "until": min(t + duration, self.until)}
+            yield self._fault(self.kinds[rng.integers(len(self.kinds))], size, rng, window)
+
+    def _fault(self, kind: str, size: int, rng: np.random.Generator, window: dict[str, float]) -> Fault:
+        if kind == "crash":
+            scope: Any = ("radio", "robot")[rng.integers(2)]
+            return Crash(node=int(rng.integers(size)), scope=scope, memory=bool(rng.integers(2)), **window)
+        if kind == "partition":
+            cut = rng.permutation(size)[: rng.integers(1, max(size, 2))]
+            return Partition(groups=(tuple(sorted(cut.tolist())),), **window)
+        x, y = rng.uniform(*self.box, size=2).tolist()
+        radius = rng.uniform(0.1, 0.5) * max(self.box[1] - self.box[0], 1.0)
+        return Jamming(centre=(x, y), radius=float(radius), **window)
+
+
+SHORTEST_FAULT = 1e-6
+"""No drawn fault is shorter, s."""
+FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomPlan)
+
+
+def drawn(given: Sequence[Fault | Plan], size: int, horizon: float, seed: int) -> list[Fault]:
+    """Return faults with every plan replaced by what it draws; the k-th plan has a stream of its own."""
+    faults: list[Fault] = []
+    for k, each in enumerate(given):
+        if isinstance(each, Fault):
+            faults.append(each)
+        else:
+            faults += each.faults(size, horizon, stream(seed, "faults", k))
+    return faults
+
+
+Hook = Callable[[Crash], object]
+
+
+def schedule(
+    faults: Iterable[Fault],
+    env: Clock,
+    network: Network,
+    trace: Trace | None = None,
+    *,
+    crashed: Hook = lambda _: None,
+    recovered: Hook = lambda _: None,
+) -> None:
+    """Let faults happen to a network that was made with conditions.
+
+    Args:
+        faults: what happens.
+        env: the clock of the simulation.
+        network: what it happens to.
+        trace: where `Began` and `Over` go.
+        crashed: called when a node breaks down.
+        recovered: called when a crash is over.
+    """
+
+    def begin(fault: Fault, _: simpy.Event) -> None:
+        if trace is not None:
+            trace.append(Began(env.now, fault))
+        end = _open(fault, network, crashed, recovered)
+        if fault.until < inf:
+            Instant(env, nanoseconds(fault.until), Phase.FAULT).callbacks.append(partial(finish, fault, end))
+
+    def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
+        if trace is not None:
+            trace.append(Over(env.now, fault))
+        end()
+
+    for fault in faults:
+        Instant(env, nanoseconds(fault.at), Phase.FAULT).callbacks.append(partial(begin, fault))
+
+
+def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
+    """Let a fault begin; return what lets it be over."""
+    conditions = network.conditions
+    if isinstance(fault, Crash):
+        network.break_down(fault.node)
+        crashed(fault)
+
+        def recover() -> None:
+            network.repair(fault.node, memory=fault.memory)
+            recovered(fault)
+
+        return recover
+    if isinstance(fault, Partition):
+        cut = conditions.divide(fault.groups)
+        return lambda: conditions.heal(cut)
+    disc = (fault.centre, fault.radius)
+    conditions.jam(disc)
+    return lambda: conditions.clear(disc)

@@ -1,0 +1,184 @@
+"""Static communication graphs: frozen models that make a networkx graph of a number of nodes."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from desim.kernel.latency import LATENCIES, Constant, Latency
+from desim.kernel.loss import LOSSES, Bernoulli, Loss
+from desim.value import OneOf, Truth, Value, beside
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+Node = Annotated[int, Field(ge=0, strict=True)]
+
+
+class GraphModel(Protocol):
+    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; its edges may have attributes, see `Link`."""
+
+    def __call__(self, size: int) -> "nx.Graph[int]": ...  # noqa: D102
+
+
+class Complete(Value):
+    """Everybody is linked to everybody."""
+
+    kind: Literal["complete"] = "complete"
+
+    def __call__(self, size: int) -> "nx.Graph[int]":
+        """Return the graph."""
+        import networkx as nx
+
+        graph: nx.Graph[int] = nx.complete_graph(size)
+        return graph
+
+
+class Ring(Value):
+    """Each node is linked to the next and the last to the first."""
+
+    kind: Literal["ring"] = "ring"
+
+    def __call__(self, size: int) -> "nx.Graph[int]":
+        """Return the graph."""
+        import networkx as nx
+
+        graph: nx.Graph[int] = nx.cycle_graph(size) if size > 2 else nx.path_graph(size)
+        return graph
+
+
+class Star(Value):
+    """One node is linked to all others, and they to nobody else."""
+
+    kind: Literal["star"] = "star"
+    centre: Node = 0
+    """The node in the middle."""
+
+    def __call__(self, size: int) -> "nx.Graph[int]":
+        """Return the graph.
+
+        Raises:
+            ValueError: if there is no such node.
+        """
+        import networkx as nx
+
+        if self.centre >= size:
+            raise ValueError(f"there is no node {self.centre}: the nodes are 0 .. {size - 1}")
+        others = [node for node in range(size) if node != self.centre]
+        graph: nx.Graph[int] = nx.star_graph([self.centre, *others])
+        return graph
+
+
+class Grid(Value):
+    """Rows of a given number of nodes, each linked to those beside, above and below it; the last row may be short."""
+
+    kind: Literal["grid"] = "grid"
+    columns: Annotated[int, Field(ge=1, strict=True)] = 5
+    """Nodes in a row; node k is in row k // columns."""
+
+    def __call__(self, size: int) -> "nx.Graph[int]":
+        """Return the graph."""
+        import networkx as nx
+
+        graph: nx.Graph[int] = nx.empty_graph(size)
+        graph.add_edges_from((k, k + 1) for k in range(size - 1) if (k + 1) % self.columns)
+        graph.add_edges_from((k, k + self.columns) for k in range(size - self.columns))
+        return graph
+
+
+class Link(Value):
+    """One link that is not like the rest: what is given replaces what the network has."""
+
+    src: Node
+    """Who speaks."""
+    dst: Node
+    """Who hears."""
+    both_ways: Truth = False
+    """Whether it is the same from `dst` to `src`."""
+    latency: Annotated[Latency, LATENCIES] | None = None
+    """One-way latency, s."""
+    loss: Annotated[Loss, LOSSES] | None = None
+    """Which messages are lost."""
+
+    def ways(self) -> list[tuple[int, int]]:
+        """Return the hops that it is about."""
+        return [(self.src, self.dst), *([(self.dst, self.src)] if self.both_ways else [])]
+
+
+class Edges(Value):
+    """Any graph: a list of edges, or a file in node-link JSON or GraphML; edges may have a latency and a loss."""
+
+    kind: Literal["edges"] = "edges"
+    edges: tuple[Link, ...] = ()
+    """The edges; each may have a latency and a loss of its own. Or instead `file`: a path to *.json or *.graphml."""
+    nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
+    """Number of nodes; if absent, that of the team."""
+    directed: Truth = False
+    """Whether an edge is one-way."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any, info: ValidationInfo) -> Any:
+        if not isinstance(given, dict) or "file" not in given:
+            return given
+        graph = _graph_in(beside(given["file"], info))
+        return {key: each for key, each in given.items() if key != "file"} | _fields(graph)
+
+    @classmethod
+    def of(cls, graph: "nx.Graph[int]") -> "Edges":
+        """Return a networkx graph with nodes 0 .. n - 1 as a value; see `Link` for the attributes of its edges."""
+        return cls.model_validate(_fields(graph))
+
+    def __call__(self, size: int) -> "nx.Graph[int]":
+        """Return the graph.
+
+        Raises:
+            ValueError: if it does not have this number of nodes.
+        """
+        import networkx as nx
+
+        if self.nodes is not None and self.nodes != size:
+            raise ValueError(f"the graph has {self.nodes} nodes, the team {size}")
+        graph: nx.Graph[int] = nx.empty_graph(size, create_using=nx.DiGraph if self.directed else nx.Graph)
+        for edge in self.edges:
+            if max(edge.src, edge.dst) >= size:
+                raise ValueError(f"edge {edge.src} to {edge.dst}: the nodes should be 0 .. {size - 1}")
+            own = {"latency": edge.latency, "loss": edge.loss}
+            graph.add_edge(edge.src, edge.dst, **{name: model for name, model in own.items() if model is not None})
+        return graph
+
+
+def _graph_in(file: Path) -> "nx.Graph[Any]":
+    import networkx as nx
+
+    try:
+        if file.suffix == ".graphml":
+            return nx.read_graphml(file, node_type=int)
+        return nx.node_link_graph(json.loads(file.read_text(encoding="utf-8")), edges="edges")
+    except OSError as error:
+        raise ValueError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:  # whatever the two readers of networkx raise at what they do not expect
+        raise ValueError(f"{file} is not a graph in node-link JSON (.json) or GraphML (.graphml): {error}") from error
+
+
+def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
+    """Return a networkx graph as the fields of `Edges`."""
+    size = len(graph)
+    if set(graph) != set(range(size)):
+        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
+    edges = [
+        {"src": src, "dst": dst} | {name: as_model(name, own[name]) for name in ("latency", "loss") if name in own}
+        for src, dst, own in graph.edges(data=True)
+    ]
+    return {"edges": edges, "nodes": size, "directed": graph.is_directed()}
+
+
+def as_model(name: str, value: Any) -> Any:
+    """Return the attribute of an edge as a model: a number is a constant latency (s) or a probability of loss."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    return Constant(value=float(value)) if name == "latency" else Bernoulli(p=float(value))
+
+
+GRAPHS = OneOf(Complete, Ring, Star, Grid, Edges)

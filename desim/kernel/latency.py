@@ -1,0 +1,240 @@
+"""How long a message travels, one way: frozen models that answer for all receivers of a transmission at once.
+
+A latency is always one way; a round trip is two. A model answers with one number if all hops fare alike, else with one
+per hop. A model whose draws are independent of the hop has a method `draw`, so that the network may draw a block ahead;
+one whose quantiles are known has `quantile`, so that each pair of nodes may have a latency of its own (`PerPair`).
+"""
+
+from math import log, log1p, sqrt
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationInfo, model_validator
+
+from desim.kernel.hops import Hops
+from desim.value import OneOf, Positive, Speed, Time, Truth, Value, beside
+
+Floats = NDArray[np.float64]
+
+
+class Latency(Protocol):
+    """A model of the one-way latency: `latency(hops, rng)` is a number or (k,) numbers >= 0, s."""
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
+
+
+@runtime_checkable
+class Independent(Protocol):
+    """A model whose draws are independent and identically distributed, whatever the hop."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
+        """Return (count,) draws."""
+        ...
+
+
+class Constant(Value):
+    """Every message travels for the same time."""
+
+    kind: Literal["constant"] = "constant"
+    value: Time = 0.0
+    """One-way latency, s."""
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> float:
+        """Return the latency, s."""
+        return self.value
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return the latency, s, whatever u."""
+        return np.full_like(u, self.value)
+
+
+class _Drawn(Value):
+    """What models share whose draws are independent of the hop."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return (count,) draws, s."""
+        return self.quantile(rng.random(count))
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return the latency that is exceeded with probability 1 - u, s."""
+        raise NotImplementedError
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+        """Return (k,) draws, s."""
+        return self.draw(len(hops.dst), rng)
+
+
+class Uniform(_Drawn):
+    """Every latency between two bounds is equally likely."""
+
+    kind: Literal["uniform"] = "uniform"
+    low: Time = 0.0
+    """Least one-way latency, s."""
+    high: Time = 0.1
+    """Greatest one-way latency, s."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low should be at most high (got {self.low:g} and {self.high:g})")
+        return self
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return low + u (high - low), s."""
+        return self.low + u * (self.high - self.low)
+
+
+class ShiftedExponential(_Drawn):
+    """A fixed part and an exponential one: d0 + Exp(m)."""
+
+    kind: Literal["shifted_exponential"] = "shifted_exponential"
+    offset: Time = 0.0
+    """Fixed part d0, s."""
+    mean: Time = 0.05
+    """Mean m of the exponential part, s."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return (count,) draws, s."""
+        return self.offset + rng.exponential(self.mean, count)
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return d0 - m ln(1 - u), s."""
+        return self.offset - self.mean * np.log1p(-u)
+
+
+class Gamma(_Drawn):
+    """A fixed part and a gamma-distributed one, as a path of several exponential stages has."""
+
+    kind: Literal["gamma"] = "gamma"
+    offset: Time = 0.0
+    """Fixed part, s."""
+    shape: Positive = 2.0
+    """Shape k, the number of stages."""
+    scale: Time = 0.01
+    """Scale theta, the mean of a stage, s."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return (count,) draws, s."""
+        return self.offset + rng.gamma(self.shape, self.scale, count)
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return the inverse of the distribution function, s."""
+        from scipy.special import gammaincinv
+
+        return self.offset + self.scale * np.asarray(gammaincinv(self.shape, u))
+
+
+class Lognormal(_Drawn):
+    """A fixed part and a lognormal one: s^2 = ln(1 + cv^2), mu = ln mean - s^2 / 2."""
+
+    kind: Literal["lognormal"] = "lognormal"
+    offset: Time = 0.0
+    """Fixed part, s."""
+    mean: Time = 0.05
+    """Mean of the lognormal part, s."""
+    cv: Annotated[float, Field(ge=0, le=1e3, strict=True)] = 0.5
+    """Its coefficient of variation: standard deviation / mean."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return (count,) draws, s."""
+        if not self.mean:
+            return np.full(count, self.offset)
+        return self.offset + rng.lognormal(log(self.mean) - self._variance / 2, sqrt(self._variance), count)
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return d0 + mean exp(s z(u) - s^2 / 2), s."""
+        from scipy.special import ndtri
+
+        return self.offset + self.mean * np.exp(sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2)
+
+    @property
+    def _variance(self) -> float:
+        """Of the logarithm."""
+        return log1p(self.cv**2)
+
+
+class Empirical(_Drawn):
+    """Every latency of a list, for instance of measured ones, is equally likely."""
+
+    kind: Literal["empirical"] = "empirical"
+    values: Annotated[tuple[Time, ...], Field(min_length=1)]
+    """One-way latencies, s; or instead `file`, a text file of such numbers."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any, info: ValidationInfo) -> Any:
+        if not isinstance(given, dict) or "file" not in given:
+            return given
+        return {key: each for key, each in given.items() if key != "file"} | {
+            "values": _numbers(beside(given["file"], info))
+        }
+
+    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+        """Return (count,) draws, s."""
+        return np.asarray(self.values)[rng.integers(len(self.values), size=count)]
+
+    def quantile(self, u: Floats) -> Floats:
+        """Return the value below which a share u of the list is, s."""
+        return np.sort(self.values)[(u * len(self.values)).astype(np.intp)]
+
+
+def _numbers(file: Path) -> list[float]:
+    """Return the numbers in a text file, separated by white space or commas; `#` begins a comment."""
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    numbers = []
+    for line, text in enumerate(lines, 1):
+        for word in text.partition("#")[0].replace(",", " ").split():
+            try:
+                numbers.append(float(word))
+            except ValueError as error:
+                raise ValueError(f"{file}, line {line}: {word!r} is not a number") from error
+            if not 0.0 <= numbers[-1] < float("inf"):
+                raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {word})")
+    if not numbers:
+        raise ValueError(f"{file} holds no numbers")
+    return numbers
+
+
+class Propagation(Value):
+    """Distance over a propagation speed, and a fixed part: sound under water, light between satellites."""
+
+    kind: Literal["propagation"] = "propagation"
+    speed: Annotated[Speed, Field(gt=0)] = 1500.0
+    """Propagation speed c, m/s; 1500 is sound in sea water."""
+    fixed: Time = 0.0
+    """Fixed part, s."""
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+        """Return fixed + d / c, s."""
+        return self.fixed + hops.distances / self.speed
+
+
+class PerPair(Value):
+    """Every pair of nodes has a latency of its own, drawn once from the seed; every message adds a jitter to it."""
+
+    kind: Literal["per_pair"] = "per_pair"
+    base: Annotated[Any, OneOf(Lognormal, Constant, Uniform, ShiftedExponential, Gamma, Empirical)] = Lognormal()
+    """What the pairs' own latencies are drawn from."""
+    jitter: Annotated[Latency, OneOf(ShiftedExponential, Constant, Uniform, Gamma, Lognormal, Empirical)] = Constant()
+    """What each message adds."""
+    symmetric: Truth = True
+    """Whether both ways between two nodes have the same latency."""
+
+    @model_validator(mode="after")
+    def _has_quantiles(self) -> Self:
+        if not hasattr(self.base, "quantile"):
+            raise ValueError(f"base should have a method quantile(u), {self.base!r} has none")
+        return self
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+        """Return (k,) base + jitter, s."""
+        own: Floats = self.base.quantile(hops.luck("pair latency", symmetric=self.symmetric))
+        return own + self.jitter(hops, rng)
+
+
+LATENCIES = OneOf(Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Propagation, PerPair)

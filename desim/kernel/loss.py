@@ -1,0 +1,120 @@
+"""Whether a message is lost on its way: frozen models that answer for all receivers of a transmission at once.
+
+A model with memory has a method `begin(size)` that returns what answers for one run; the model itself stays frozen.
+"""
+
+from typing import Annotated, Literal, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from desim.kernel.hops import Hops
+from desim.value import Length, OneOf, Positive, Probability, Value
+
+Truths = NDArray[np.bool_]
+
+
+class Loss(Protocol):
+    """A model of the loss: `loss(hops, rng)` is one truth or (k,) truths, True where the message is lost."""
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | Truths: ...  # noqa: D102
+
+
+class Bernoulli(Value):
+    """Every message is lost with the same probability, independently of all others."""
+
+    kind: Literal["bernoulli"] = "bernoulli"
+    p: Probability = 0.0
+    """Probability that a message is lost, in [0, 1]."""
+
+    def draw(self, count: int, rng: np.random.Generator) -> Truths:
+        """Return (count,) draws."""
+        return rng.random(count) < self.p
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | Truths:
+        """Return which of the hops lose the message."""
+        return self.draw(len(hops.dst), rng) if self.p else False
+
+
+class GilbertElliott(Value):
+    """Losses come in bursts: each link is now good and now bad, and loses what is sent while it is bad.
+
+    Gilbert 1960, "Capacity of a Burst-Noise Channel"; Elliott 1963. With p from good to bad and r from bad to good, the
+    share of bad time is p / (p + r) and the mean burst 1 / r. A link starts from its stationary law.
+    """
+
+    kind: Literal["gilbert_elliott"] = "gilbert_elliott"
+    share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
+    """Share of messages that are lost, in [0, 1)."""
+    burst: Positive = 5.0
+    """Mean length of a burst, in messages of the link, or in s if it advances in time."""
+    advance: Literal["message", "time"] = "message"
+    """Whether a link changes between good and bad with every message it carries, or as time goes by."""
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        least = max(1.0, self.share / (1.0 - self.share))
+        if self.advance == "message" and self.burst < least:
+            raise ValueError(f"burst should be at least {least:g} messages for this share (got {self.burst:g})")
+        return self
+
+    def begin(self, size: int) -> Loss:
+        """Return the links of one run between `size` nodes; they remember how they were."""
+        return _Bursts(self, size)
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+        """Return which of the hops lose a message if nothing is remembered: the stationary law."""
+        return rng.random(len(hops.dst)) < self.share
+
+
+class _Bursts:
+    """How the links of one run were when they were last used, one row per sender."""
+
+    def __init__(self, model: GilbertElliott, size: int):
+        self._share, self._in_time, self._size = model.share, model.advance == "time", size
+        self._recovery = 1.0 / model.burst  # r
+        self._failure = self._recovery * model.share / (1.0 - model.share)  # p
+        self._rows: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+        """Return which of the hops lose the message: each link advances, and its state is its answer."""
+        if hops.src not in self._rows:
+            # At first, and in time after an eternity, a link has forgotten how it was.
+            self._rows[hops.src] = np.full(self._size, self._share), np.full(self._size, -np.inf)
+        was_bad, since = self._rows[hops.src]
+        known = since[hops.dst] > -np.inf
+        if self._in_time:
+            # Two states in continuous time: P(bad) tends to its share at the sum of the two rates.
+            memory = np.exp((self._failure + self._recovery) * (since[hops.dst] - hops.now))
+            chance = self._share + (was_bad[hops.dst] - self._share) * memory
+        else:
+            chance = np.where(was_bad[hops.dst] > 0.0, 1.0 - self._recovery, self._failure)
+        bad: Truths = rng.random(len(hops.dst)) < np.where(known, chance, self._share)
+        was_bad[hops.dst], since[hops.dst] = bad, hops.now
+        return bad
+
+
+class ByDistance(Value):
+    """The farther away the receiver, the likelier the loss: near + (far - near) min(d / distance, 1)^exponent."""
+
+    kind: Literal["by_distance"] = "by_distance"
+    near: Probability = 0.0
+    """Probability of loss at no distance, in [0, 1]."""
+    far: Probability = 1.0
+    """Probability of loss at `distance` and beyond, in [0, 1]."""
+    distance: Length = 10.0
+    """m"""
+    exponent: Positive = 2.0
+    """How the probability rises in between."""
+
+    def probability(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the probability of loss at (k,) distances, m."""
+        return self.near + (self.far - self.near) * np.minimum(distances / self.distance, 1.0) ** self.exponent
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+        """Return which of the hops lose the message."""
+        return rng.random(len(hops.dst)) < self.probability(hops.distances)
+
+
+LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance)

@@ -1,0 +1,173 @@
+"""What the links do to one transmission: which receivers lose it, and how long it travels to each.
+
+Models that draw independently of the hop are asked for a block of draws at a time, so that a broadcast costs a slice of
+a list and not a call of numpy.
+"""
+
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+
+from desim.kernel.clock import SECOND, nanoseconds
+from desim.kernel.graphs import as_model
+from desim.kernel.hops import Hops, Positions
+from desim.kernel.latency import Constant, Independent
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.records import Arrival, each
+from desim.kernel.seeds import stream
+from desim.value import LONGEST
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import networkx as nx
+    from numpy.typing import NDArray
+
+BLOCK = 4096
+"""Draws at a time; part of the definition of what a seed gives."""
+Each = TypeVar("Each")
+Own = dict[int, dict[int, Any]]
+"""The models of links that are not like the rest, by sender and receiver."""
+
+
+class Travel:
+    """Latencies and losses of one run.
+
+    Args:
+        links: the models.
+        graph: whose edges may have models of their own.
+        seed: of the streams "latency" and "loss".
+        positions: where the nodes are now, for models that ask.
+    """
+
+    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Positions | None):
+        size = len(graph)
+        self._seed, self._positions = seed, positions
+        self._fixed = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
+        self._latency, self._loss = _begun(links.latency, size), _begun(links.loss, size)
+        self._latency_rng, self._loss_rng = stream(seed, "latency"), stream(seed, "loss")
+        self._own_rng = stream(seed, "own links")
+        self._delays = _stock(self._latency, self._latency_rng, _checked)
+        self._lots = _stock(self._loss, self._loss_rng, np.ndarray.tolist)
+        self._own_latency, self._own_loss = _own(links, graph, "latency"), _own(links, graph, "loss")
+        self._last: dict[tuple[int, int], int] | None = {} if links.order == "fifo" else None
+        self._lossless = isinstance(links.loss, Bernoulli) and links.loss.p == 0.0
+        self.lossless = self._lossless and not self._own_loss
+        """Whether the links never lose anything."""
+        # Latencies that are always the same need no models asked, and nothing overtakes.
+        self._constant = None
+        if isinstance(links.latency, Constant) and not self._own_latency and self._last is None:
+            self._constant = nanoseconds(links.latency.value)
+
+    def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
+        """Return which of the hops lose a message; None if none does."""
+        own = self._own_loss.get(src, {})
+        if self._lossless:
+            lost = None
+        elif self._lots is not None:
+            lost = self._lots.take(len(dst))
+        else:
+            lost = np.broadcast_to(self._loss(self._hops(src, dst, now, size), self._loss_rng), len(dst)).tolist()
+        for k, node in enumerate(dst if own else ()):
+            if node in own:
+                lost = lost or [False] * len(dst)
+                lost[k] = bool(_alone(own[node], self._hops(src, [node], now, size), self._own_rng))
+        return lost
+
+    def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
+        """Return when a message that leaves now is readable at each receiver, ns.
+
+        Raises:
+            ValueError: if the latency model answers with what is not a time.
+        """
+        start = now + airtime + self._fixed
+        if self._constant is not None:
+            return start + self._constant
+        own = self._own_latency.get(src, {})
+        delays: Arrival
+        if self._delays is not None:
+            delays = self._delays.take(len(dst))
+        else:
+            delays = _checked(self._latency(self._hops(src, dst, now, size), self._latency_rng))
+        if own:
+            delays = [delays] * len(dst) if isinstance(delays, int) else delays
+            for k, node in enumerate(dst):
+                if node in own:
+                    (delays[k],) = _checked([_alone(own[node], self._hops(src, [node], now, size), self._own_rng)])
+        arrival: Arrival = start + delays if isinstance(delays, int) else [start + delay for delay in delays]
+        return arrival if self._last is None else self._in_order(src, dst, arrival)
+
+    def _in_order(self, src: int, dst: list[int], arrival: Arrival) -> list[int]:
+        """Let no message arrive before an earlier one of its link."""
+        last = self._last
+        assert last is not None
+        for node, when in zip(dst, each(arrival), strict=False):
+            last[src, node] = max(when, last.get((src, node), 0))
+        return [last[src, node] for node in dst]
+
+    def _hops(self, src: int, dst: list[int], now: int, size: int) -> Hops:
+        return Hops(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)
+
+
+class _Stock(Generic[Each]):
+    """Draws that are independent of the hop, taken from a block."""
+
+    def __init__(self, model: Independent, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"):
+        self._model, self._rng, self._plain = model, rng, plain
+        self._block: list[Each] = []
+        self._next = 0
+
+    def take(self, count: int) -> list[Each]:
+        """Return the next draws."""
+        end = self._next + count
+        if end > len(self._block):
+            fresh = self._plain(self._model.draw(max(BLOCK, count), self._rng))
+            self._block = self._block[self._next :] + fresh
+            self._next, end = 0, count
+        taken = self._block[self._next : end]
+        self._next = end
+        return taken
+
+
+def _stock(
+    model: object, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"
+) -> "_Stock[Each] | None":
+    return _Stock(model, rng, plain) if isinstance(model, Independent) else None
+
+
+def _begun(model: Any, size: int) -> Any:
+    """Return what answers for one run: a model with memory begins anew, any other is its own answer."""
+    return model.begin(size) if hasattr(model, "begin") else model
+
+
+def _own(links: Links, graph: "nx.Graph[int]", name: str) -> Own:
+    """Return the models of links that are not like the rest: of the edges of the graph, then of `links.link`."""
+    found: Own = {}
+    for src, dst, attributes in graph.edges(data=True):
+        value = attributes.get(name)
+        if value is not None:
+            for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
+                found.setdefault(way[0], {})[way[1]] = _begun(as_model(name, value), len(graph))
+    for link in links.link:
+        model = getattr(link, name)
+        for src, dst in link.ways() if model is not None else ():
+            found.setdefault(src, {})[dst] = _begun(model, len(graph))
+    return found
+
+
+def _alone(model: Any, hops: Hops, rng: np.random.Generator) -> Any:
+    """Return what a model answers for a single hop."""
+    return np.broadcast_to(model(hops, rng), 1)[0]
+
+
+def _checked(delays: Any) -> Any:
+    """Return delays in s as whole ns: one number, or a list.
+
+    Raises:
+        ValueError: if one of them is not a time.
+    """
+    given = np.asarray(delays, dtype=float)
+    if not ((given >= 0.0) & (given <= LONGEST)).all():
+        raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delays}")
+    return np.rint(given * SECOND).astype(np.int64).tolist()
