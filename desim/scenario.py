@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
+from desim.kernel.faults import FAULTS
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
+from desim.pursuit.word import Announcements
 from desim.value import SHORTEST, Coordinate, Horizon, Length, OneOf, Period, Probability, Speed, Time, Truth, Value
 
 
@@ -167,7 +169,11 @@ class Scenario(Value):
     motion: Motion = Motion()
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
     """How the pursuers negotiate; `desim protocols` lists the kinds."""
+    announce: Announcements = Field(default_factory=Announcements)
+    """What the pursuers tell each other, and when."""
     network: Links = Links()
+    fault: tuple[Annotated[Any, FAULTS], ...] = ()
+    """What breaks."""
     record: Recording = Recording()
 
     def warnings(self) -> Iterator[tuple[str, str]]:

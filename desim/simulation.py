@@ -1,13 +1,19 @@
 """A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
 
+from collections import defaultdict
 from dataclasses import dataclass
+from typing import cast
 
-import networkx as nx
+import numpy as np
+import simpy
+from numpy.typing import NDArray
 
-from desim.kernel.clock import Clock
+from desim.kernel.clock import Clock, Phase
+from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace, Watcher
+from desim.kernel.faults import Crash, clock_errors, drawn, schedule
 from desim.kernel.network import Network
-from desim.pursuit.agent import Agent, Assignment, Behaviour, Process
+from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
 from desim.pursuit.state import coordinates
 from desim.scenario import Scenario
 from desim.world import World
@@ -34,13 +40,23 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     env = Clock()
     trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.stop())
     world = World(env, scenario, seed, trace)
-    graph = nx.complete_graph(world.size)
+    faults = drawn(scenario.fault, world.size, scenario.horizon, seed)
+
+    def positions() -> NDArray[np.float64]:
+        return coordinates(world.state().pursuers)
+
     network = Network(
-        env, graph, scenario.network, seed=seed, positions=lambda: coordinates(world.state().pursuers), trace=trace
+        env,
+        scenario.network.graph(world.size),
+        scenario.network,
+        seed=seed,
+        positions=positions,
+        trace=trace,
+        conditions=Conditions(positions) if faults else None,
     )
-    for pursuer, active in enumerate(world.profile()):
-        network.presume(pursuer, Assignment(active))
-    _populate([Agent(pursuer, env, world, network, seed) for pursuer in range(world.size)], scenario.protocol, env)
+    crew = _Crew(env, scenario, world, network, seed)
+    schedule(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
+    crew.begin()
     world.begin()
     env.run(until=world.over)
     world.sample()
@@ -50,13 +66,85 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     return Result(scenario, seed, trace)
 
 
-def _populate(agents: list[Agent], protocol: Behaviour, env: Clock) -> None:
-    """Make a process of every agent."""
-    for agent in agents:
-        env.process(_start(agent, protocol))
+class _Crew:
+    """The agents of a run and their processes."""
 
+    def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
+        self._env, self._scenario, self._world, self._network, self._seed = env, scenario, world, network, seed
+        self._clocks = clock_errors(scenario.fault, world.size, seed)
+        self._processes: list[simpy.Process] = []
+        self._open: dict[int, list[Crash]] = defaultdict(list)
+        self._repaired: dict[int, simpy.Event] = {}
 
-def _start(agent: Agent, protocol: Behaviour) -> Process:
-    """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made."""
-    yield agent.at(0.0)
-    yield from protocol(agent)
+    def begin(self) -> None:
+        """Let everyone know how it begins, and set all processes going."""
+        env, announce = self._env, self._scenario.announce
+        everyone = range(self._world.size)
+        agents = [self._agent(pursuer, Phase.DECISION) for pursuer in everyone]
+        if announce.warm_start:
+            for agent in agents:
+                self._network.presume(agent.id, agent.assignment())
+        self._processes = [env.process(self._live(agent, self._scenario.protocol)) for agent in agents]
+        for pursuer in everyone:
+            env.process(announce.spread(self._agent(pursuer, Phase.RELAY)))
+            if announce.beats:
+                env.process(heartbeats(self._agent(pursuer, Phase.HEARTBEAT), announce.heartbeat))
+
+    def crashed(self, crash: Crash) -> None:
+        """Stop a pursuer whose robot, not only its radio, broke down."""
+        if crash.scope == "robot":
+            self._open[crash.node].append(crash)
+            if len(self._open[crash.node]) == 1:
+                self._world.halt(crash.node)
+                self._repaired[crash.node] = self._env.event()
+                if self._processes[crash.node].is_alive:
+                    self._processes[crash.node].interrupt(self._repaired[crash.node])
+
+    def recovered(self, crash: Crash) -> None:
+        """Let a pursuer go on, once nothing of it is broken any more."""
+        if crash.scope == "robot":
+            self._open[crash.node].remove(crash)
+            if not self._open[crash.node]:
+                self._world.repair(crash.node)
+                self._repaired[crash.node].succeed(crash.memory)
+
+    def _agent(self, pursuer: int, phase: Phase) -> Agent:
+        offset, drift = self._clocks[pursuer]
+        return Agent(
+            pursuer,
+            self._env,
+            self._world,
+            self._network,
+            self._seed,
+            self._scenario.announce,
+            phase=phase,
+            offset=offset,
+            drift=drift,
+        )
+
+    def _live(self, agent: Agent, protocol: Behaviour) -> Process:
+        """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made.
+
+        When the robot breaks down, its protocol stands still; repaired, it goes on with what it waited for, or starts
+        anew if it has lost its memory.
+        """
+        behaviour: Process | None = None
+        awaited: simpy.Event | None = agent.at(agent.now)
+        while awaited is not None:
+            try:
+                value = yield awaited
+            except simpy.Interrupt as crash:
+                remembers = yield cast("simpy.Event", crash.cause)
+                if not remembers and behaviour is not None:
+                    behaviour.close()
+                    behaviour = protocol(agent)
+                    awaited = next(behaviour, None)
+                continue
+            if behaviour is None:
+                behaviour = protocol(agent)
+                awaited = next(behaviour, None)
+            else:
+                try:
+                    awaited = behaviour.send(value)
+                except StopIteration:
+                    return

@@ -1,7 +1,9 @@
 """The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Generator
 from itertools import count
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -10,11 +12,12 @@ import simpy
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
-from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
 from desim.pursuit.game import RadialTime
-from desim.pursuit.motion import first_contact, toward, within
+from desim.pursuit.motion import SMALLEST, first_contact, toward, within
 from desim.pursuit.state import Points, State, complex_points, coordinates
 from desim.scenario import Scenario
+from desim.value import FARTHEST
 
 
 class World:
@@ -45,6 +48,8 @@ class World:
         self._aim = 0j
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
+        self._broken = np.zeros(self.size, dtype=bool)
+        self._aims: list[tuple[int, complex]] | None = [] if _reckons(scenario) else None
         self._active = scenario.team.start_profile(seed)
         self._state = State(0, self._origins, self._active)
         self._capture_times: list[float] | None = None
@@ -83,6 +88,42 @@ class World:
         """Return the time left to the horizon, r, s; in a frozen game it does not run."""
         return seconds(self._horizon if self._motion.frozen else self._horizon - self._env.now)
 
+    def capture_time_from(self, pursuer: int, position: complex) -> float:
+        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        distances = self.state().distances.copy()
+        distances[pursuer] = abs(self.state().evader - position)
+        return float(self._radial_time(distances)[pursuer])
+
+    def place(self, pursuer: int) -> complex:
+        """Return the position of a pursuer, m."""
+        return complex(self.state().players[pursuer])
+
+    def speed(self, pursuer: int) -> float:
+        """Return how fast a pursuer moves if it does, m/s."""
+        return float(self._speeds[pursuer])
+
+    def reckoned(self, position: complex, speed: float, age: int, *, exact: bool) -> complex:
+        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased since, m.
+
+        Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
+        is now.
+        """
+        now, evader = self._env.now, self.state().evader
+        if self._motion.frozen or not age:
+            return position
+        if not exact:
+            gap = evader - position
+            return evader - max(abs(gap) - speed * seconds(age), 0.0) * gap / max(abs(gap), SMALLEST)
+        assert self._aims is not None
+        start = max(bisect_right(self._aims, now - age, key=itemgetter(0)) - 1, 0)
+        ends = [*(begun for begun, _ in self._aims[start + 1 :]), now]
+        since = now - age
+        for (_, aim), end in zip(self._aims[start:], ends, strict=True):
+            gap = aim - position
+            position += gap * (speed * seconds(end - since) / max(abs(gap), SMALLEST))
+            since = end
+        return position
+
     def active(self, pursuer: int) -> bool:
         """Return whether a pursuer chases."""
         return bool(self._active[pursuer])
@@ -101,12 +142,30 @@ class World:
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
-        active = bool(active) and not self._slow[pursuer]
-        now = self._env.now
-        self._trace.append(Decided(now, pursuer, active))
+        active = bool(active) and not self._slow[pursuer] and not self._broken[pursuer]
+        self._trace.append(Decided(self._env.now, pursuer, active))
+        self._set(pursuer, active)
+
+    def halt(self, pursuer: int) -> None:
+        """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
+        self._broken = self._broken.copy()
+        self._broken[pursuer] = True
+        if self._active[pursuer]:
+            self._trace.append(Halted(self._env.now, pursuer))
+            self._set(pursuer, active=False)
+        self._foresee_capture()
+
+    def repair(self, pursuer: int) -> None:
+        """Let a pursuer that broke down obey again; it stays until it is ordered to chase."""
+        self._broken = self._broken.copy()
+        self._broken[pursuer] = False
+        self._foresee_capture()
+
+    def _set(self, pursuer: int, active: bool) -> None:
+        """Let a pursuer chase or stay from this instant on."""
         if self._active[pursuer] == active:
             return
-        state = self.state()
+        now, state = self._env.now, self.state()
         self._active = self._active.copy()
         self._active[pursuer] = active
         self._paces = self._speeds * self._active
@@ -144,6 +203,8 @@ class World:
             flight = self._evader_speed * heading
             ahead = flight * seconds(self._step_end - state.t) if self._motion.order == "evader_first" else 0j
             self._aim = state.evader + ahead
+            if self._aims is not None:
+                self._aims.append((state.t, self._aim))
             velocities = np.empty_like(state.players)
             velocities[:-1] = toward(state.offsets + ahead, self._paces)
             velocities[-1] = flight
@@ -163,10 +224,11 @@ class World:
         if state.distances[state.nearest] - radius > self._closing_bound * duration:
             return
         approach = self._velocities[-1] - self._velocities[:-1]
+        offsets = np.where(self._broken, FARTHEST, state.offsets) if self._broken.any() else state.offsets
         if self._capture.test == "segment":
-            contact = first_contact(state.offsets, approach, radius, duration)
+            contact = first_contact(offsets, approach, radius, duration)
         else:
-            row = within(state.offsets + approach * duration, radius)
+            row = within(offsets + approach * duration, radius)
             contact = None if row is None else (duration, row)
         if contact is not None:
             after, capturer = contact
@@ -200,3 +262,8 @@ def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float
     """Return the positions of the evader and of the pursuers as [x, y]."""
     *pursuers, evader = ((x, y) for x, y in coordinates(state.players).tolist())
     return evader, tuple(pursuers)
+
+
+def _reckons(scenario: Scenario) -> bool:
+    """Return whether the path of the evader has to be remembered."""
+    return scenario.announce.payload == "state" and scenario.announce.reckoning == "exact"

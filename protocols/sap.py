@@ -29,7 +29,7 @@ class SpatialAdaptivePlay(Value):
 
     def __call__(self, me: Agent) -> Process:
         """Negotiate for one pursuer."""
-        slot = self.schedule.mean_slot(me.team_size)
+        slot = self.schedule.mean_slot(me)
 
         def revise() -> None:
             inverse_tau = self.tau(me.now / slot)

@@ -1,7 +1,7 @@
 """Schedules: when each pursuer revises its action.
 
 A schedule is called with an agent and with what to do at its turn, and is the process that does it: it waits, calls
-`revise`, and waits again. `mean_slot(team_size)` is the mean time delta between two revisions in the whole team.
+`revise`, and waits again. `mean_slot(me)` is the mean time delta between two revisions in the whole team.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ from desim.value import Period, Rate, Value
 class Schedule(Protocol):
     """When a pursuer revises: `schedule(me, revise)` is the process that calls `revise()` at each of its turns."""
 
-    def mean_slot(self, team_size: int) -> float:
+    def mean_slot(self, me: Agent) -> float:
         """Return the mean time delta between two revisions in the team, s."""
         ...
 
@@ -34,7 +34,7 @@ class SharedSeed(Value):
     slot: Period = 0.01
     """Length of a slot delta, s."""
 
-    def mean_slot(self, team_size: int) -> float:
+    def mean_slot(self, me: Agent) -> float:
         """Return delta, s."""
         return self.slot
 
@@ -52,9 +52,9 @@ class Poisson(Value):
     rate: Rate = 5.0
     """Revisions per second of each pursuer, 1/s."""
 
-    def mean_slot(self, team_size: int) -> float:
+    def mean_slot(self, me: Agent) -> float:
         """Return 1 / (N rate), s."""
-        return 1.0 / (team_size * self.rate)
+        return 1.0 / (me.team_size * self.rate)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise after independent exponential waits."""

@@ -110,7 +110,8 @@ def test_the_global_random_generators_are_untouched():
 
 def test_recording_and_watching_change_nothing_that_happens():
     quiet = load(RELAY, ["record.messages=false", "record.trajectory=0"])
-    events = [event for event in run(load(RELAY), 2).trace if type(event).__name__ not in {"Broadcast", "Lost", "Sampled"}]
+    unkept = {"Broadcast", "Lost", "Sampled"}
+    events = [event for event in run(load(RELAY), 2).trace if type(event).__name__ not in unkept]
     assert list(run(quiet, 2).trace) == events
     assert list(run(quiet, 2, lambda event: None).trace) == events
 

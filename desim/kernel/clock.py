@@ -27,13 +27,17 @@ class Phase(IntEnum):
     """Faults and changes of topology."""
     DELIVERY = 2 << 32
     """Messages reach their inboxes."""
-    CAPTURE = 3 << 32
+    RELAY = 3 << 32
+    """Word that has arrived is passed on."""
+    CAPTURE = 4 << 32
     """The motion that led up to this instant is judged: capture, then the horizon."""
-    DECISION = 4 << 32
+    DECISION = 5 << 32
     """Pursuers decide and speak."""
-    MOTION = 5 << 32
+    HEARTBEAT = 6 << 32
+    """Pursuers repeat what they do."""
+    MOTION = 7 << 32
     """Headings are recomputed."""
-    SAMPLE = 6 << 32
+    SAMPLE = 8 << 32
     """Positions are written to the record."""
 
 

@@ -88,6 +88,18 @@ class Jamming(_Window):
     """m"""
 
 
+class ClockSkew(Value):
+    """A node whose clock shows offset + (1 + drift) t at the time t."""
+
+    kind: Literal["clock_skew"] = "clock_skew"
+    node: Node | None = None
+    """Who; if absent, everybody: then offset and drift are the standard deviations of normal draws."""
+    offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
+    """s"""
+    drift: Annotated[float, Field(gt=-1, le=1e3, strict=True)] = 0.0
+    """Seconds gained per second."""
+
+
 Fault = Crash | Partition | Jamming
 """Something that is broken for a while."""
 
@@ -164,16 +176,32 @@ class RandomPlan(Value):
 
 SHORTEST_FAULT = 1e-6
 """No drawn fault is shorter, s."""
-FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomPlan)
+FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomPlan, ClockSkew)
 
 
-def drawn(given: Sequence[Fault | Plan], size: int, horizon: float, seed: int) -> list[Fault]:
+def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
+    """Return (offset in s, drift) of each node's clock; later skews add to earlier ones."""
+    errors = np.zeros((size, 2))
+    for k, skew in enumerate(each for each in given if isinstance(each, ClockSkew)):
+        if skew.node is None:
+            errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
+        else:
+            errors[skew.node] += skew.offset, skew.drift
+    errors[:, 1] = np.maximum(errors[:, 1], SLOWEST_CLOCK)
+    return [(offset, drift) for offset, drift in errors.tolist()]
+
+
+SLOWEST_CLOCK = -0.99
+"""A clock that ran backwards would be none."""
+
+
+def drawn(given: Sequence[Fault | Plan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
     """Return faults with every plan replaced by what it draws; the k-th plan has a stream of its own."""
     faults: list[Fault] = []
     for k, each in enumerate(given):
         if isinstance(each, Fault):
             faults.append(each)
-        else:
+        elif not isinstance(each, ClockSkew):
             faults += each.faults(size, horizon, stream(seed, "faults", k))
     return faults
 

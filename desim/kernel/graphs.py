@@ -145,7 +145,8 @@ class Edges(Value):
             if max(edge.src, edge.dst) >= size:
                 raise ValueError(f"edge {edge.src} to {edge.dst}: the nodes should be 0 .. {size - 1}")
             own = {"latency": edge.latency, "loss": edge.loss}
-            graph.add_edge(edge.src, edge.dst, **{name: model for name, model in own.items() if model is not None})
+            given = {name: model for name, model in own.items() if model is not None}
+            graph.add_edges_from(edge.ways(), **given)
         return graph
 
 
@@ -168,7 +169,8 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     if set(graph) != set(range(size)):
         raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
     edges = [
-        {"src": src, "dst": dst} | {name: as_model(name, own[name]) for name in ("latency", "loss") if name in own}
+        {"src": int(src), "dst": int(dst)}
+        | {name: as_model(name, own[name]) for name in ("latency", "loss") if name in own}
         for src, dst, own in graph.edges(data=True)
     ]
     return {"edges": edges, "nodes": size, "directed": graph.is_directed()}

@@ -24,15 +24,21 @@ class Inbox:
 
     def __init__(self, env: Clock, node: int):
         self._env = env
-        self._turn = EventPriority(int(Phase.DECISION) + node)
+        self._turn = int(Phase.DECISION) + node
         self._mail: list[tuple[int, int, Message]] = []
         """A heap of what has arrived or will: arrival, order of departure, message."""
         self._bell: simpy.Event | None = None
         self._alarm: float = inf
         """When the bell will ring for mail that has yet to arrive, ns."""
 
-    def arrival(self) -> simpy.Event:
-        """Return an event that happens as soon as there is mail: now, if there is some already."""
+    def arrival(self, priority: int | None = None) -> simpy.Event:
+        """Return an event that happens as soon as there is mail: now, if there is some already.
+
+        Args:
+            priority: of the event among those of its instant; that of a decision of the node if None.
+        """
+        if priority is not None:
+            self._turn = priority
         bell = self._bell or self._env.event()
         self._bell = bell
         self._expect()
@@ -76,4 +82,4 @@ class Inbox:
         bell, self._bell = self._bell, None
         if bell is not None:
             bell._ok, bell._value = True, None
-            self._env.schedule(bell, self._turn)
+            self._env.schedule(bell, EventPriority(self._turn))

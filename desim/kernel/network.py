@@ -11,7 +11,7 @@ at which a transmission arrives is an event.
 """
 
 from collections import Counter
-from functools import partial
+from functools import cached_property, partial
 from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,7 +25,7 @@ from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
 from desim.kernel.records import Arrival, Record, Records, Table, each
 from desim.kernel.topology import Topology
-from desim.kernel.travel import Travel
+from desim.kernel.travel import TYPICAL_SIZE, Travel
 from desim.kernel.wire import size_of
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ class Network:
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
         self._receiving = nanoseconds(links.processing.receiver)
+        self._typical_airtime = nanoseconds(links.medium(TYPICAL_SIZE))
         self._air: Air[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
             self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._receiving)
@@ -109,15 +110,16 @@ class Network:
             for node in others:  # each may forget it
                 self._records.enter(node, record)
 
-    def publish(self, src: int, body: Any, size: int | None = None) -> None:
+    def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
 
         Args:
             src: whose state it is.
             body: what it is.
             size: in bytes; counted from the body if None, see `desim.kernel.wire`.
+            sent: the time by the clock of `src`, ns; the true one if None.
         """
-        record = Record(src, next(self._seq[src]), self._env.now, body)
+        record = Record(src, next(self._seq[src]), self._env.now if sent is None else sent, body)
         self._hand_over(src, self._hearers(src), record, size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
@@ -137,9 +139,9 @@ class Network:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
         self._hand_over(src, receivers, message, size, port, reachable)
 
-    def next_record(self, src: int, body: Any) -> Record:
+    def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
         """Return the next record of a node, for who spreads it by other means than `publish`."""
-        return Record(src, next(self._seq[src]), self._env.now, body)
+        return Record(src, next(self._seq[src]), self._env.now if sent is None else sent, body)
 
     def enter(self, node: int, record: Record) -> None:
         """Let a node know a record that reached it by other means than `publish`."""
@@ -160,6 +162,11 @@ class Network:
         """Return the nodes that hear `node` now, ascending; see `Topology.neighbours`."""
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
+
+    @cached_property
+    def typical_latency(self) -> float:
+        """The mean one-way latency over the links without queues, s; measured on draws of its own."""
+        return self._travel.typical_latency(self._typical_airtime)
 
     # What happens to them.
 

@@ -17,7 +17,7 @@ class Record(NamedTuple):
     src: int
     seq: int
     sent: int
-    """When it was announced, ns."""
+    """When it was announced, by the clock of its source, ns."""
     body: Any
 
 

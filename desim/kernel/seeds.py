@@ -33,7 +33,8 @@ def pair_luck(seed: int, name: str, src: int, dst: NDArray[np.intp], *, symmetri
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
     mixed = _mix(_mix(pair + _key(seed, name)) + np.uint64(0x9E3779B97F4A7C15))
-    return ((mixed >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+    # With 53 bits the greatest number would be rounded to 1, where most quantiles are infinite.
+    return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 
 
 @lru_cache(maxsize=256)

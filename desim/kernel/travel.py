@@ -4,6 +4,7 @@ Models that draw independently of the hop are asked for a block of draws at a ti
 a list and not a call of numpy.
 """
 
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     import networkx as nx
     from numpy.typing import NDArray
 
+TYPICAL_SIZE = 48
+"""Of a message whose latency is asked for before it exists, bytes."""
 BLOCK = 4096
 """Draws at a time; part of the definition of what a seed gives."""
 Each = TypeVar("Each")
@@ -43,6 +46,7 @@ class Travel:
 
     def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Positions | None):
         size = len(graph)
+        self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
         self._fixed = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         self._latency, self._loss = _begun(links.latency, size), _begun(links.loss, size)
@@ -97,6 +101,21 @@ class Travel:
                     (delays[k],) = _checked([_alone(own[node], self._hops(src, [node], now, size), self._own_rng)])
         arrival: Arrival = start + delays if isinstance(delays, int) else [start + delay for delay in delays]
         return arrival if self._last is None else self._in_order(src, dst, arrival)
+
+    def typical_latency(self, airtime: int) -> float:
+        """Return the mean one-way latency of a message with an airtime (ns), over all links, s.
+
+        It is measured on draws that the messages of the run do not share.
+        """
+        like_this = Travel(self._links, self._graph, self._seed, self._positions)
+        size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
+        found: list[int] = []
+        for src in list(range(size)) * rounds:
+            dst = sorted(self._graph.adj[src])
+            found += islice(each(like_this.arrivals(src, dst, 0, airtime, TYPICAL_SIZE)), len(dst))
+            if len(found) > 10_000:
+                break
+        return sum(found) / len(found) / SECOND if found else 0.0
 
     def _in_order(self, src: int, dst: list[int], arrival: Arrival) -> list[int]:
         """Let no message arrive before an earlier one of its link."""

@@ -10,6 +10,8 @@ so that an action takes 24 bytes, an action with its time of capture 32, and one
 
 from typing import Any
 
+import numpy as np
+
 HEADER = 16
 """Bytes of sender, sequence number and time."""
 NUMBER = 8
@@ -18,7 +20,7 @@ SCALARS = frozenset({int, float, bool})
 
 
 def size_of(body: Any) -> int:
-    """Return the bytes of a message with this body: a number, a text, None, or a collection of such."""
+    """Return the bytes of a message with this body: a number, a text, None, or a collection or array of such."""
     return HEADER + (NUMBER if type(body) in SCALARS else _size(body))
 
 
@@ -31,4 +33,6 @@ def _size(body: Any) -> int:
         return sum(_size(key) + _size(each) for key, each in body.items())
     if isinstance(body, tuple | list | set | frozenset):
         return sum(map(_size, body))
+    if isinstance(body, np.ndarray):
+        return NUMBER * body.size
     return NUMBER

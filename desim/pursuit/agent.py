@@ -4,9 +4,10 @@ It senses positions (its own and its teammates', and the evader's), knows the ru
 teammates only what the network has brought it.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
+from itertools import count
 from math import inf
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import simpy
@@ -14,15 +15,10 @@ import simpy
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.inbox import Message
 from desim.kernel.network import Network
-from desim.kernel.records import Table
+from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
 from desim.pursuit import game
-
-
-class Assignment(NamedTuple):
-    """What a pursuer announces: its action."""
-
-    active: bool
+from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
 
 
 class Surroundings(Protocol):
@@ -39,6 +35,22 @@ class Surroundings(Protocol):
 
     def capture_times(self) -> list[float]:
         """Return every pursuer's time of capture now, s."""
+        ...
+
+    def capture_time_from(self, pursuer: int, position: complex) -> float:
+        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        ...
+
+    def place(self, pursuer: int) -> complex:
+        """Return the position of a pursuer, m."""
+        ...
+
+    def reckoned(self, position: complex, speed: float, age: int, *, exact: bool) -> complex:
+        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased since, m."""
+        ...
+
+    def speed(self, pursuer: int) -> float:
+        """Return how fast a pursuer moves if it does, m/s."""
         ...
 
     def time_left(self) -> float:
@@ -62,18 +74,33 @@ class Agent:
         rng: the stream of its decisions.
     """
 
-    def __init__(self, pursuer: int, env: Clock, world: Surroundings, network: Network, seed: int):
+    def __init__(
+        self,
+        pursuer: int,
+        env: Clock,
+        world: Surroundings,
+        network: Network,
+        seed: int,
+        announcements: Announcements | None = None,
+        *,
+        phase: Phase = Phase.DECISION,
+        offset: float = 0.0,
+        drift: float = 0.0,
+    ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
         self._env, self._world, self._network, self._seed = env, world, network, seed
-        self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
+        self._announcements = announcements or Announcements()
+        self._turn = int(phase) + pursuer  # its priority among the events of one instant
+        self._offset, self._rate = offset, 1.0 + drift
+        self._told: bool | None = self.action if self._announcements.warm_start else None
 
     # What it knows.
 
     @property
     def now(self) -> float:
-        """The time, s."""
-        return seconds(self._env.now)
+        """The time on its own clock, s: offset + (1 + drift) t."""
+        return self._offset + self._rate * seconds(self._env.now)
 
     @property
     def team_size(self) -> int:
@@ -101,15 +128,35 @@ class Agent:
         """Return the newest announcement that has arrived from each teammate."""
         return self._network.heard(self.id)
 
+    def believed(self) -> dict[int, float]:
+        """Return the teammates that it believes active, and the times of capture it believes them to have, s.
+
+        Whose last word arrived longer ago than `forget_after` is not believed active.
+        """
+        table, oldest = self.heard(), self._env.now - self._memory()
+        trusted = {j: record for j, (arrival, record) in table.items() if arrival >= oldest and record.body.active}
+        if self._announcements.payload == "action":
+            phi = self._world.capture_times()
+            return {j: phi[j] for j in trusted}
+        return {j: self._believed_time(record) for j, record in trusted.items()}
+
     def believed_active(self) -> list[int]:
-        """Return the teammates whose newest announcement that has arrived says that they are active."""
-        return [j for j, (_, record) in self.heard().items() if record.body.active]
+        """Return the teammates that it believes active; see `believed`."""
+        return list(self.believed())
 
     def gain(self) -> float:
         """Return what it gains by being active, given whom it believes active; see `desim.pursuit.game.gain`, s."""
-        phi = self._world.capture_times()
-        others = [phi[j] for j in self.believed_active() if phi[j] < inf]
-        return game.gain(phi[self.id], others, self._world.time_left())
+        others = [phi for phi in self.believed().values() if phi < inf]
+        return game.gain(self.capture_time(), others, self._world.time_left())
+
+    def neighbours(self, of: int | None = None) -> list[int]:
+        """Return who hears it now, or who hears a teammate, from sensed positions and the known range."""
+        return self._network.neighbours(self.id if of is None else of)
+
+    @property
+    def typical_latency(self) -> float:
+        """The mean one-way latency of the network without queues, s: what a designer would know of it."""
+        return self._network.typical_latency
 
     def stream(self, name: str) -> np.random.Generator:
         """Return a random stream of its own."""
@@ -130,31 +177,96 @@ class Agent:
         self._world.order(pursuer, active)
 
     def announce(self) -> None:
-        """Tell the neighbours its action, as state: they read it when they next decide."""
-        self._network.publish(self.id, Assignment(self.action))
+        """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
+        trigger = self._announcements.trigger
+        if trigger == "revision" or (trigger in {"change", "both"} and self.action != self._told):
+            self.tell()
 
-    def send(self, dst: int | None, body: Any) -> None:
-        """Send a message to a teammate, or to all neighbours (None)."""
-        self._network.send(self.id, dst, body)
+    def tell(self) -> None:
+        """Tell the others its action, whether or not it has changed."""
+        self._told = self.action
+        self._announcements.spread.tell(self, self.assignment())
 
-    def mail(self) -> list[Message]:
-        """Return the messages that have arrived and not been read."""
-        return self._network.inbox(self.id).drain()
+    def assignment(self) -> Assignment | TimedAssignment | LocatedAssignment:
+        """Return what it would announce now."""
+        payload = self._announcements.payload
+        if payload == "action":
+            return Assignment(self.action)
+        if payload == "time":
+            return TimedAssignment(self.action, self.capture_time())
+        place = self._world.place(self.id)
+        return LocatedAssignment(self.action, place.real, place.imag, self._world.speed(self.id))
+
+    def record(self, body: Any) -> Record:
+        """Return the next record of its own, for who spreads it by other means than `publish`."""
+        return self._network.next_record(self.id, body, self._stamp())
+
+    def publish(self, body: Any) -> None:
+        """Announce something to the neighbours, as state: they read it when they next look."""
+        self._network.publish(self.id, body, sent=self._stamp())
+
+    def learn(self, records: Iterable[Record]) -> None:
+        """Take note of records that reached it inside a message; older ones never replace newer ones."""
+        for record in records:
+            self._network.enter(self.id, record)
+
+    def send(self, dst: int | None, body: Any, port: str = "") -> None:
+        """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart."""
+        self._network.send(self.id, dst, body, port=port)
+
+    def mail(self, port: str = "") -> list[Message]:
+        """Return the messages that have arrived at a port and not been read."""
+        return self._network.inbox(self.id, port).drain()
 
     # What it waits for.
 
     def at(self, time: float) -> simpy.Event:
-        """Return an event at a time, s."""
-        return Instant(self._env, nanoseconds(time), self._turn)
+        """Return an event at a time on its own clock, s; now, if that has passed."""
+        if self._offset == 0.0 and self._rate == 1.0:
+            return Instant(self._env, nanoseconds(time), self._turn)
+        when = nanoseconds((time - self._offset) / self._rate)
+        return Instant(self._env, max(when, self._env.now), self._turn)
 
     def sleep(self, duration: float) -> simpy.Event:
-        """Return an event a duration from now, s."""
-        return Instant(self._env, self._env.now + nanoseconds(duration), self._turn)
+        """Return an event a duration from now, by its own clock, s."""
+        return Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn)
 
-    def arrival(self) -> simpy.Event:
+    def arrival(self, port: str = "") -> simpy.Event:
         """Return an event that happens as soon as there is mail."""
-        return self._network.inbox(self.id).arrival()
+        return self._network.inbox(self.id, port).arrival(self._turn)
+
+    # How it comes to believe.
+
+    def _stamp(self) -> int:
+        """Return the time on its own clock, ns."""
+        return nanoseconds(self.now)
+
+    def _memory(self) -> float:
+        """Return how long it believes what it has heard, ns."""
+        limit = self._announcements.forget_after
+        if limit == "auto":
+            beats, period = self._announcements.beats, self._announcements.heartbeat
+            limit = 3.0 * period + 2.0 * self.typical_latency if beats else inf
+        return limit if limit == inf else nanoseconds(limit)
+
+    def _believed_time(self, record: Record) -> float:
+        """Return the time of capture of an active teammate, from its record, s."""
+        body = record.body
+        if isinstance(body, TimedAssignment):
+            return body.capture_time
+        age = max(self._stamp() - record.sent, 0)
+        exact = self._announcements.reckoning == "exact"
+        place = self._world.reckoned(complex(body.x, body.y), body.speed, age, exact=exact)
+        return self._world.capture_time_from(record.src, place)
 
 
 Behaviour = Callable[[Agent], Process]
 """A protocol: the process that a pursuer runs."""
+
+
+def heartbeats(me: Agent, period: float) -> Process:
+    """Repeat what a pursuer does, every period (s) of its own clock, from a random phase on."""
+    phase = me.stream("heartbeat").uniform(0.0, period)
+    for k in count():
+        yield me.at(phase + k * period)
+        me.tell()

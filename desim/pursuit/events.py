@@ -24,6 +24,13 @@ class Decided(NamedTuple):
     active: bool
 
 
+class Halted(NamedTuple):
+    """A pursuer that was active broke down."""
+
+    t: int
+    pursuer: int
+
+
 class Sampled(NamedTuple):
     """Where everyone was."""
 

@@ -1,0 +1,85 @@
+"""What pursuers tell each other: what an announcement says, when it is made, and when it is no longer believed."""
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import ConfigDict, Discriminator, Field, Tag
+
+from desim.kernel.records import Record
+from desim.value import Extent, OneOf, Period, Truth, Value
+
+
+class Assignment(NamedTuple):
+    """Payload "action": what a pursuer does. 24 bytes."""
+
+    active: bool
+
+
+class TimedAssignment(NamedTuple):
+    """Payload "time": what it does, and its time of capture as it says so. 32 bytes."""
+
+    active: bool
+    capture_time: float
+    """s"""
+
+
+class LocatedAssignment(NamedTuple):
+    """Payload "state": what it does, where it is as it says so, and how fast it moves if it does. 48 bytes."""
+
+    active: bool
+    x: float
+    """m"""
+    y: float
+    """m"""
+    speed: float
+    """m/s"""
+
+
+class Relayed(NamedTuple):
+    """Word of others, or of oneself, that is passed on."""
+
+    records: tuple[Record, ...]
+    hops: int = 1
+    """How many more hops it may take, this one included."""
+
+
+DISSEMINATIONS = OneOf(group="desim.disseminations")
+"""The ways to spread word that are installed."""
+
+
+def one_hop() -> Any:
+    """Return the dissemination that is the default."""
+    return DISSEMINATIONS.choices()["one_hop"]()
+
+
+def _form(value: Any) -> str:
+    return "word" if isinstance(value, str) and value != "Infinity" else "number"
+
+
+class Announcements(Value):
+    """What pursuers announce, when, and how long it is believed."""
+
+    model_config = ConfigDict(defer_build=True)  # disseminations import the agent, which imports this module
+
+    payload: Literal["action", "time", "state"] = "action"
+    """action: positions are sensed, the action is heard (the paper); time: the action and the time of capture as of
+    sending; state: the action, the position and the speed as of sending."""
+    reckoning: Literal["exact", "cheap"] = "exact"
+    """How a moving teammate is extrapolated from its state: along its pursuit of the evader, or straight to it."""
+    trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
+    """When an action is announced: as it changes, every heartbeat, both, at every revision, or never."""
+    heartbeat: Period = 0.1
+    """Time between two heartbeats of a pursuer, s."""
+    forget_after: Annotated[
+        Annotated[Extent, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
+    ] = "auto"
+    """How long after its last word arrived a teammate is believed active, s; "auto" is 3 heartbeats and twice the
+    typical latency, or inf without heartbeats."""
+    warm_start: Truth = True
+    """Whether everyone knows at first who is active; if not, nobody has heard of anybody."""
+    spread: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
+    """How word spreads beyond those who hear it first."""
+
+    @property
+    def beats(self) -> bool:
+        """Whether there are heartbeats."""
+        return self.trigger in {"heartbeat", "both"}

@@ -1,0 +1,106 @@
+"""Dissemination: how the announcement of one pursuer becomes known to the others.
+
+One hop: whoever is in reach hears it. Flooding: whoever hears something new says it once more, after a random delay
+(Ni, Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: everybody tells all it knows (anti-entropy of
+Demers et al. 1987). A dissemination is called with an agent and is the process that passes word on; `tell` is how a
+pursuer begins to spread word of its own.
+"""
+
+from heapq import heappop, heappush
+from itertools import count
+from typing import Annotated, Any, Literal, Protocol
+
+from pydantic import Field
+
+from desim.pursuit.agent import Agent, Process
+from desim.pursuit.word import Relayed
+from desim.value import Time, Value
+
+PORT = "word"
+"""Where word that is passed on comes in."""
+NANOSECOND = 1e-9
+"""Resolution of the clock, s."""
+
+
+class Dissemination(Protocol):
+    """How word spreads."""
+
+    def tell(self, me: Agent, news: Any) -> None:
+        """Begin to spread an announcement of one's own."""
+        ...
+
+    def __call__(self, me: Agent) -> Process:
+        """Pass on the word of others."""
+        ...
+
+
+class OneHop(Value):
+    """Whoever is in reach hears it; nobody passes it on."""
+
+    kind: Literal["one_hop"] = "one_hop"
+
+    def tell(self, me: Agent, news: Any) -> None:
+        """Publish it."""
+        me.publish(news)
+
+    def __call__(self, me: Agent) -> Process:
+        """Do nothing."""
+        yield from ()
+
+
+class Flooding(Value):
+    """Whoever hears something new says it once more, up to a number of hops; duplicates are dropped.
+
+    Robust to loss: where there are several paths. Messages: up to one transmission per pursuer and announcement.
+    """
+
+    kind: Literal["flooding"] = "flooding"
+    hops: Annotated[int, Field(ge=1, strict=True)] = 5
+    """Most hops that word travels."""
+    jitter: Time = 0.005
+    """Longest random delay J before something is said once more, s; it keeps neighbours from speaking at once."""
+
+    def tell(self, me: Agent, news: Any) -> None:
+        """Send it to the neighbours."""
+        me.send(None, Relayed((me.record(news),), self.hops), PORT)
+
+    def __call__(self, me: Agent) -> Process:
+        """Pass on what is new after a random delay."""
+        rng = me.stream("flooding")
+        waiting: list[tuple[float, int, Relayed]] = []  # a heap of what is to be said, by time
+        newest: dict[int, int] = {}  # by source, the sequence number of the last word passed on
+        number = count()
+        while True:
+            yield me.arrival(PORT) | me.at(waiting[0][0]) if waiting else me.arrival(PORT)
+            for message in me.mail(PORT):
+                (record,), hops = message.body
+                if record.src == me.id or record.seq <= newest.get(record.src, 0):
+                    continue
+                newest[record.src] = record.seq
+                me.learn([record])
+                if hops > 1:
+                    delay = rng.uniform(0.0, self.jitter)
+                    heappush(waiting, (me.now + delay, next(number), Relayed((record,), hops - 1)))
+            while waiting and waiting[0][0] <= me.now + NANOSECOND:
+                me.send(None, heappop(waiting)[2], PORT)
+
+
+class Gossip(Value):
+    """Whenever a pursuer announces its action, it tells all it knows of others, too; who hears it merges by the newest.
+
+    Robust to loss: yes, with heartbeats, which say everything again. Messages: long ones.
+    """
+
+    kind: Literal["gossip"] = "gossip"
+
+    def tell(self, me: Agent, news: Any) -> None:
+        """Send it with all that is known."""
+        known = [record for _, record in me.heard().values()]
+        me.send(None, Relayed((me.record(news), *known)), PORT)
+
+    def __call__(self, me: Agent) -> Process:
+        """Merge what comes in."""
+        while True:
+            yield me.arrival(PORT)
+            for message in me.mail(PORT):
+                me.learn(message.body.records)

@@ -1,0 +1,27 @@
+"""What holds in every test: no history of a network breaks its invariants."""
+
+from pathlib import Path
+
+import pytest
+
+from desim.kernel.events import Trace
+from desim.kernel.invariants import Conservation
+
+BENCHMARKS = Path(__file__).parent / "benchmarks"
+
+
+@pytest.fixture(autouse=True)
+def _conserved(request):
+    """Let every trace that is made during a test be watched, unless it takes long or its trace is made by hand."""
+    item = request.node
+    if item.get_closest_marker("slow") or item.get_closest_marker("own_trace") or BENCHMARKS in item.path.parents:
+        yield
+        return
+    begin = Trace.__init__
+
+    def watched(self, watchers=(), **options):
+        begin(self, (*watchers, Conservation()), **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trace, "__init__", watched)
+        yield

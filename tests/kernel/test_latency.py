@@ -1,0 +1,383 @@
+"""Every latency model against its theory, which is written down here once more and independently."""
+
+from math import exp, log, sqrt
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import stats
+
+from desim.kernel.hops import Hops
+from desim.kernel.latency import (
+    LATENCIES,
+    Constant,
+    Empirical,
+    Gamma,
+    Independent,
+    Lognormal,
+    PerPair,
+    Propagation,
+    ShiftedExponential,
+    Uniform,
+)
+from desim.kernel.links import Links
+
+SEEDS = range(5)
+MANY = Hops(0, np.arange(1, 100_001))
+LIST = (0.010, 0.010, 0.020, 0.050, 0.110)
+
+DRAWN = {
+    "uniform": (Uniform(low=0.02, high=0.08), 0.05, 0.06**2 / 12, Uniform(low=0.02, high=0.0824)),
+    "shifted_exponential": (
+        ShiftedExponential(offset=0.03, mean=0.05),
+        0.03 + 0.05,
+        0.05**2,
+        ShiftedExponential(offset=0.03, mean=0.0515),
+    ),
+    "gamma": (
+        Gamma(offset=0.02, shape=2.5, scale=0.01),
+        0.02 + 2.5 * 0.01,
+        2.5 * 0.01**2,
+        Gamma(offset=0.02, shape=2.5, scale=0.0103),
+    ),
+    "lognormal": (
+        Lognormal(offset=0.01, mean=0.05, cv=0.5),
+        0.01 + 0.05,
+        (0.5 * 0.05) ** 2,
+        Lognormal(offset=0.01, mean=0.0515, cv=0.5),
+    ),
+    "empirical": (
+        Empirical(values=LIST),
+        sum(LIST) / 5,
+        sum(x * x for x in LIST) / 5 - (sum(LIST) / 5) ** 2,
+        Empirical(values=(0.010, 0.010, 0.020, 0.050, 0.116)),
+    ),
+}
+"""Model, its mean (s) and variance (s^2), and the same model with something off by 3 % or so."""
+DISTRIBUTIONS = {
+    "uniform": stats.uniform(0.02, 0.06),
+    "shifted_exponential": stats.expon(0.03, 0.05),
+    "gamma": stats.gamma(2.5, loc=0.02, scale=0.01),
+    "lognormal": stats.lognorm(sqrt(log(1.25)), loc=0.01, scale=0.05 * exp(-log(1.25) / 2)),
+}
+
+
+def errors(draws, mean, variance):
+    """Return how many standard errors mean and variance of draws are off.
+
+    The mean of n draws has standard error sqrt(var / n), their variance sqrt((m4 - var^2) / n).
+    """
+    about = draws - draws.mean()
+    spread = (about**2).mean()
+    return (
+        (draws.mean() - mean) / sqrt(spread / draws.size),
+        (spread - variance) / sqrt(((about**4).mean() - spread**2) / draws.size),
+    )
+
+
+def departure(draws, cdf):
+    """Return the Kolmogorov-Smirnov statistic, times sqrt(n)."""
+    law, steps = cdf(np.sort(draws)), np.arange(draws.size + 1) / draws.size
+    return max((steps[1:] - law).max(), (law - steps[:-1]).max()) * sqrt(draws.size)
+
+
+def drawn(model, seeds=SEEDS, hops=MANY):
+    return np.array([model(hops, np.random.default_rng(seed)) for seed in seeds])
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_mean_and_variance_are_those_of_the_theory(name):
+    """5 seeds x 10^5 draws, each seed and all of them within 5 standard errors; 3 % off are more than 5."""
+    model, mean, variance, off = DRAWN[name]
+    draws = drawn(model)
+    assert np.abs([errors(each, mean, variance) for each in [*draws, draws.ravel()]]).max() < 5
+    assert np.abs(errors(drawn(off).ravel(), mean, variance)).min() > 5
+
+
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_the_whole_distribution_is_that_of_the_theory(name):
+    """Kolmogorov-Smirnov: sqrt(n) D exceeds 2.2 in 1 of 8000 samples; the control, 3 % off, is seen."""
+    model, *_, off = DRAWN[name]
+    law = DISTRIBUTIONS[name].cdf
+    assert max(departure(each, law) for each in drawn(model)) < 2.2
+    assert min(departure(each, law) for each in drawn(off)) > 2.2
+
+
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_quantiles_are_those_of_the_theory(name):
+    model, *_, off = DRAWN[name]
+    u = np.array([1e-12, 0.001, 0.1, 0.5, 0.9, 0.999, 1 - 1e-9])
+    np.testing.assert_allclose(model.quantile(u), DISTRIBUTIONS[name].ppf(u), rtol=1e-7)
+    assert np.abs(off.quantile(u) / DISTRIBUTIONS[name].ppf(u) - 1).max() > 0.01
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_quantiles_are_the_inverse_of_the_distribution_of_the_draws(name):
+    """At most a share u of n draws is below quantile(u), at least u not above; standard error sqrt(u (1 - u) / n)."""
+    model, *_, off = DRAWN[name]
+    draws = model.draw(200_000, np.random.default_rng(6))
+
+    def excess(quantile, u):
+        error = sqrt(u * (1 - u) / draws.size)
+        return max((draws < quantile).mean() - u, u - (draws <= quantile).mean()) / error
+
+    inner = np.array([0.05, 0.21, 0.39, 0.5, 0.79, 0.95])
+    assert max(excess(model.quantile(np.array([u]))[0], u) for u in inner) < 5
+    assert max(excess(off.quantile(np.array([u]))[0], u) for u in inner) > 5
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_call_is_a_draw_for_every_hop_and_a_draw_ahead_is_the_same(name):
+    """Draws of 3, 1 and 4096 at a time are the draws of 4100 at once: the network may draw ahead."""
+    model = DRAWN[name][0]
+    assert isinstance(model, Independent)
+    rng, ahead = np.random.default_rng(7), np.random.default_rng(7)
+    piecemeal = [*model(Hops(0, np.arange(3)), rng), *model(Hops(1, np.arange(1)), rng), *model.draw(4096, rng)]
+    assert piecemeal == model.draw(4100, ahead).tolist()
+
+
+def test_a_constant_latency_has_no_spread_and_is_its_own_quantile():
+    assert Constant(value=0.27)(MANY, np.random.default_rng(0)) == 0.27
+    assert Constant(value=0.27).quantile(np.array([0.1, 0.9])).tolist() == [0.27, 0.27]
+    assert not isinstance(Constant(), Independent)
+
+
+def test_an_exponential_part_of_no_length_leaves_the_fixed_part():
+    """Also where the logarithm of the mean, or the variance, is not a number or zero."""
+    for model in (
+        ShiftedExponential(offset=0.3, mean=0.0),
+        Gamma(offset=0.3, scale=0.0),
+        Lognormal(offset=0.3, mean=0.0),
+        Lognormal(offset=0.2, mean=0.1, cv=0.0),
+        Uniform(low=0.3, high=0.3),
+    ):
+        assert np.allclose(model.draw(3, np.random.default_rng(0)), 0.3, rtol=1e-12)
+        assert np.allclose(model.quantile(np.array([0.01, 0.99])), 0.3, rtol=1e-12)
+
+
+def test_bounds_in_the_wrong_order_are_refused():
+    with pytest.raises(ValidationError, match=r"low should be at most high \(got 0\.3 and 0\.1\)"):
+        Uniform(low=0.3)
+
+
+# Propagation.
+
+
+def test_propagation_is_distance_over_speed_and_a_fixed_part():
+    """A 3-4-5 triangle of sides 300, 400 and 500 m at 1500 m/s: 0.2, 0.2667 and 0.3333 s."""
+    at = np.array([[0.0, 0.0], [300.0, 0.0], [300.0, 400.0]])
+    sound = Propagation(fixed=0.01)
+    assert sound(hops_at(at, 0, [1, 2]), None).tolist() == pytest.approx([0.01 + 0.2, 0.01 + 1 / 3])
+    assert sound(hops_at(at, 2, [1]), None).tolist() == pytest.approx([0.01 + 4 / 15])
+
+
+def test_propagation_follows_the_positions():
+    at = np.array([[0.0, 0.0], [300.0, 0.0]])
+    hops = hops_at(at, 0, [1])
+    assert Propagation()(hops, None) == pytest.approx(0.2)
+    at[1] = 600.0, 0.0
+    assert Propagation()(hops, None) == pytest.approx(0.4)
+
+
+def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
+    """From the middle of a square of side a to anywhere in it: E d = a (sqrt 2 + ln(1 + sqrt 2)) / 6, E d^2 = a^2 / 6.
+
+    5 seeds x 10^5 places within 5 standard errors; the control is the speed of sound 2 % off.
+    """
+    mean = (sqrt(2) + log(1 + sqrt(2))) / 6
+
+    def latencies(seed, speed):
+        at = np.random.default_rng(seed).uniform(-500.0, 500.0, (100_001, 2))
+        at[0] = 0.0
+        return Propagation(speed=speed, fixed=0.1)(hops_at(at, 0, MANY.dst), None)
+
+    theory = 0.1 + mean / 1.5, (1 / 6 - mean**2) / 1.5**2
+    assert np.abs([errors(latencies(seed, 1500.0), *theory) for seed in SEEDS]).max() < 5
+    assert np.abs([errors(latencies(seed, 1530.0), *theory) for seed in SEEDS]).min() > 5
+
+
+def test_propagation_needs_positions():
+    with pytest.raises(ValueError, match="nodes have positions"):
+        Propagation()(MANY, None)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1500.0])
+def test_nothing_propagates_without_speed(speed):
+    with pytest.raises(ValidationError):
+        Propagation(speed=speed)
+
+
+def hops_at(at, src, dst):
+    return Hops(src, np.asarray(dst), positions=lambda: at)
+
+
+# A latency for every pair.
+
+BASE = Gamma(offset=0.02, shape=2.5, scale=0.01)
+
+
+def test_a_pair_keeps_its_latency_whenever_it_is_asked_and_whoever_is_asked_with_it():
+    model, rng = PerPair(base=BASE), np.random.default_rng(0)
+    together = model(Hops(3, np.array([5, 6, 7]), now=0.0, seed=11), rng)
+    alone = [model(Hops(3, np.array([node]), now=4.5, size=99, seed=11), rng)[0] for node in (5, 6, 7)]
+    assert together.tolist() == alone
+    assert len(set(alone)) == 3
+
+
+def test_both_ways_of_a_pair_are_alike_if_symmetric_and_only_then():
+    there, back = Hops(3, np.array([8]), seed=1), Hops(8, np.array([3]), seed=1)
+    for symmetric in (True, False):
+        model = PerPair(base=BASE, symmetric=symmetric)
+        assert bool(model(there, None) == model(back, None)) is symmetric
+
+
+def test_another_seed_gives_every_pair_another_latency():
+    first, second = (PerPair(base=BASE)(Hops(0, np.arange(1, 101), seed=seed), None) for seed in (1, 2))
+    assert not (first == second).any()
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
+    """Kolmogorov-Smirnov over 20 000 pairs, 5 seeds: sqrt(n) D < 2.2; the control is a base 5 % off."""
+    law, others = DISTRIBUTIONS["gamma"], np.arange(1, 20_001)
+
+    def worst(model, pick):
+        return pick(departure(model(Hops(0, others, seed=seed), None), law.cdf) for seed in SEEDS)
+
+    assert worst(PerPair(base=BASE, symmetric=symmetric), max) < 2.2
+    assert worst(PerPair(base=BASE.model_copy(update={"scale": 0.0105}), symmetric=symmetric), min) > 2.2
+
+
+def test_the_jitter_is_added_to_every_message_anew():
+    """Over the pairs, mean and variance are the sums of those of base and jitter; over a pair's messages, the jitter's.
+
+    5 seeds x 10^5, within 5 standard errors; the control is a jitter 5 % off.
+    """
+    models = [PerPair(base=BASE, jitter=ShiftedExponential(mean=mean)) for mean in (0.03, 0.0315)]
+    pairs, off = (
+        np.array([model(Hops(0, MANY.dst, seed=seed), np.random.default_rng(seed)) for seed in SEEDS])
+        for model in models
+    )
+    theory = 0.045 + 0.03, 0.00025 + 0.03**2
+    assert np.abs([errors(each, *theory) for each in pairs]).max() < 5
+    assert np.abs(errors(off.ravel(), *theory)).min() > 5
+    hop = Hops(0, np.full(100_000, 7), seed=3)  # 10^5 messages to node 7
+    own = PerPair(base=BASE)(hop, None)[0]
+    messages, off = (model(hop, np.random.default_rng(4)) - own for model in models)
+    assert np.abs(errors(messages, 0.03, 0.03**2)).max() < 5
+    assert np.abs(errors(off, 0.03, 0.03**2)).min() > 5
+    assert messages.min() >= 0.0
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_every_model_with_quantiles_is_a_base(name):
+    """Mean and variance over 10^5 pairs within 5 standard errors of those of the base; the control is 3 % off."""
+    base, mean, variance, off = DRAWN[name]
+    pairs, wrong = (PerPair(base=each)(Hops(0, MANY.dst, seed=5), None) for each in (base, off))
+    assert np.abs(errors(pairs, mean, variance)).max() < 5
+    assert np.abs(errors(wrong, mean, variance)).max() > 5
+
+
+def test_a_base_without_quantiles_is_refused():
+    with pytest.raises(ValidationError, match=r"quantile\(u\)"):
+        PerPair(base=Propagation())
+    with pytest.raises(ValidationError, match=r"quantile\(u\)"):
+        PerPair(base=lambda hops, rng: 0.1)
+
+
+# Lists in files.
+
+
+def read(tmp_path, text, name="measured.txt"):
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return Empirical.model_validate({"file": name}, context={"folder": tmp_path})
+
+
+def test_a_file_holds_numbers_with_commas_and_comments(tmp_path):
+    text = "# one way, s\n0.01, 0.02,0.03   # morning\n\n\t4e-2 5\n,\n"
+    assert read(tmp_path, text).values == (0.01, 0.02, 0.03, 0.04, 5.0)
+
+
+def test_a_file_means_the_same_as_its_numbers(tmp_path):
+    """The draws too, and as plain values it no longer needs the file."""
+    model = read(tmp_path, "\n".join(map(str, LIST)))
+    assert model == Empirical(values=LIST) == Empirical.model_validate(model.plain())
+    assert drawn(model, [3]).tolist() == drawn(Empirical(values=LIST), [3]).tolist()
+
+
+def test_a_file_is_beside_the_one_that_names_it_or_where_its_path_says(tmp_path):
+    (tmp_path / "few.txt").write_text("0.5")
+    table = {"latency": {"kind": "empirical", "file": "few.txt"}}
+    assert Links.model_validate(table, context={"folder": tmp_path}).latency == Empirical(values=(0.5,))
+    assert Empirical.model_validate({"file": tmp_path / "few.txt"}).values == (0.5,)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "holds no numbers"),
+        ("# nothing but a comment\n,,\n", "holds no numbers"),
+        ("0.1\n0.2 fast\n", r"line 2: 'fast' is not a number"),
+        ("0.1\n\n-0.2\n", r"line 3: a latency should be a time >= 0 s \(got -0\.2\)"),
+        ("nan", r"line 1: a latency should be a time >= 0 s \(got nan\)"),
+        ("inf", r"line 1: a latency should be a time >= 0 s \(got inf\)"),
+        ("2e9", "less than or equal to 1000000000"),
+        ("1;2", r"'1;2' is not a number"),
+    ],
+)
+def test_a_file_of_other_things_is_refused_with_its_name_and_the_line(tmp_path, text, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        read(tmp_path, text)
+    if "less than" not in complaint:
+        with pytest.raises(ValidationError, match=r"measured\.txt"):
+            read(tmp_path, text)
+
+
+def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path):
+    with pytest.raises(ValidationError, match=r"none\.txt cannot be read: No such file"):
+        Empirical.model_validate({"file": "none.txt"}, context={"folder": tmp_path})
+    with pytest.raises(ValidationError, match="cannot be read"):
+        Empirical.model_validate({"file": "."}, context={"folder": tmp_path})
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path):
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(ValidationError, match="binary cannot be read"):
+        Empirical.model_validate({"file": "binary"}, context={"folder": tmp_path})
+
+
+@pytest.mark.parametrize("given", [{"values": ()}, {}, {"values": (-0.1,)}, {"values": (0.1, "0.2")}, {"file": 7}])
+def test_a_list_needs_at_least_one_time(given):
+    with pytest.raises(ValidationError):
+        Empirical.model_validate(given)
+
+
+@pytest.mark.parametrize(
+    ("model", "bad"),
+    [
+        (Uniform, {"low": -0.1}),
+        (ShiftedExponential, {"mean": -1.0}),
+        (ShiftedExponential, {"offset": float("inf")}),
+        (Gamma, {"shape": 0.0}),
+        (Gamma, {"scale": "0.1"}),
+        (Lognormal, {"cv": -0.5}),
+        (Lognormal, {"mean": float("nan")}),
+        (PerPair, {"jitter": {"kind": "none"}}),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(model, bad):
+    with pytest.raises(ValidationError):
+        model(**bad)
+
+
+def test_every_model_is_tested_here():
+    """A model that is added to the list without a test fails here."""
+    assert set(LATENCIES.choices()) == {*DRAWN, "constant", "propagation", "per_pair"}
+
+
+def test_a_model_of_one_s_own_may_be_a_base():
+    """Anything with a call and quantiles."""
+    own = type("Own", (SimpleNamespace,), {"__call__": lambda self, hops, rng: 0.0, "quantile": lambda self, u: u})()
+    latencies = PerPair(base=own)(Hops(0, np.arange(1, 5)), None)
+    assert ((latencies > 0.0) & (latencies < 1.0)).all()

@@ -1,0 +1,278 @@
+"""Every loss model against its theory."""
+
+from math import exp, sqrt
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from desim.kernel.hops import Hops
+from desim.kernel.loss import LOSSES, Bernoulli, ByDistance, GilbertElliott
+
+SEEDS = range(5)
+LINKS = 4000
+SHARE, BURST = 0.2, 5.0
+
+
+def hops(now=0.0, src=0, links=LINKS):
+    return Hops(src, np.arange(1, links + 1), now=now)
+
+
+def history(model, times, seed, links=LINKS):
+    """Return what each of many links does at each time: (times, links) truths, True where a message is lost."""
+    run, rng = model.begin(links + 1), np.random.default_rng(seed)
+    return np.array([run(hops(now, links=links), rng) for now in times])
+
+
+def errors(hits, trials, probability):
+    """Return how many standard errors sqrt(p (1 - p) / n) the share of hits is off."""
+    return (hits / trials - probability) / sqrt(probability * (1 - probability) / trials)
+
+
+# Independent losses.
+
+
+@pytest.mark.parametrize("p", [0.02, 0.3, 0.95])
+def test_bernoulli_loses_its_share(p):
+    """5 seeds x 10^6 hops, within 5 standard errors; the control, 10 % (of the rarer outcome) off, is not."""
+
+    def worst(model, pick):
+        lost = (model(hops(links=10**6), np.random.default_rng(seed)).sum() for seed in SEEDS)
+        return pick(abs(errors(each, 10**6, p)) for each in lost)
+
+    assert worst(Bernoulli(p=p), max) < 5
+    assert worst(Bernoulli(p=p + 0.1 * min(p, 1 - p)), min) > 5
+
+
+def test_bernoulli_draws_ahead_what_it_would_draw_hop_by_hop():
+    model, rng, ahead = Bernoulli(p=0.3), np.random.default_rng(1), np.random.default_rng(1)
+    assert [*model(hops(links=7), rng), *model(hops(links=2), rng)] == model.draw(9, ahead).tolist()
+
+
+def test_nothing_and_everything_are_certain():
+    rng = np.random.default_rng(0)
+    assert Bernoulli(p=0.0)(hops(), rng) is False
+    assert Bernoulli(p=1.0)(hops(), rng).all()
+
+
+# Bursts, message by message.
+
+
+def test_a_link_that_advances_by_messages_keeps_its_two_rates():
+    """Of bad links 1 / burst recover with a message, of good ones share / (1 - share) / burst fail: p = 0.05, r = 0.2.
+
+    5 seeds x 4000 links x 100 messages, given the state before: binomial, within 5 standard errors. The control is a
+    burst 10 % longer.
+    """
+    for seed in SEEDS:
+        good = history(GilbertElliott(share=SHARE, burst=BURST), range(100), seed)
+        off = history(GilbertElliott(share=SHARE, burst=1.1 * BURST), range(100), seed)
+        assert max(np.abs(rates_off(good))) < 5
+        assert min(np.abs(rates_off(off))) > 5
+
+
+def rates_off(bad):
+    before, after = bad[:-1], bad[1:]
+    recovered, failed = (before & ~after).sum(), (~before & after).sum()
+    return errors(recovered, before.sum(), 0.2), errors(failed, (~before).sum(), 0.05)
+
+
+def test_a_link_that_advances_by_messages_loses_its_share_in_bursts_of_the_mean_length():
+    """A burst is geometric: mean 5, variance 5^2 - 5. Of 200 messages, bursts that begin in the first 100 are counted,
+    so that none is cut short (0.8^100 = 2e-10); standard error sqrt(20 / bursts). The share is counted over links at a
+    single message, the 200th, where they are independent. The control is a burst of 5.5.
+    """
+    for seed in SEEDS:
+        lost = history(GilbertElliott(share=SHARE, burst=BURST), range(200), seed)
+        assert abs(errors(lost[-1].sum(), LINKS, SHARE)) < 5
+        assert abs(errors(lost[0].sum(), LINKS, SHARE)) < 5
+        assert abs(bursts_off(lost)) < 5
+        assert abs(bursts_off(history(GilbertElliott(share=SHARE, burst=5.5), range(200), seed))) > 5
+
+
+def bursts_off(lost):
+    """Return how many standard errors the mean burst differs from 5."""
+    padded = np.vstack([np.zeros((1, lost.shape[1]), bool), lost, np.zeros((1, lost.shape[1]), bool)]).astype(int)
+    change = np.diff(padded, axis=0).T
+    begins, ends = np.argwhere(change == 1), np.argwhere(change == -1)
+    counted = (begins[:, 1] > 0) & (begins[:, 1] < 100)
+    lengths = (ends - begins)[counted, 1]
+    return (lengths.mean() - 5.0) / sqrt(20.0 / lengths.size)
+
+
+def test_shares_differ_and_the_stationary_law_is_there_from_the_first_message_on():
+    """The control is the share 10 % off."""
+    for share in (0.05, 0.5, 0.8):
+        lost = history(GilbertElliott(share=share, burst=8.0), range(20), 3, links=40_000)
+        assert max(abs(errors(each.sum(), 40_000, share)) for each in lost) < 5
+        assert min(abs(errors(each.sum(), 40_000, 1.1 * share)) for each in lost) > 2
+
+
+def test_time_does_not_matter_to_a_link_that_advances_by_messages():
+    model = GilbertElliott(share=SHARE, burst=BURST)
+    assert (history(model, range(50), 1) == history(model, [0.0] * 50, 1)).all()
+
+
+# Bursts as time goes by.
+
+IN_TIME = GilbertElliott(share=SHARE, burst=2.0, advance="time")
+"""r = 0.5 /s, p = 0.5 x 0.2 / 0.8 = 0.125 /s, so that the memory fades as exp(-0.625 t)."""
+
+
+@pytest.mark.parametrize("steps", [1, 4, 16, 64])
+def test_a_link_that_advances_in_time_forgets_exponentially(steps):
+    """Sampled every 0.05 s: of the links that are bad, pi + (1 - pi) exp(-(p + r) k dt) are bad k samples later.
+
+    So the autocorrelation at k dt is exp(-(p + r) k dt). Binomial over the bad ones of 40 000 links, 5 seeds, within 5
+    standard errors, as is the share pi; also if nothing is asked in between. The control forgets 30 % faster.
+    """
+    memory, faster = exp(-0.625 * 0.05 * steps), exp(-0.8125 * 0.05 * steps)
+    fine, coarse = [0.05 * k for k in range(steps + 1)], [0.0, 0.05 * steps]
+    for times in (fine, coarse):
+        ends = [history(IN_TIME, times, seed, links=40_000)[[0, -1]] for seed in SEEDS]
+        assert max(abs(errors(end.sum(), 40_000, SHARE)) for pair in ends for end in pair) < 5
+        counts = np.array([[(first & last).sum(), first.sum()] for first, last in ends])
+        assert max(abs(errors(*count, SHARE + (1 - SHARE) * memory)) for count in counts) < 5
+        assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * memory)) < 5
+        assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * faster)) > 5
+
+
+def test_a_burst_in_time_has_the_mean_duration():
+    """Of links that are bad now exp(-r dt) + O(dt^2) are bad dt later: at dt = 1 ms the chance to recover is r dt.
+
+    1 - pi_bad(dt | bad) = (1 - pi)(1 - exp(-(p + r) dt)) = 0.0004999; the sampled bursts last 2.0006 s on average.
+    200 samples of 40 000 links, binomial given the state before; the control is a burst of 2.2 s.
+    """
+    lost = history(IN_TIME, [0.001 * k for k in range(200)], 5, links=40_000)
+    recovered = (lost[:-1] & ~lost[1:]).sum()
+    assert abs(errors(recovered, lost[:-1].sum(), 0.8 * (1 - exp(-0.000625)))) < 5
+    assert abs(errors(recovered, lost[:-1].sum(), 0.001 / 2.5)) > 5
+
+
+def test_within_an_instant_a_link_does_not_change():
+    lost = history(IN_TIME, [1.0] * 20, 2)
+    assert (lost == lost[0]).all()
+
+
+def test_after_a_long_time_a_link_has_forgotten_how_it_was():
+    """exp(-0.625 x 100) is nothing: both bad with probability share^2, the standard error is binomial."""
+    first, last = history(IN_TIME, [0.0, 100.0], 1, links=100_000)
+    assert abs(errors((first & last).sum(), 100_000, SHARE**2)) < 5
+
+
+# Bursts, link by link.
+
+
+@pytest.mark.parametrize("model", [GilbertElliott(share=SHARE, burst=50.0), IN_TIME])
+def test_links_are_independent_of_each_other_also_the_two_ways(model):
+    """Both of two links are bad with probability share^2, binomial over 4000 pairs of links to different receivers and
+    1000 pairs there and back; the control is each link with itself.
+    """
+    run, rng = model.begin(8001), np.random.default_rng(4)
+    for now in (0.0, 0.01):
+        out = run(Hops(0, np.arange(1, 8001), now=now), rng)
+        back = np.array([run(Hops(node, np.array([0]), now=now), rng)[0] for node in range(1, 1001)])
+    assert abs(errors((out[:4000] & out[4000:]).sum(), 4000, SHARE**2)) < 5
+    assert abs(errors((out[:1000] & back).sum(), 1000, SHARE**2)) < 5
+    assert errors((out[:1000] & out[:1000]).sum(), 1000, SHARE**2) > 5
+
+
+def test_a_link_remembers_across_broadcasts_and_single_messages():
+    """With a burst of 10^6 messages a link stays as it is, whoever else is spoken to."""
+    run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
+    first = run(hops(links=100), rng)
+    assert 20 < first.sum() < 80
+    assert (run(Hops(0, np.arange(51, 101)), rng) == first[50:]).all()
+    assert [bool(run(Hops(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
+
+
+def test_every_run_begins_anew_and_the_model_stays_as_it_was():
+    model = GilbertElliott(share=SHARE, burst=BURST)
+    assert (history(model, range(5), 1) == history(model, range(5), 1)).all()
+    assert model == GilbertElliott(share=SHARE, burst=BURST)
+
+
+def test_a_model_without_a_run_has_the_stationary_law_and_no_memory():
+    """Within 5 standard errors of a binomial; the control is a share 3 % off."""
+    lost = GilbertElliott(share=SHARE, burst=BURST)(hops(links=10**6), np.random.default_rng(0)).sum()
+    assert abs(errors(lost, 10**6, SHARE)) < 5
+    assert abs(errors(lost, 10**6, 1.03 * SHARE)) > 5
+
+
+@pytest.mark.parametrize("advance", ["message", "time"])
+def test_no_share_loses_nothing(advance):
+    assert not history(GilbertElliott(share=0.0, burst=3.0, advance=advance), range(20), 0).any()
+
+
+def test_a_burst_of_one_message_is_always_followed_by_a_good_one():
+    lost = history(GilbertElliott(share=0.3, burst=1.0), range(30), 0)
+    assert lost.any()
+    assert not (lost[1:] & lost[:-1]).any()
+
+
+@pytest.mark.parametrize(("share", "burst", "least"), [(0.1, 0.9, "1"), (0.8, 3.9, "4"), (0.9, 8.5, "9")])
+def test_bursts_that_are_too_short_for_their_share_are_refused(share, burst, least):
+    """p = share / (1 - share) / burst is a probability, so burst >= share / (1 - share); in time it is a rate."""
+    with pytest.raises(ValidationError, match=rf"burst should be at least {least} messages .* \(got {burst:g}\)"):
+        GilbertElliott(share=share, burst=burst)
+    assert GilbertElliott(share=share, burst=float(least) + 1e-9)
+    assert GilbertElliott(share=share, burst=burst, advance="time")
+
+
+# Distance.
+
+
+def test_loss_by_distance_rises_from_near_to_far():
+    """0.1 + 0.8 (d / 10)^2: 0.1 at 0 m, 0.3 at 5 m, 0.9 at 10 m and beyond; linear with exponent 1."""
+    d = np.array([0.0, 5.0, 10.0, 25.0])
+    assert ByDistance(near=0.1, far=0.9).probability(d).tolist() == pytest.approx([0.1, 0.3, 0.9, 0.9])
+    assert ByDistance(near=0.1, far=0.9, exponent=1.0).probability(d)[1] == pytest.approx(0.5)
+
+
+def test_losses_by_distance_have_their_probability():
+    """25 000 receivers each at 2, 4, 6 and 8 m, 5 seeds, within 5 standard errors; the control is 5 % off."""
+    radius = np.repeat([2.0, 4.0, 6.0, 8.0], 25_000)
+    angle = np.random.default_rng(0).uniform(0.0, 7.0, radius.size)
+    at = np.vstack([[0.0, 0.0], np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])])
+    rings = Hops(0, np.arange(1, radius.size + 1), positions=lambda: at)
+    theory = [0.05 + 0.75 * (d / 10.0) ** 3 for d in (2.0, 4.0, 6.0, 8.0)]
+
+    def off(model, seed):
+        lost = model(rings, np.random.default_rng(seed)).reshape(4, -1).sum(axis=1)
+        return [abs(errors(count, 25_000, p)) for count, p in zip(lost, theory, strict=True)]
+
+    right = ByDistance(near=0.05, far=0.8, distance=10.0, exponent=3.0)
+    wrong = ByDistance(near=0.05, far=0.8, distance=9.5, exponent=3.0)
+    assert max(max(off(right, seed)) for seed in SEEDS) < 5
+    assert min(max(off(wrong, seed)) for seed in SEEDS) > 5
+
+
+def test_loss_by_distance_needs_positions():
+    with pytest.raises(ValueError, match="nodes have positions"):
+        ByDistance()(hops(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("model", "bad"),
+    [
+        (Bernoulli, {"p": -0.1}),
+        (Bernoulli, {"p": float("nan")}),
+        (Bernoulli, {"p": True}),
+        (GilbertElliott, {"share": 1.0}),
+        (GilbertElliott, {"share": -0.1}),
+        (GilbertElliott, {"burst": 0.0}),
+        (GilbertElliott, {"burst": float("inf")}),
+        (GilbertElliott, {"advance": "distance"}),
+        (ByDistance, {"near": 1.5}),
+        (ByDistance, {"far": -0.5}),
+        (ByDistance, {"distance": 0.0}),
+        (ByDistance, {"exponent": 0.0}),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(model, bad):
+    with pytest.raises(ValidationError):
+        model(**bad)
+
+
+def test_every_model_is_tested_here():
+    assert set(LOSSES.choices()) == {"bernoulli", "gilbert_elliott", "by_distance"}
