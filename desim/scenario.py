@@ -1,15 +1,17 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from desim.kernel.faults import FAULTS
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
+from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
 from desim.pursuit.word import Announcements
@@ -176,6 +178,33 @@ class Scenario(Value):
     """What breaks."""
     record: Recording = Recording()
 
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        found = list(self._misfits())
+        if found:
+            text = "; ".join(f"{'.'.join(map(str, place))}: {why}" for place, why in found)
+            raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": found})
+        return self
+
+    def _misfits(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
+        """Yield what does not fit the team: where it is, and why."""
+        count = self.team.count
+        nobody = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
+        try:
+            graph = self.network.graph(count)
+            Topology(graph)
+        except ValueError as error:
+            yield ("network", "graph"), str(error)
+        for k, link in enumerate(self.network.link):
+            for end in ("src", "dst"):
+                if getattr(link, end) >= count:
+                    yield ("network", "link", k, end), nobody.format(getattr(link, end))
+        for k, fault in enumerate(self.fault):
+            if (node := getattr(fault, "node", None)) is not None and node >= count:
+                yield ("fault", k, "node"), nobody.format(node)
+            for node in (node for group in getattr(fault, "groups", ()) for node in group if node >= count):
+                yield ("fault", k, "groups"), nobody.format(node)
+
     def warnings(self) -> Iterator[tuple[str, str]]:
         """Yield what is legal but probably unintended: the key it concerns, and why."""
         fastest = max(self.team.all_speeds())
@@ -185,6 +214,8 @@ class Scenario(Value):
                 f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
                 f" {self.evader.speed} m/s, so every time of capture is inf and nobody will chase",
             )
+        if hasattr(self.protocol, "warnings"):
+            yield from ((f"protocol.{key}", why) for key, why in self.protocol.warnings(self.motion.step))
         if self.motion.step > self.horizon:
             yield "motion.step", f"the step of {self.motion.step:g} s is longer than the horizon of {self.horizon:g} s"
         stride = self.motion.step * max(fastest, self.evader.speed)

@@ -72,9 +72,9 @@ def read(file: str | Path, overrides: Sequence[str] = ()) -> Source:
 def validate(source: Source) -> Scenario:
     """Return the scenario that a source describes; raise ScenarioError with all its faults, sorted by place."""
     try:
-        return Scenario.model_validate(source.tables)
+        return Scenario.model_validate(source.tables, context={"folder": Path(source.name).parent})
     except ValidationError as error:
-        faults = [_explain(each, source) for each in error.errors()]
+        faults = [fault for each in error.errors() for fault in _explain(each, source)]
         raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error
 
 
@@ -154,16 +154,28 @@ def _syntax_fault(file: str | Path, message: str, text: str) -> str:
     return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
 
 
-def _explain(error: ErrorDetails, source: Source) -> tuple[tuple[int, str], str]:
-    """Return a fault as text, after what it is sorted by: its line."""
+Fault = tuple[tuple[int, str], str]
+"""What is wrong with a file as text, after what it is sorted by: its line."""
+
+
+def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
+    """Yield the faults that an error tells of."""
+    if error["type"] == "misfits":
+        for place, why in error["ctx"]["misfits"]:
+            yield _fault(source, place, why)
+        return
     place, owner, info = _locate(error, source.tables)
+    description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
+    note = f"; {description}" if description else ""
+    name = str(place[-1]) if place else ""
+    yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")
+
+
+def _fault(source: Source, place: Place, what: str) -> Fault:
     where = source.where(place)
     line = re.search(r":(\d+)$", where)
     name = ".".join(map(str, place)) or "the file"
-    description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
-    note = f"; {description}" if description else ""
-    text = f"{where}: {name}: {_what_is_wrong(error, name, owner, info)}{note}{_got(error)}"
-    return (int(line[1]) if line else 0, where), text
+    return (int(line[1]) if line else 0, where), f"{where}: {name}: {what}"
 
 
 def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[BaseModel] | None, FieldInfo | None]:
@@ -176,26 +188,39 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
     owner: type[BaseModel] | None = None
     inner: type[BaseModel] | None = Scenario
     info: FieldInfo | None = None
-    path = iter(error["loc"])
-    for part in path:
+    path = list(error["loc"])
+    while path:
+        part = path.pop(0)
         place += (part,)
         node = node[part] if _holds(node, part) else None
         if isinstance(part, str):
             owner, info = inner, inner.model_fields.get(part) if inner else None
-            inner = _model_of(info, node) if info else None
-            if info and any(isinstance(each, OneOf | Discriminator) for each in info.metadata):
-                next(path, None)
+        inner = _model_of(info, node) if info else None
+        if info and _markers(info) and path and isinstance(path[0], str):
+            path.pop(0)
     if error["type"] == "union_tag_invalid":
         place += ("kind",)
     return place, owner, info
 
 
+def _markers(info: FieldInfo) -> list[Any]:
+    """Return what marks a field, or the items of a field, as one of several models."""
+    return [each for each in [*info.metadata, *_metadata(info.annotation)] if isinstance(each, OneOf | Discriminator)]
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    """Yield the metadata inside an annotation."""
+    yield from getattr(annotation, "__metadata__", ())
+    for inner in get_args(annotation):
+        yield from _metadata(inner)
+
+
 def _one_of(info: FieldInfo) -> OneOf | None:
-    return next((each for each in info.metadata if isinstance(each, OneOf)), None)
+    return next((each for each in _markers(info) if isinstance(each, OneOf)), None)
 
 
 def _model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
-    """Return the model that the value of a field should be."""
+    """Return the model that the value of a field, or an item of it, should be."""
     if one_of := _one_of(info):
         return one_of.choices().get(str(value.get("kind"))) if isinstance(value, dict) else None
     return next(_models_in(info.annotation), None)

@@ -72,22 +72,21 @@ class _Crew:
     def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
         self._env, self._scenario, self._world, self._network, self._seed = env, scenario, world, network, seed
         self._clocks = clock_errors(scenario.fault, world.size, seed)
-        self._processes: list[simpy.Process] = []
+        self._processes: dict[int, simpy.Process] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
 
     def begin(self) -> None:
         """Let everyone know how it begins, and set all processes going."""
-        env, announce = self._env, self._scenario.announce
-        everyone = range(self._world.size)
-        agents = [self._agent(pursuer, Phase.DECISION) for pursuer in everyone]
-        if announce.warm_start:
-            for agent in agents:
-                self._network.presume(agent.id, agent.assignment())
-        self._processes = [env.process(self._live(agent, self._scenario.protocol)) for agent in agents]
-        for pursuer in everyone:
+        env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
+        speaks = getattr(protocol, "announces", True)
+        for pursuer in range(self._world.size):
+            agent = self._agent(pursuer, Phase.DECISION)
+            if announce.warm_start:
+                self._network.presume(pursuer, agent.assignment())
+            self._processes[pursuer] = env.process(self._live(agent, protocol))
             env.process(announce.spread(self._agent(pursuer, Phase.RELAY)))
-            if announce.beats:
+            if speaks and announce.beats:
                 env.process(heartbeats(self._agent(pursuer, Phase.HEARTBEAT), announce.heartbeat))
 
     def crashed(self, crash: Crash) -> None:

@@ -9,7 +9,7 @@ Messages: none.
 """
 
 from itertools import count
-from typing import Literal
+from typing import ClassVar, Literal
 
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.game import relay_pursuer
@@ -19,6 +19,7 @@ from desim.value import Period, Value
 class Centralised(Value):
     """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that the relay pursuer chases alone."""
 
+    announces: ClassVar[bool] = False
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time between two decisions delta, s."""

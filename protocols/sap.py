@@ -9,12 +9,13 @@ Messages: one broadcast per revision.
 Robust to loss: yes, for every revision repeats the action even if it is unchanged.
 """
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.game import activation_probability
 from desim.value import OneOf, Value
-from protocols.schedules import Poisson, Schedule, SharedSeed
+from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
 from protocols.temperature import ConstantTau, PaperTau, Temperature
 
 
@@ -24,7 +25,7 @@ class SpatialAdaptivePlay(Value):
     kind: Literal["sap"] = "sap"
     tau: Annotated[Temperature, OneOf(PaperTau, ConstantTau)] = PaperTau()
     """Temperature, s."""
-    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson)] = SharedSeed()
+    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson, Rounds, Periodic)] = SharedSeed()
     """When each pursuer revises."""
 
     def __call__(self, me: Agent) -> Process:
@@ -37,3 +38,8 @@ class SpatialAdaptivePlay(Value):
             me.announce()
 
         yield from self.schedule(me, revise)
+
+    def warnings(self, step: float) -> Iterator[tuple[str, str]]:
+        """Yield what is legal but hardly meant with a motion step (s): the key it concerns, and why."""
+        if isinstance(self.schedule, Periodic):
+            yield from ((f"schedule.{key}", why) for key, why in self.schedule.warnings(step))

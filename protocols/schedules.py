@@ -6,9 +6,10 @@ A schedule is called with an agent and with what to do at its turn, and is the p
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
+from pydantic import Field
 
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Rate, Value
@@ -41,8 +42,9 @@ class SharedSeed(Value):
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that is one's own."""
         for k in owned_slots(me.id, me.team_size, me.shared_stream("slots")):
-            yield me.at(k * self.slot)
-            revise()
+            if k * self.slot >= me.now:  # not one that was over before a fast clock began or while one was broken down
+                yield me.at(k * self.slot)
+                revise()
 
 
 class Poisson(Value):
@@ -62,6 +64,68 @@ class Poisson(Value):
         while True:
             yield me.sleep(rng.exponential(1.0 / self.rate))
             revise()
+
+
+class Rounds(Value):
+    """At every round everybody revises, or each with a probability: nobody knows yet what the others decide.
+
+    No Gibbs law, but on the relay game the fastest to settle: a round takes the time that others need for one revision.
+    """
+
+    kind: Literal["rounds"] = "rounds"
+    period: Period = 0.1
+    """Time between two rounds, s."""
+    q: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
+    """Probability that a pursuer revises in a round, in (0, 1]."""
+
+    def mean_slot(self, me: Agent) -> float:
+        """Return period / (q N), s."""
+        return self.period / (self.q * me.team_size)
+
+    def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
+        """Revise at the end of each round, or not, by chance."""
+        rng = me.stream("rounds")
+        for k in count(1):
+            if k * self.period >= me.now:
+                yield me.at(k * self.period)
+                if rng.random() < self.q:
+                    revise()
+
+
+class Periodic(Value):
+    """Every pursuer revises at the ticks of a timer of its own, from a random phase on.
+
+    A strictly periodic timer whose period is an even multiple of the motion step keeps step with the evader's chatter
+    between two nearest pursuers and may see the same picture for seconds; some jitter breaks that.
+    """
+
+    kind: Literal["periodic"] = "periodic"
+    period: Period = 0.2
+    """Mean time between two revisions of a pursuer, s."""
+    jitter: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.5
+    """Greatest share by which a wait is longer or shorter than the period, in [0, 1)."""
+
+    def mean_slot(self, me: Agent) -> float:
+        """Return period / N, s."""
+        return self.period / me.team_size
+
+    def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
+        """Revise after each wait of about a period."""
+        rng = me.stream("periodic")
+        yield me.sleep(rng.uniform(0.0, self.period))
+        while True:
+            revise()
+            yield me.sleep(self.period * rng.uniform(1.0 - self.jitter, 1.0 + self.jitter))
+
+    def warnings(self, step: float) -> Iterator[tuple[str, str]]:
+        """Yield why a timer without jitter and a motion step (s) hardly go together: the key, and the reason."""
+        multiple = self.period / step
+        if self.jitter == 0.0 and abs(multiple - 2 * round(multiple / 2)) < 1e-6 * multiple:
+            yield (
+                "jitter",
+                f"a strictly periodic timer of {round(multiple)} motion steps, an even number, keeps step with the"
+                " evader's chatter between two pursuers, and for seconds nobody may be active: give it some jitter",
+            )
 
 
 def owned_slots(owner: int, team_size: int, rng: np.random.Generator) -> Iterator[int]:

@@ -116,7 +116,7 @@ def file(tmp_path):
 
 # What is refused.
 
-TOP = "allowed: capture, evader, horizon, motion, name, network, protocol, record, seed, team"
+TOP = "allowed: announce, capture, evader, fault, horizon, motion, name, network, protocol, record, seed, team"
 
 FAULTS = {
     "unknown key at the top": ('name = "x"\nhorizn = 3.0', 2, "horizn", ["did you mean 'horizon'?", TOP]),
@@ -627,7 +627,7 @@ def test_run_tells_when_the_evader_got_away(file):
 )
 def test_run_tells_what_became_of_the_messages(file, change, delivered, lost, in_flight):
     path = file(TALK)
-    table = rows(accepted("run", path, "--set", change).stdout)
+    table = rows(accepted("run", path, "--set", change, "--set", "announce.trigger=revision").stdout)
     names = ("messages sent", "delivered", "lost", "in flight")
     assert [int(table[name].split()[0]) for name in names] == [18, delivered, lost, in_flight]
     assert re.fullmatch(r"\d+\.\d{3} s [\d,]+ messages/s", table["wall time"])

@@ -1,5 +1,6 @@
 """Same scenario and seed, same bytes: in any process, with any number of workers, in any order of registration."""
 
+import builtins
 import os
 import random
 import subprocess
@@ -80,17 +81,17 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
         record={"messages": True},
     )
     forwards = lines(run(scenario, 5))
-    populate, begin = simulation._populate, simulation.World.begin
-    monkeypatch.setattr(
-        simulation, "_populate", lambda agents, *rest: (begin(world_of(agents)), populate(agents[::-1], *rest))
-    )
+    begin, begin_world = simulation._Crew.begin, simulation.World.begin
+
+    def world_first(crew):
+        begin_world(crew._world)
+        monkeypatch.setattr(simulation, "range", lambda n: reversed(builtins.range(n)), raising=False)
+        begin(crew)
+
+    monkeypatch.setattr(simulation._Crew, "begin", world_first)
     monkeypatch.setattr(simulation.World, "begin", lambda world: None)
     assert lines(run(scenario, 5)) == forwards
     assert forwards.count("Broadcast") + forwards.count("Sent") > 10
-
-
-def world_of(agents):
-    return agents[0]._world
 
 
 def test_two_runs_share_nothing():

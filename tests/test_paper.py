@@ -15,6 +15,7 @@ from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.game import activation_probability, gibbs, profiles
+from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
@@ -68,7 +69,7 @@ def pursuits(draw):
     }
 
 
-def simulated(case, protocol):
+def simulated(case, protocol, trigger="revision"):
     """Run a pursuit in the simulator with h = delta and an ideal network, recording positions at every step."""
     scenario = Scenario(
         horizon=case["horizon"],
@@ -77,6 +78,7 @@ def simulated(case, protocol):
         capture=Capture(test="sample"),
         motion=Motion(step=case["delta"]),
         protocol=protocol,
+        announce=Announcements(trigger=trigger),
         record=Recording(trajectory=case["delta"], messages=True),
     )
     return run(scenario, case["seed"])
@@ -114,15 +116,15 @@ def compare(case, result, owners=None, draws=None):
 
 
 @settings(max_examples=150, deadline=None)
-@given(pursuits())
-def test_algorithm_2_is_the_plain_loop_step_for_step(case):
-    """Trajectory, assignments and capture time to 1e-9, with the same draws."""
+@given(pursuits(), st.sampled_from(["revision", "change", "both"]))
+def test_algorithm_2_is_the_plain_loop_step_for_step(case, trigger):
+    """Trajectory, assignments and capture time to 1e-9, with the same draws, whenever word goes out."""
     count, steps = len(case["positions"]), round(case["horizon"] / case["delta"])
     slots = stream(case["seed"], "shared slots")
     blocks = [slots.integers(count, size=4096) for _ in range(1 + steps // 4096)]
     owners = [None, *chain.from_iterable(blocks)]
     draws = [stream(case["seed"], "decisions", i) for i in range(count)]
-    result = simulated(case, SpatialAdaptivePlay(schedule=SharedSeed(slot=case["delta"])))
+    result = simulated(case, SpatialAdaptivePlay(schedule=SharedSeed(slot=case["delta"])), trigger)
     compare(case, result, owners, draws)
 
 

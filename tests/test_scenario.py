@@ -13,6 +13,7 @@ from desim.kernel.latency import Constant as ConstantLatency
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided, Ended
+from desim.pursuit.word import Announcements
 from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.simulation import run
 from protocols.centralised import Centralised
@@ -202,6 +203,7 @@ def own() -> Scenario:
         evader=Evader(position=(0, 1), speed=0.5, strategy=upwards),
         protocol=chase_at_once,
         network=Links(latency=half_a_second, loss=to_even_nodes),
+        announce=Announcements(trigger="revision"),
         record=Recording(messages=True),
     )
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
 from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 
 
@@ -31,6 +32,7 @@ def still(*plan, **changes):
         "evader": Evader(position=(3.0, 0.0), speed=0.0),
         "motion": Motion(step=1.0),
         "protocol": orders(*plan),
+        "announce": Announcements(trigger="revision"),
         "record": Recording(trajectory=0.25),
     }
     return Scenario(**(given | changes))

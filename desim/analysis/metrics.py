@@ -4,13 +4,16 @@ n(t) is the number of active pursuers; integrals run from 0 to the end of the ru
 """
 
 from dataclasses import dataclass
+from math import isnan
 
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.analysis.knowledge import ended, knowledge
+from desim.analysis.word import ages, belief_error, over_pairs
 from desim.kernel.clock import SECOND, seconds
-from desim.kernel.events import Tally
-from desim.pursuit.events import Decided, Ended, Started
+from desim.kernel.events import Cause, Tally
+from desim.pursuit.events import Decided, Ended, Halted, Started
 from desim.simulation import Result
 
 
@@ -34,12 +37,27 @@ class Summary:
     messages_delivered: int
     messages_lost: int
     messages_in_flight: int
+    messages_lost_by: dict[Cause, int]
+    transmissions: int
+    """How many times something was put on the air, whatever the number of receivers."""
+    bytes_sent: int
+    """Put on the air."""
+    utilisation: float
+    """Share of the time in which the channels were busy, in [0, 1]."""
+    age_mean: float | None
+    """Age of information, averaged over time and pairs; None, like the rest, if not measured."""
+    age_peak: float | None
+    """Just before something newer came."""
+    age_at_decision: float | None
+    belief_error: float | None
+    """Share of pairs of which one has last heard what the other is not doing, in [0, 1]."""
 
 
 def summary(result: Result) -> Summary:
     """Return the numbers of one run."""
     end, tally = ending(result), messages(result)
     captured = end.reason == "captured"
+    age_mean, age_peak, age_at_decision, error = _word(result)
     return Summary(
         seed=result.seed,
         captured=captured,
@@ -56,12 +74,30 @@ def summary(result: Result) -> Summary:
         messages_delivered=tally.delivered,
         messages_lost=tally.lost,
         messages_in_flight=tally.in_flight,
+        messages_lost_by=tally.lost_by,
+        transmissions=tally.transmissions,
+        bytes_sent=tally.octets,
+        utilisation=tally.utilisation,
+        age_mean=age_mean,
+        age_peak=age_peak,
+        age_at_decision=age_at_decision,
+        belief_error=error,
     )
+
+
+def _word(result: Result) -> tuple[float | None, ...]:
+    """Return the three ages of information and the belief error, as far as there is something to measure."""
+    if not result.scenario.record.messages:
+        return None, None, None, None
+    known = knowledge(result)
+    age = ages(result, known)
+    pairs = (over_pairs(each) for each in (age.mean, age.peak, age.at_decision))
+    return tuple(None if isnan(each) else each for each in (*pairs, belief_error(result, known)))
 
 
 def ending(result: Result) -> Ended:
     """Return how the run ended."""
-    return result.trace.of(Ended)[0]
+    return ended(result)
 
 
 def messages(result: Result) -> Tally:
@@ -75,20 +111,25 @@ def activity(result: Result) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     times, counts = [0], [sum(active)]
     for change in changes(result):
         times.append(change.t)
-        counts.append(counts[-1] + (1 if change.active else -1))
+        counts.append(counts[-1] + (1 if _chases(change) else -1))
     times.append(ending(result).t)
     return np.diff(times) / SECOND, np.array(counts)
 
 
-def changes(result: Result) -> list[Decided]:
-    """Return the decisions by which a pursuer's action changed."""
+def changes(result: Result) -> list[Decided | Halted]:
+    """Return the decisions, and the breakdowns, by which a pursuer's action changed."""
     active = list(result.trace.of(Started)[0].active)
     changed = []
-    for decision in result.trace.of(Decided):
-        if decision.active != active[decision.pursuer]:
-            active[decision.pursuer] = decision.active
-            changed.append(decision)
+    for event in result.trace:
+        if isinstance(event, Decided | Halted) and _chases(event) != active[event.pursuer]:
+            active[event.pursuer] = _chases(event)
+            changed.append(event)
     return changed
+
+
+def _chases(event: Decided | Halted) -> bool:
+    """Return whether a pursuer is active from then on."""
+    return isinstance(event, Decided) and event.active
 
 
 def active_time(result: Result) -> float:
@@ -116,5 +157,5 @@ def excess_time(result: Result) -> float:
 
 
 def switches(result: Result) -> int:
-    """Return how often a pursuer changed its action."""
-    return len(changes(result))
+    """Return how often a pursuer changed its action by a decision."""
+    return sum(isinstance(change, Decided) for change in changes(result))

@@ -40,7 +40,13 @@ class Conditions:
         self._down[node] += 1
 
     def repair(self, node: int) -> None:
-        """Undo one breakdown of a node."""
+        """Undo one breakdown of a node.
+
+        Raises:
+            ValueError: if it is not down.
+        """
+        if not self.down(node):
+            raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
 
     def divide(self, groups: Iterable[Iterable[int]]) -> Cut:
@@ -54,7 +60,13 @@ class Conditions:
         self._cuts = [each for each in self._cuts if each is not cut]
 
     def jam(self, disc: Disc) -> None:
-        """Let nobody within a disc hear anything."""
+        """Let nobody within a disc hear anything.
+
+        Raises:
+            ValueError: if the nodes have no positions.
+        """
+        if self._positions is None:
+            raise ValueError(f"a jamming disc needs positions (got {disc})")
         self._jams.append(disc)
 
     def clear(self, disc: Disc) -> None:

@@ -6,12 +6,13 @@ from the seed. Both are kinds of `[[fault]]` in a scenario file.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from itertools import count
 from math import inf
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import simpy
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.events import Trace
@@ -43,11 +44,12 @@ class _Window(Value):
     until: Extent = inf
     """When it is over, s; inf = never."""
 
-    @model_validator(mode="after")
-    def _begins_before_it_ends(self) -> Self:
-        if self.until <= self.at:
-            raise ValueError(f"until should be greater than at (got {self.until:g} and {self.at:g})")
-        return self
+    @field_validator("until")
+    @classmethod
+    def _after_it_begins(cls, until: float, info: ValidationInfo) -> float:
+        if until <= info.data.get("at", 0.0):
+            raise ValueError(f"should be later than at (got {until:g} and {info.data['at']:g})")
+        return until
 
 
 class Crash(_Window):
@@ -69,13 +71,14 @@ class Partition(_Window):
     groups: Annotated[tuple[tuple[Node, ...], ...], Field(min_length=1)]
     """Lists of nodes; those that are in no list form one more group."""
 
-    @model_validator(mode="after")
-    def _disjoint(self) -> Self:
-        named = [node for group in self.groups for node in group]
+    @field_validator("groups")
+    @classmethod
+    def _disjoint(cls, groups: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
+        named = [node for group in groups for node in group]
         twice = sorted({node for node in named if named.count(node) > 1})
         if twice:
-            raise ValueError(f"groups should be disjoint, {twice[0]} is named twice")
-        return self
+            raise ValueError(f"should be disjoint, {twice[0]} is named twice")
+        return groups
 
 
 class Jamming(_Window):
@@ -154,6 +157,13 @@ class RandomPlan(Value):
     box: tuple[Coordinate, Coordinate] = (0.0, 20.0)
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
 
+    @field_validator("box")
+    @classmethod
+    def _ascending(cls, box: tuple[float, float]) -> tuple[float, float]:
+        if box[1] < box[0]:
+            raise ValueError(f"should ascend (got {box[0]:g} and {box[1]:g})")
+        return box
+
     def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that begin before the horizon, s, in order of time."""
         t, end = 0.0, min(self.until, horizon)
@@ -198,11 +208,12 @@ SLOWEST_CLOCK = -0.99
 def drawn(given: Sequence[Fault | Plan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
     """Return faults with every plan replaced by what it draws; the k-th plan has a stream of its own."""
     faults: list[Fault] = []
-    for k, each in enumerate(given):
+    number = count()
+    for each in given:
         if isinstance(each, Fault):
             faults.append(each)
         elif not isinstance(each, ClockSkew):
-            faults += each.faults(size, horizon, stream(seed, "faults", k))
+            faults += each.faults(size, horizon, stream(seed, "faults", next(number)))
     return faults
 
 
@@ -227,7 +238,14 @@ def schedule(
         trace: where `Began` and `Over` go.
         crashed: called when a node breaks down.
         recovered: called when a crash is over.
+
+    Raises:
+        ValueError: if a fault names a node that does not exist.
     """
+    faults, size = list(faults), network.topology.size
+    for fault in faults:
+        if strangers := [node for node in _named(fault) if node >= size]:
+            raise ValueError(f"{fault.kind}: there is no node {strangers[0]}: the nodes are 0 .. {size - 1}")
 
     def begin(fault: Fault, _: simpy.Event) -> None:
         if trace is not None:
@@ -243,6 +261,13 @@ def schedule(
 
     for fault in faults:
         Instant(env, nanoseconds(fault.at), Phase.FAULT).callbacks.append(partial(begin, fault))
+
+
+def _named(fault: Fault) -> list[int]:
+    """Return the nodes that a fault names."""
+    if isinstance(fault, Partition):
+        return [node for group in fault.groups for node in group]
+    return [fault.node] if isinstance(fault, Crash) else []
 
 
 def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:

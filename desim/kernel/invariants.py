@@ -78,6 +78,7 @@ class Conservation:
             self._waiting.discard(message)
             if arrives:
                 _require(arrival >= event.t, "nothing arrives before it left", event)
+            if arrives and self._faults:
                 _require(not self._cut(event.src, dst), "nothing leaves across an open partition", event)
             if arrives and self._fifo:
                 _require(arrival >= self._latest.get((event.src, dst), 0), "nothing overtakes on a link", event)

@@ -205,7 +205,7 @@ class Network:
             in_flight += sum(len(flight.receivers) for flight in self._air.waiting())
             busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(self._lost)}
+        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # not what was lost to nobody
         return Tally(now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._octets, busy)
 
     # How a transmission goes.

@@ -60,7 +60,7 @@ class LogDistance(Value):
         """Return P(d)."""
         from scipy.special import ndtr
 
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             margin = 10.0 * self.exponent * np.log10(range / distances)
         return np.asarray(ndtr(margin / self.shadowing))
 

@@ -21,21 +21,24 @@ from desim.analysis.metrics import (
 )
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import Broadcast, Tally, Trace
-from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.scenario import Scenario
+from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.word import Announcements
+from desim.scenario import Recording, Scenario, Team
 from desim.simulation import Result, run
 
+pytestmark = pytest.mark.own_trace
+pytestmark = pytest.mark.own_trace
 METRICS = (active_time, idle_time, crowded_time, excess_time)
 
 
-def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 0, 0)) -> Result:
+def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 0, 0, {}, 0, 0, 0.0)) -> Result:
     """Return a result with this start, these (time, pursuer, action) and this end; times in s."""
     trace = Trace()
     places = tuple((float(i), 0.0) for i in range(len(active)))
     trace.append(Started(0, (9.0, 0.0), places, (2.0,) * len(active), active))
     for time, pursuer, action in decisions:
         trace.append(Decided(nanoseconds(time), pursuer, action))
-    trace.append(Tally(nanoseconds(end), *tally, {}, 0, 0, 0.0))
+    trace.append(Tally(nanoseconds(end), *tally))
     trace.append(Ended(nanoseconds(end), reason, capturer))
     return Result(Scenario(seed=1), 5, trace)
 
@@ -49,7 +52,8 @@ def relay() -> Result:
     event        0-  0-    1-  2+    0+ 1+
     """
     decisions = [(1.0, 0, False), (1.5, 0, False), (2.0, 1, False), (2.5, 2, True), (3.0, 0, True), (3.0, 1, True)]
-    return by_hand((True, True, False), decisions, 4.0, capturer=2, tally=(12, 7, 3, 2))
+    tally = (12, 7, 3, 2, {"loss": 3}, 6, 144, 0.25)
+    return by_hand((True, True, False), decisions, 4.0, capturer=2, tally=tally)
 
 
 def test_active_time_is_the_integral_of_the_number_of_active_pursuers(relay):
@@ -118,6 +122,28 @@ def test_a_decision_at_the_end_is_a_switch_that_costs_no_time():
     assert (switches(result), active_time(result), idle_time(result)) == (1, 0.0, 3.0)
 
 
+def test_a_pursuer_that_breaks_down_is_no_longer_active_and_that_is_no_switch():
+    """Pursuer 0 chases for 1 s and breaks down, it is ordered to chase at 3 s: 1 + 1 s, and one switch."""
+    result = by_hand((True,), [], 4.0)
+    result.trace.events[1:1] = [Halted(SECOND, 0), Decided(2 * SECOND, 0, False), Decided(3 * SECOND, 0, True)]
+    assert (active_time(result), idle_time(result), switches(result)) == (2.0, 2.0, 1)
+    assert changes(result) == [Halted(SECOND, 0), Decided(3 * SECOND, 0, True)]
+
+
+def test_the_summary_of_a_run_whose_messages_are_recorded_has_ages_and_errors():
+    """Of 20 pursuers each hears the others at once, so that nobody is wrong; and nobody's word is old when it comes."""
+    numbers = summary(run(Scenario(horizon=0.5, record=Recording(messages=True))))
+    assert numbers.belief_error == 0.0
+    assert 0.0 < numbers.age_mean < numbers.age_peak < 0.5
+    assert 0.0 < numbers.age_at_decision < 0.5
+    assert numbers.bytes_sent == 24 * numbers.transmissions > 0
+
+
+def test_a_pursuer_alone_has_nobody_to_hear_of():
+    numbers = summary(run(Scenario(horizon=0.1, team=Team(count=1), record=Recording(messages=True))))
+    assert (numbers.age_mean, numbers.age_peak, numbers.age_at_decision, numbers.belief_error) == (None,) * 4
+
+
 def test_the_summary_of_a_capture_has_all_its_numbers(relay):
     assert asdict(summary(relay)) == {
         "seed": 5,
@@ -135,6 +161,14 @@ def test_the_summary_of_a_capture_has_all_its_numbers(relay):
         "messages_delivered": 7,
         "messages_lost": 3,
         "messages_in_flight": 2,
+        "messages_lost_by": {"loss": 3},
+        "transmissions": 6,
+        "bytes_sent": 144,
+        "utilisation": 0.25,
+        "age_mean": None,
+        "age_peak": None,
+        "age_at_decision": None,
+        "belief_error": None,
     }
 
 
@@ -159,7 +193,7 @@ def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
 
 def test_ending_and_messages_are_the_last_words_of_a_trace(relay):
     assert ending(relay) == Ended(4 * SECOND, "captured", 2)
-    assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2, {}, 0, 0, 0.0)
+    assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2, {"loss": 3}, 6, 144, 0.25)
 
 
 @st.composite
@@ -204,7 +238,7 @@ def test_the_changes_of_one_pursuer_alternate_and_begin_by_leaving_its_first_act
 
 
 def test_the_summary_of_a_run_agrees_with_its_trace():
-    result = run(Scenario(horizon=0.3))
+    result = run(Scenario(horizon=0.3, announce=Announcements(trigger="revision")))
     numbers = summary(result)
     assert numbers.seed == result.seed == 0
     assert numbers.end_time == 0.3

@@ -26,6 +26,17 @@ CAUGHT = Summary(
     messages_delivered=6610,
     messages_lost=116,
     messages_in_flight=76,
+    messages_lost_by={"reach": 16, "half_duplex": 100},
+    transmissions=3401,
+    bytes_sent=81624,
+    utilisation=0.0,
+    age_mean=None,
+    age_peak=None,
+    age_at_decision=None,
+    belief_error=None,
+)
+HEARD = replace(
+    CAUGHT, utilisation=0.25, age_mean=0.0519, age_peak=0.1021, age_at_decision=0.0498, belief_error=0.03125
 )
 ESCAPED = replace(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
 
@@ -67,10 +78,44 @@ def test_the_table_of_a_run_that_ended_with_a_capture():
         "decisions      1,358                       19 of them changed an action",
         "messages sent  6,802                       each receiver of a broadcast counts as one",
         "  delivered    6,610",
-        "  lost         116",
+        "  lost         116                         100 by half duplex, 16 by reach",
         "  in flight    76                          when the run ended",
+        "bytes sent     81,624                      in 3,401 transmissions",
         "wall time      0.050 s                     136,040 messages/s",
     ]
+
+
+def test_the_table_of_a_run_whose_word_was_measured_tells_how_old_and_how_wrong_it_was():
+    assert run_table(SCENARIO, HEARD, wall_time=0.05).splitlines()[-7:] == [
+        "bytes sent       81,624                      in 3,401 transmissions",
+        "utilisation      0.250                       share of the time in which the channels were busy",
+        "age mean         0.052 s                     averaged over time and pairs",
+        "age peak         0.102 s                     just before newer word came",
+        "age at decision  0.050 s                     when the reader decided",
+        "belief error     0.031                       share of pairs with wrong word of the action",
+        "wall time        0.050 s                     136,040 messages/s",
+    ]
+
+
+def test_the_table_of_a_run_without_losses_names_no_cause():
+    table = run_table(SCENARIO, replace(CAUGHT, messages_lost=0, messages_lost_by={}), wall_time=0.05)
+    assert "  lost         0" in table.splitlines()
+
+
+def test_the_table_of_several_runs_averages_ages_over_the_runs_that_have_them():
+    lines = batch_table(SCENARIO, [replace(HEARD, age_peak=None), HEARD], wall_time=1.0).splitlines()
+    cells = {line[:20].strip(): line[20:].split() for line in lines[2:-1]}
+    assert cells["age mean, s"] == ["0.052", "0.000", "0.052", "0.052", "2"]
+    assert cells["age peak, s"] == ["0.102", "-", "0.102", "0.102", "1"]
+    assert cells["belief error"] == ["0.031", "0.000", "0.031", "0.031", "2"]
+    assert cells["utilisation"] == ["0.250", "0.000", "0.250", "0.250", "2"]
+
+
+def test_a_cause_that_one_run_lacks_counts_as_0_there():
+    """Of 16 and 0: mean 8, s.e. 8, and t(1, 0.975) = 12.706."""
+    lines = batch_table(SCENARIO, [CAUGHT, replace(CAUGHT, messages_lost_by={})], wall_time=1.0).splitlines()
+    (line,) = (line for line in lines if line.startswith("  by reach"))
+    assert line.split()[2:] == ["8.000", "101.650", "0.000", "16.000", "2"]
 
 
 def test_the_table_of_a_run_that_ended_at_the_horizon():
@@ -98,7 +143,8 @@ def test_the_table_of_several_runs_has_means_intervals_and_extremes():
     assert cells["switches"] == ["10.000", "0.000", "10.000", "10.000", "3"]
     assert cells["messages sent"] == ["6,802.000", "0.000", "6,802.000", "6,802.000", "3"]
     names = ["capture time, s", "active time, s", "idle time, s", "crowded time, s", "excess time, s", "decisions"]
-    names += ["switches", "messages sent", "messages delivered", "messages lost", "messages in flight"]
+    names += ["switches", "messages sent", "messages delivered", "messages lost", "by half duplex", "by reach"]
+    names += ["messages in flight", "transmissions", "bytes sent"]
     assert list(cells) == ["", *names]
     assert lines[-1] == "wall time 2.000 s, 10,203 messages/s"
 

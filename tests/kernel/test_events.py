@@ -2,7 +2,11 @@
 
 import json
 
+import pytest
+
 from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
+
+pytestmark = pytest.mark.own_trace
 
 
 def test_times_are_written_in_seconds_and_never_is_null():

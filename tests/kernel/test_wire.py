@@ -23,7 +23,6 @@ def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():
         (7.5, 8),
         (np.float64(7.5), 8),
         (np.bool_(True), 8),
-        (1 + 2j, 8),
         ("", 0),
         ("order", 5),
         ("für", 4),

@@ -10,6 +10,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import capture_time, relay_profile
+from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
@@ -67,7 +68,8 @@ def test_latency_costs_active_time():
 
 
 def test_a_team_that_cannot_capture_stays_and_says_so():
-    result = run(Scenario(team=Team(count=3, speeds=0.5), horizon=2.0), 0)
+    each_time = Announcements(trigger="revision")
+    result = run(Scenario(team=Team(count=3, speeds=0.5), horizon=2.0, announce=each_time), 0)
     numbers = summary(result)
     assert (numbers.captured, numbers.active_time, numbers.idle_time) == (False, 0.0, 2.0)
     assert numbers.messages_sent == 2 * numbers.decisions > 0

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -85,5 +86,5 @@ def test_poisson_waits_are_exponential():
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team():
     for schedule in (SharedSeed(slot=0.004), Poisson(rate=50.0)):
         made = len(decisions(schedule, 5, 40.0))
-        assert schedule.mean_slot(5) == pytest.approx(0.004)
+        assert schedule.mean_slot(SimpleNamespace(team_size=5)) == pytest.approx(0.004)
         assert made == pytest.approx(10_000, abs=5 * np.sqrt(10_000))

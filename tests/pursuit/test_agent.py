@@ -7,6 +7,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
+from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Team
 
 
@@ -18,6 +19,7 @@ def play(protocol, latency=0.0, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "protocol": protocol,
         "network": Links(latency=Constant(value=latency)),
+        "announce": Announcements(trigger="revision"),
     }
     return run(Scenario(**(given | changes)))
 

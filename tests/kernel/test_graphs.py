@@ -1,0 +1,249 @@
+"""Graphs of the links: those of networkx, and those of files."""
+
+import json
+from random import Random
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from desim.kernel.graphs import GRAPHS, Complete, Edges, Grid, Link, Ring, Star, as_model
+from desim.kernel.latency import Constant, Gamma
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.topology import Topology
+
+SIZES = [1, 2, 3, 4, 7, 12]
+
+
+def same(ours, theirs):
+    return set(ours) == set(theirs) and set(map(frozenset, ours.edges)) == set(map(frozenset, theirs.edges))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_complete_ring_and_star_are_those_of_networkx(size):
+    assert same(Complete()(size), nx.complete_graph(size))
+    assert same(Ring()(size), nx.cycle_graph(size) if size > 2 else nx.path_graph(size))
+    assert same(Star()(size), nx.star_graph(size - 1))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_graph_makes_a_topology(size):
+    for model in (Complete(), Ring(), Star(), Grid(), Edges()):
+        assert Topology(model(size)).size == size
+
+
+def test_a_star_has_its_centre_where_it_is_told():
+    star = Star(centre=3)(5)
+    assert sorted(star.adj[3]) == [0, 1, 2, 4]
+    assert [sorted(star.adj[node]) for node in (0, 1, 2, 4)] == [[3]] * 4
+    with pytest.raises(ValueError, match=r"no node 5: the nodes are 0 \.\. 4"):
+        Star(centre=5)(5)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 5), (5, 1), (3, 4), (4, 3)])
+def test_a_full_grid_is_that_of_networkx(rows, columns):
+    theirs = nx.relabel_nodes(nx.grid_2d_graph(rows, columns), lambda at: at[0] * columns + at[1])
+    assert same(Grid(columns=columns)(rows * columns), theirs)
+
+
+@given(size=st.integers(1, 40), columns=st.integers(1, 12))
+def test_any_grid_is_the_first_nodes_of_a_full_one(size, columns):
+    rows = -(-size // columns)
+    full = nx.relabel_nodes(nx.grid_2d_graph(rows, columns), lambda at: at[0] * columns + at[1])
+    assert same(Grid(columns=columns)(size), full.subgraph(range(size)))
+
+
+def test_edges_are_the_graph_they_list():
+    """Nodes without edges included."""
+    graph = Edges(edges=(Link(src=0, dst=1), Link(src=1, dst=3)))(5)
+    assert set(graph) == {0, 1, 2, 3, 4}
+    assert set(graph.edges) == {(0, 1), (1, 3)}
+
+
+def test_directed_edges_are_one_way_unless_they_are_both_ways():
+    one, both = Link(src=0, dst=1), Link(src=1, dst=2, both_ways=True, latency=Constant(value=0.5))
+    graph = Edges(edges=(one, both), directed=True)(3)
+    assert set(graph.edges) == {(0, 1), (1, 2), (2, 1)}
+    assert graph.edges[2, 1]["latency"] == graph.edges[1, 2]["latency"] == Constant(value=0.5)
+    assert Edges(edges=(one, both))(3).edges[2, 1]["latency"] == Constant(value=0.5)
+
+
+def test_a_graph_for_another_number_of_nodes_is_refused():
+    with pytest.raises(ValueError, match="the graph has 4 nodes, the team 5"):
+        Edges(nodes=4)(5)
+    with pytest.raises(ValueError, match=r"edge 1 to 5: the nodes should be 0 \.\. 4"):
+        Edges(edges=(Link(src=1, dst=5),))(5)
+    assert len(Edges(nodes=4)(4)) == 4
+
+
+# From networkx and from files.
+
+
+def net(directed=False):
+    """Return a small graph with numbers as attributes of some of its edges."""
+    graph = nx.DiGraph() if directed else nx.Graph()
+    graph.add_nodes_from(range(4))
+    graph.add_edge(0, 1, latency=0.25, loss=0.5)
+    graph.add_edge(1, 2, latency=1)
+    graph.add_edge(2, 3, loss=0, colour="red")
+    return graph
+
+
+def write(graph, tmp_path, kind):
+    file = tmp_path / f"net.{kind}"
+    if kind == "graphml":
+        nx.write_graphml(graph, file)
+    else:
+        file.write_text(json.dumps(nx.node_link_data(graph, edges="edges")))
+    return file
+
+
+def from_file(file):
+    return Edges.model_validate({"file": file.name}, context={"folder": file.parent})
+
+
+@pytest.mark.parametrize("directed", [False, True])
+@pytest.mark.parametrize("kind", ["json", "graphml", "of"])
+def test_a_graph_is_the_same_from_networkx_from_json_and_from_graphml(tmp_path, kind, directed):
+    graph = net(directed)
+    edges = Edges.of(graph) if kind == "of" else from_file(write(graph, tmp_path, kind))
+    assert (edges.nodes, edges.directed) == (4, directed)
+    made = edges(4)
+    assert type(made) is type(graph)
+    assert same(made, graph)
+    assert (set(made.edges) == set(graph.edges)) or not directed
+    assert made.edges[0, 1] == {"latency": Constant(value=0.25), "loss": Bernoulli(p=0.5)}
+    assert made.edges[1, 2] == {"latency": Constant(value=1.0)}
+    assert made.edges[2, 3] == {"loss": Bernoulli(p=0.0)}
+    assert Edges.model_validate(edges.plain()) == edges
+
+
+def test_an_edge_in_json_may_have_a_whole_model(tmp_path):
+    graph = nx.path_graph(2)
+    graph.edges[0, 1].update(latency={"kind": "gamma", "scale": 0.02}, loss={"kind": "gilbert_elliott", "share": 0.3})
+    edge = from_file(write(graph, tmp_path, "json"))(2).edges[0, 1]
+    assert edge == {"latency": Gamma(scale=0.02), "loss": GilbertElliott(share=0.3)}
+
+
+def test_an_edge_of_networkx_may_have_a_model_or_a_function():
+    graph = nx.path_graph(2)
+    graph.edges[0, 1].update(latency=Gamma(), loss=lambda hops, rng: True)
+    edge = Edges.of(graph)(2).edges[0, 1]
+    assert edge == graph.edges[0, 1]
+
+
+@given(st.integers(1, 12), st.floats(0.0, 1.0), st.integers(0, 99), st.booleans())
+def test_any_graph_comes_back(size, density, seed, directed):
+    graph = nx.gnp_random_graph(size, density, seed=Random(seed), directed=directed)
+    back = Edges.of(graph)(size)
+    assert nx.utils.graphs_equal(back, graph)
+
+
+def test_nodes_may_be_numbers_of_numpy():
+    graph = nx.Graph([(np.int64(0), np.int64(1)), (np.int64(1), np.int64(2))])
+    assert same(Edges.of(graph)(3), nx.path_graph(3))
+
+
+def test_a_file_is_read_beside_the_scenario(tmp_path):
+    write(net(), tmp_path, "json")
+    links = Links.model_validate({"graph": {"kind": "edges", "file": "net.json"}}, context={"folder": tmp_path})
+    assert links.graph == Edges.of(net())
+
+
+@pytest.mark.parametrize("kind", ["json", "graphml"])
+@pytest.mark.parametrize("nodes", [[1, 2, 3], [0, 1, 3], [-1, 0, 1]])
+def test_nodes_that_are_not_numbered_from_0_are_refused(tmp_path, kind, nodes):
+    graph = nx.relabel_nodes(nx.path_graph(3), dict(enumerate(nodes)))
+    with pytest.raises(ValidationError, match=r"nodes of the graph should be 0 \.\. 2, got \["):
+        from_file(write(graph, tmp_path, kind))
+    with pytest.raises(ValueError, match=r"should be 0 \.\. 2"):
+        Edges.of(graph)
+
+
+def test_nodes_with_names_are_refused(tmp_path):
+    graph = nx.Graph([("Ada", "Bo"), ("Bo", "Cy")])
+    with pytest.raises(ValueError, match=r"should be 0 \.\. 2, got \['Ada', 'Bo', 'Cy'\]"):
+        Edges.of(graph)
+    with pytest.raises(ValidationError, match=r"got \['Ada', 'Bo', 'Cy'\]"):
+        from_file(write(graph, tmp_path, "json"))
+    with pytest.raises(ValidationError, match=r"net\.graphml is not a graph"):
+        from_file(write(graph, tmp_path, "graphml"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("bad.json", "{"),
+        ("bad.json", "[]"),
+        ("bad.json", "7"),
+        ("bad.json", '{"nodes": []}'),
+        ("bad.json", ""),
+        ("bad.txt", "0 1\n1 2\n"),
+        ("bad.graphml", "<graphml>"),
+        ("bad.graphml", '{"nodes": [], "edges": []}'),
+        ("bad.graphml", ""),
+        ("bad.graphml", '<?xml version="1.0"?><html/>'),
+    ],
+)
+def test_a_file_of_other_things_is_refused_with_its_name(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValidationError, match=rf"{name} is not a graph in node-link JSON"):
+        from_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["none.json", "none.graphml"])
+def test_a_file_that_is_not_there_is_told_by_its_name(tmp_path, name):
+    with pytest.raises(ValidationError, match=rf"{name} cannot be read: No such file"):
+        from_file(tmp_path / name)
+
+
+def test_an_empty_graph_is_refused(tmp_path):
+    with pytest.raises(ValidationError, match="greater than or equal to 1"):
+        from_file(write(nx.Graph(), tmp_path, "json"))
+
+
+@pytest.mark.parametrize(("name", "value"), [("latency", -0.5), ("latency", "fast"), ("loss", 1.5), ("loss", True)])
+def test_attributes_that_make_no_sense_are_refused(tmp_path, name, value):
+    graph = nx.path_graph(2)
+    graph.edges[0, 1][name] = value
+    with pytest.raises(ValidationError):
+        Edges.of(graph)
+    with pytest.raises(ValidationError):
+        from_file(write(graph, tmp_path, "json"))
+
+
+def test_a_number_is_a_constant_latency_or_a_probability_of_loss():
+    assert as_model("latency", 2) == Constant(value=2.0)
+    assert as_model("latency", np.float64(0.5)) == Constant(value=0.5)
+    assert as_model("loss", 0.25) == Bernoulli(p=0.25)
+    assert as_model("loss", Bernoulli(p=1.0)) == Bernoulli(p=1.0)
+
+
+def test_a_link_knows_its_ways():
+    assert Link(src=2, dst=0).ways() == [(2, 0)]
+    assert Link(src=2, dst=0, both_ways=True).ways() == [(2, 0), (0, 2)]
+
+
+@pytest.mark.parametrize(
+    ("model", "bad"),
+    [
+        (Star, {"centre": -1}),
+        (Grid, {"columns": 0}),
+        (Grid, {"columns": 2.5}),
+        (Edges, {"nodes": 0}),
+        (Edges, {"edges": [[0, 1]]}),
+        (Link, {"src": 0}),
+        (Link, {"src": -1, "dst": 0}),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(model, bad):
+    with pytest.raises(ValidationError):
+        model.model_validate(bad)
+
+
+def test_every_graph_is_tested_here():
+    assert set(GRAPHS.choices()) == {"complete", "ring", "star", "grid", "edges"}
