@@ -47,6 +47,7 @@ name = "talk"
 horizon = 1.0
 team.count = 3
 motion.frozen = true
+announce.trigger = "revision"
 
 [protocol]
 kind = "sap"
@@ -627,7 +628,7 @@ def test_run_tells_when_the_evader_got_away(file):
 )
 def test_run_tells_what_became_of_the_messages(file, change, delivered, lost, in_flight):
     path = file(TALK)
-    table = rows(accepted("run", path, "--set", change, "--set", "announce.trigger=revision").stdout)
+    table = rows(accepted("run", path, "--set", change).stdout)
     names = ("messages sent", "delivered", "lost", "in flight")
     assert [int(table[name].split()[0]) for name in names] == [18, delivered, lost, in_flight]
     assert re.fullmatch(r"\d+\.\d{3} s [\d,]+ messages/s", table["wall time"])

@@ -78,7 +78,7 @@ SAWTOOTH = (told(0, 1, 0.0, {1: 1.0}), told(0, 2, 3.0, {1: 3.5}), decided(0.5, 1
 
 
 def test_the_age_is_a_sawtooth_from_the_first_reception_on():
-    """From 1 to 3.5 s it grows from 1 to 3.5 s: 2.5 x 2.25; from 3.5 to 5 s from 0.5 to 2 s: 1.5 x 1.25; in all 7.5 / 4.
+    """From 1 to 3.5 s it grows from 1 to 3.5 s: 2.5 x 2.25; from 3.5 to 5 s from 0.5 to 2 s: 1.5 x 1.25; 7.5 / 4.
 
     The peak is 3.5 s. The decision at 0.5 s comes before anything was heard, those at 2 and 4 s find 2 s and 1 s.
     """
@@ -189,7 +189,7 @@ def test_among_the_events_of_one_instant_a_decision_goes_by_what_came_before_it(
 def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
     """Heard at 1 s (of 0 s), forgotten at 2 s, heard at 3 s (of 2.5 s), until 4 s: (1 x 1.5 + 1 x 1) / 2, no peak.
 
-    What arrives as it recovers, at 2 s, is not forgotten: faults come first.
+    What arrives as it recovers, at 2 s, is not forgotten, for faults come first: (1 x 1.5 + 2 x 3) / 3.
     """
     words = told(0, 1, 0.0, {1: 1.0}), Over(ns(2.0), Crash(at=1.5, until=2.0, node=1, memory=False))
     result = by_hand((True, True), 4.0, *words, told(0, 2, 2.5, {1: 3.0}), decided(2.5, 1), decided(3.5, 1))
@@ -197,7 +197,7 @@ def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
     assert (mean, at_decision) == (1.25, 1.0)
     assert isnan(peak)
     late = by_hand((True, True), 4.0, told(0, 2, 0.0, {1: 2.0}), *words)
-    assert pair(late)[0] == pytest.approx((1.0 * 1.5 + 2.0 * 3.0) / 3.0, abs=1e-12) or pair(late)[0] == 3.0
+    assert pair(late)[0] == 2.5
 
 
 def test_who_keeps_its_memory_goes_on():
@@ -236,12 +236,12 @@ def test_word_that_does_not_tell_the_action_leaves_the_belief():
 
 
 def test_a_pursuer_that_breaks_down_is_wrongly_believed_active():
-    assert belief_error(by_hand((True, False), 4.0, Halted(ns(1.0), 0))) == 0.375
+    assert belief_error(by_hand((True, False), 4.0, Halted(ns(1.0), 0), sent=0)) == 0.375
 
 
 def test_who_loses_its_memory_believes_nobody_active():
     over = Over(ns(3.0), Crash(at=1.5, until=3.0, node=1, memory=False))
-    assert belief_error(by_hand((True, False), 4.0, over)) == 0.125
+    assert belief_error(by_hand((True, False), 4.0, over, sent=0)) == 0.125
 
 
 def test_leaders_are_those_who_are_active_and_have_heard_that_nobody_else_is():
@@ -254,8 +254,8 @@ def test_leaders_are_those_who_are_active_and_have_heard_that_nobody_else_is():
 
 
 def test_after_a_cold_start_all_who_are_active_believe_that_they_lead():
-    assert believed_leaders(by_hand((True, True, False), 4.0, warm=False)) == 2.0
-    assert believed_leaders(by_hand((True, True, False), 4.0)) == 0.0
+    assert believed_leaders(by_hand((True, True, False), 4.0, warm=False, sent=0)) == 2.0
+    assert believed_leaders(by_hand((True, True, False), 4.0, sent=0)) == 0.0
 
 
 # What there is to measure.
@@ -384,6 +384,7 @@ def simulated(result):
     return (*tables, np.mean(wrong), np.mean(leaders))
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=200)
 @given(histories())
 def test_ages_and_beliefs_are_what_a_walk_through_the_run_finds(result):
@@ -422,8 +423,8 @@ def reporting(seed, p, updates=2000):
 def test_periodic_reports_over_a_lossy_link_have_the_ages_of_theory(p):
     """Period T, delay D, loss p: mean D + T(1 + p) / 2(1 - p), mean peak D + T / (1 - p).
 
-    Of the 2000 periods of a run a share 1 - p begins a new tooth, of geometric length: over 24 seeds the standard errors
-    measured are 0.4 % (p = 0.5) and less. The end cuts one tooth in 1000 or more short.
+    Of the 2000 periods of a run a share 1 - p begins a new tooth, of geometric length; over 24 seeds the standard
+    errors measured are XXX and less. The end cuts one tooth in 1000 or more short.
     The control: the formulas at p + 0.05 are more than 5 standard errors off.
     """
     found = np.array([[age_mean(result), age_peak(result)] for result in (reporting(s, p) for s in range(24))])
@@ -490,6 +491,6 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
             assert now["source"].tolist() == [j for j in range(6) if j != event.pursuer]
             assert {j for j, (_, active) in page.items() if active} == set(now["source"][now["active"]].tolist())
             heard = {row["source"]: row["created"] for row in now if not row["presumed"]}
-            assert {j: sent for j, (sent, _) in page.items() if j in heard} == heard
-            assert {j for j in page if j not in heard} == (set() if not warm else set(page) - set(heard))
+            assert {j: page[j][0] for j in heard} == heard
+            assert warm or set(page) == set(heard)
     assert next(pages, None) is None

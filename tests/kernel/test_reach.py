@@ -209,7 +209,7 @@ def largest_share(size, degree, seed):
 def test_the_random_disk_graph_percolates_near_a_mean_degree_of_4_51():
     """Gilbert disks percolate at n pi R^2 = 4.5122 (Quintanilla, Torquato & Ziff 2000; Balister et al. 2005).
 
-    2000 nodes, 5 seeds: the largest component is small at 3, nearly all at 6, grows fastest next to 4.5, and has half of
+    2000 nodes, 5 seeds: the largest component is small at 3, nearly all at 6, grows fastest next to 4.5, has half of
     the nodes at 4.5 +- 0.1 (standard error over seeds; finite size may shift it by as much). The control is a range
     10 % off, which would put that at 5.5 or 3.7.
     """
