@@ -68,15 +68,14 @@ class Flooding(Value):
         """Pass on what is new after a random delay."""
         rng = me.stream("flooding")
         waiting: list[tuple[float, int, Relayed]] = []  # a heap of what is to be said, by time
-        newest: dict[int, int] = {}  # by source, the sequence number of the last word passed on
         number = count()
         while True:
             yield me.arrival(PORT) | me.at(waiting[0][0]) if waiting else me.arrival(PORT)
             for message in me.mail(PORT):
                 (record,), hops = message.body
-                if record.src == me.id or record.seq <= newest.get(record.src, 0):
+                known = me.heard().get(record.src)
+                if record.src == me.id or (known is not None and known[1].seq >= record.seq):
                     continue
-                newest[record.src] = record.seq
                 me.learn([record])
                 if hops > 1:
                     delay = rng.uniform(0.0, self.jitter)

@@ -15,8 +15,10 @@ from typing import Annotated, Literal
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.game import activation_probability
 from desim.value import OneOf, Value
+from protocols.mutex import LocalMutex
 from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
 from protocols.temperature import ConstantTau, PaperTau, Temperature
+from protocols.token import TokenRing, TokenWalk
 
 
 class SpatialAdaptivePlay(Value):
@@ -25,7 +27,9 @@ class SpatialAdaptivePlay(Value):
     kind: Literal["sap"] = "sap"
     tau: Annotated[Temperature, OneOf(PaperTau, ConstantTau)] = PaperTau()
     """Temperature, s."""
-    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson, Rounds, Periodic)] = SharedSeed()
+    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson, Rounds, Periodic, TokenRing, TokenWalk, LocalMutex)] = (
+        SharedSeed()
+    )
     """When each pursuer revises."""
 
     def __call__(self, me: Agent) -> Process:
@@ -35,7 +39,6 @@ class SpatialAdaptivePlay(Value):
         def revise() -> None:
             inverse_tau = self.tau(me.now / slot)
             me.assign(me.rng.random() < activation_probability(me.gain(), inverse_tau))
-            me.announce()
 
         yield from self.schedule(me, revise)
 

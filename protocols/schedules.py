@@ -1,7 +1,7 @@
 """Schedules: when each pursuer revises its action.
 
 A schedule is called with an agent and with what to do at its turn, and is the process that does it: it waits, calls
-`revise`, and waits again. `mean_slot(me)` is the mean time delta between two revisions in the whole team.
+`revise`, lets the pursuer announce its action, and waits again. `mean_slot(me)` is the mean time delta between two revisions in the whole team.
 """
 
 from collections.abc import Callable, Iterator
@@ -45,6 +45,7 @@ class SharedSeed(Value):
             if k * self.slot >= me.now:  # not one that was over before a fast clock began or while one was broken down
                 yield me.at(k * self.slot)
                 revise()
+                me.announce()
 
 
 class Poisson(Value):
@@ -64,10 +65,11 @@ class Poisson(Value):
         while True:
             yield me.sleep(rng.exponential(1.0 / self.rate))
             revise()
+            me.announce()
 
 
 class Rounds(Value):
-    """At every round everybody revises, or each with a probability: nobody knows yet what the others decide.
+    """At every round everybody revises, or each with a probability, before anybody says what it has decided.
 
     No Gibbs law, but on the relay game the fastest to settle: a round takes the time that others need for one revision.
     """
@@ -90,6 +92,8 @@ class Rounds(Value):
                 yield me.at(k * self.period)
                 if rng.random() < self.q:
                     revise()
+                    yield me.after_decisions()
+                    me.announce()
 
 
 class Periodic(Value):
@@ -115,6 +119,7 @@ class Periodic(Value):
         yield me.sleep(rng.uniform(0.0, self.period))
         while True:
             revise()
+            me.announce()
             yield me.sleep(self.period * rng.uniform(1.0 - self.jitter, 1.0 + self.jitter))
 
     def warnings(self, step: float) -> Iterator[tuple[str, str]]:

@@ -231,6 +231,10 @@ class Agent:
         """Return an event a duration from now, by its own clock, s."""
         return Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn)
 
+    def after_decisions(self) -> simpy.Event:
+        """Return an event at this very instant, when everybody has decided who decides at it."""
+        return Instant(self._env, self._env.now, int(Phase.HEARTBEAT) + self.id)
+
     def arrival(self, port: str = "") -> simpy.Event:
         """Return an event that happens as soon as there is mail."""
         return self._network.inbox(self.id, port).arrival(self._turn)

@@ -115,8 +115,13 @@ def test_older_word_never_replaces_newer():
     assert isnan(peak)
 
 
-def test_word_that_comes_after_the_end_is_not_heard():
-    assert isnan(pair(by_hand((True, True), 6.0, told(0, 1, 0.0, {1: 6.5})))[0])
+def test_word_that_comes_after_the_end_is_not_heard_and_what_comes_at_the_end_is():
+    """Number 1, of 0 s, comes at 1 s. Number 2 comes just after the end at 6 s, or just then: the one peak, 6 s."""
+    first = told(0, 1, 0.0, {1: 1.0})
+    mean, peak, _ = pair(by_hand((True, True), 6.0, first, told(0, 2, 2.0, {1: 6.000000001})))
+    assert mean == 3.5
+    assert isnan(peak)
+    assert pair(by_hand((True, True), 6.0, first, told(0, 2, 2.0, {1: 6.0})))[:2] == [3.5, 6.0]
 
 
 def test_a_message_is_lost_to_the_receiver_that_it_is_lost_to_and_to_nobody_else():
@@ -233,6 +238,23 @@ def test_word_that_does_not_tell_the_action_leaves_the_belief():
     words = told(0, 1, 0.0, {1: 1.0}, INACTIVE), told(0, 2, 2.0, {1: 2.0}, "still here")
     assert belief_error(by_hand((True, False), 4.0, *words)) == 0.375
     assert pair(by_hand((True, False), 4.0, *words))[0] == pytest.approx((1.0 * 1.5 + 2.0 * 1.0) / 3.0)
+
+
+def test_who_is_believed_active_remains_so_until_word_tells_otherwise():
+    """From 1 s on 0 is inactive and says nothing of it: wrong for 3 of 2 x 4 s."""
+    words = decided(1.0, 0, False), told(0, 1, 2.0, {1: 2.0}, "still here")
+    assert belief_error(by_hand((True, False), 4.0, *words)) == 0.375
+
+
+def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_nobody_else():
+    """1 forgets at 1 s; at 2 s it hears record number 0 of pursuer 0 again, 2 s old then and 4 s at the end."""
+    first = relayed(2, 1, 2.0, 2.0, Record(0, 0, 0, ACTIVE))
+    over = Over(ns(1.0), Crash(at=0.5, until=1.0, node=1, memory=False))
+    result = by_hand((True, False, False), 4.0, over, first)
+    assert (pair(result)[0], belief_error(result)) == (3.0, 1.0 / (6 * 4))
+    result = by_hand((True, False, False), 4.0, first)
+    assert isnan(pair(result)[0])
+    assert belief_error(result) == 0.0
 
 
 def test_a_pursuer_that_breaks_down_is_wrongly_believed_active():
@@ -424,7 +446,7 @@ def test_periodic_reports_over_a_lossy_link_have_the_ages_of_theory(p):
     """Period T, delay D, loss p: mean D + T(1 + p) / 2(1 - p), mean peak D + T / (1 - p).
 
     Of the 2000 periods of a run a share 1 - p begins a new tooth, of geometric length; over 24 seeds the standard
-    errors measured are XXX and less. The end cuts one tooth in 1000 or more short.
+    errors measured are 0.09 % (p = 0.2) and 0.35 % (p = 0.5). The end cuts one tooth in 1000 or more short.
     The control: the formulas at p + 0.05 are more than 5 standard errors off.
     """
     found = np.array([[age_mean(result), age_peak(result)] for result in (reporting(s, p) for s in range(24))])
@@ -434,7 +456,7 @@ def test_periodic_reports_over_a_lossy_link_have_the_ages_of_theory(p):
     def theory(p):
         return np.array([DELAY + PERIOD * (1 + p) / (2 * (1 - p)), DELAY + PERIOD / (1 - p)])
 
-    assert (error / theory(p) < 0.01).all()
+    assert (error / theory(p) < 0.005).all()
     assert (abs(mean - theory(p)) < 5 * error).all()
     assert (abs(mean - theory(p + 0.05)) > 5 * error).all()
 
@@ -464,10 +486,24 @@ class Diary:
             me.announce()
 
 
-@pytest.mark.parametrize("faults", [(), (RandomCrashes(rate=1.0, mean_downtime=0.1, memory=False),)])
+CRASHES = RandomCrashes(rate=1.0, mean_downtime=0.1)
+FORGETTING = CRASHES.model_copy(update={"memory": False})
+
+
 @pytest.mark.parametrize("warm", [True, False])
-@pytest.mark.parametrize("spread", [OneHop(), Gossip(), Flooding()], ids=lambda spread: spread.kind)
-def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decided(spread, warm, faults):
+@pytest.mark.parametrize(
+    ("spread", "faults"),
+    [
+        (OneHop(), ()),
+        (OneHop(), (FORGETTING,)),
+        (Gossip(), ()),
+        (Gossip(), (FORGETTING,)),
+        (Flooding(), ()),
+        (Flooding(), (CRASHES,)),
+    ],
+)
+def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decided(spread, faults, warm):
+    """In each run some hundred decisions. Word is late, lost, overtaken, passed on, and forgotten."""
     diary = Diary()
     scenario = Scenario(
         horizon=2.0,
@@ -494,3 +530,4 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
             assert {j: page[j][0] for j in heard} == heard
             assert warm or set(page) == set(heard)
     assert next(pages, None) is None
+    assert len(diary.pages) > 100

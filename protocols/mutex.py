@@ -1,0 +1,173 @@
+"""A schedule by mutual exclusion: no two neighbours decide at once, and each knows what the other decided last.
+
+Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours:
+    who wants to decide asks them all; who is asked replies at once, unless it wants to decide itself and asked earlier
+    (Lamport 1978), then it replies after its decision. Replies carry what the replier does.
+Parameters: rate (wishes to decide per second), attempts (before a neighbour is left out).
+Assumes: that neighbours hear each other; that a neighbour which does not answer `attempts` times has broken down or is
+    out of reach. Only neighbours exclude each other and are known as they are.
+Messages: 2 d_i per decision among d_i neighbours, and at least 2 L; more if it takes longer than 2.5 L, for requests
+    are repeated then, and who makes others wait says so.
+Robust to loss: yes. Requests are repeated until they are answered; the oldest waits for nobody but the silent, whom
+    it leaves out, so nobody waits for ever. Who was silent is still asked but not waited for until it replies again.
+"""
+
+from collections.abc import Callable, Generator
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from desim.pursuit.agent import Agent, Process
+from desim.value import Period, Rate, Value
+
+PORT = "mutex"
+"""Where all that concerns the section comes in."""
+
+Stamp = tuple[int, int]
+"""Lamport time and id: the smaller is the older, and no two requests have the same."""
+Waiting = Generator[Any, Any, bool]
+"""A part of a process that finds out whether something is so."""
+
+
+class Request(NamedTuple):
+    """May I decide?"""
+
+    stamp: Stamp
+
+
+class Reply(NamedTuple):
+    """You may."""
+
+    stamp: Stamp
+    """Of the request."""
+    record: Any
+    """What the replier does."""
+
+
+class Later(NamedTuple):
+    """Not yet: answer to a request that is repeated."""
+
+    stamp: Stamp
+    """Of the request."""
+
+
+class LocalMutex(Value):
+    """Who wants to decide, after exponential waits, asks all neighbours first (Ricart and Agrawala)."""
+
+    kind: Literal["local_mutex"] = "local_mutex"
+    rate: Rate = 5.0
+    """Wishes to decide per second of each pursuer that has none, 1/s."""
+    attempts: Annotated[int, Field(ge=1, strict=True)] = 10
+    """How often a neighbour that does not answer is asked before it is left out."""
+    floor: Period = 0.001
+    """Least time after which a request is repeated, s; it is 2.5 L if that is longer."""
+
+    def mean_slot(self, me: Agent) -> float:
+        """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s."""
+        latency, neighbours = me.typical_latency, len(me.neighbours())
+        return max(1.0 / self.rate + 2.0 * latency, (neighbours + 1) * latency) / me.team_size
+
+    def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
+        """Revise whenever all neighbours agree that it is one's turn."""
+        section = Section(me, self.attempts, max(2.5 * me.typical_latency, self.floor))
+        rng = me.stream("mutex")
+        while True:
+            yield from section.idle(me.now + rng.exponential(1.0 / self.rate))
+            yield from section.enter()
+            revise()
+            me.announce()
+            section.leave()
+
+
+class Section:
+    """One pursuer's part in the exclusion: it is inside from `enter` to `leave`."""
+
+    def __init__(self, me: Agent, attempts: int, resend: float):
+        self._me, self._attempts, self._resend = me, attempts, resend
+        self._highest = 0  # Lamport time of the requests so far
+        self._wanted: Stamp | None = None  # its own request
+        self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain
+        self._deferred: dict[int, Stamp] = {}  # who waits for its reply
+        self._silent: set[int] = set()  # who did not answer when last waited for
+
+    def idle(self, until: float) -> Process:
+        """Do nothing but answer until a time on the own clock, s."""
+        while not (yield from self._wait(until)):
+            pass
+
+    def enter(self) -> Process:
+        """Ask all neighbours, and wait until those that are not silent have replied."""
+        self._ask()
+        while self._missing:
+            until = self._me.now + self._resend
+            while self._missing:
+                if (yield from self._wait(until)):
+                    self._ask_again()
+                    break
+            if self._me.now > until + self._resend:  # it broke down: what it knows may be old
+                self._ask()
+
+    def leave(self) -> None:
+        """Reply to all who wait."""
+        self._wanted = None
+        for j, stamp in self._deferred.items():
+            self._reply(j, stamp)
+        self._deferred.clear()
+
+    def _ask(self) -> None:
+        """Send a new request to all neighbours."""
+        self.leave()
+        me = self._me
+        self._highest = max(self._highest + 1, round(me.now * 1e9))  # the clock, for it may have lost its memory
+        self._wanted = (self._highest, me.id)
+        neighbours = me.neighbours()
+        self._missing = {j: 1 for j in neighbours if j not in self._silent}
+        for j in neighbours:
+            me.send(j, Request(self._wanted), PORT)
+
+    def _ask_again(self) -> None:
+        """Send the request once more to those that have not replied, and leave out who was asked often enough."""
+        assert self._wanted is not None
+        for j, asked in list(self._missing.items()):
+            if asked < self._attempts:
+                self._missing[j] += 1
+                self._me.send(j, Request(self._wanted), PORT)
+            else:
+                del self._missing[j]
+                self._silent.add(j)
+
+    def _wait(self, until: float) -> Waiting:
+        """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""
+        me = self._me
+        alarm = me.at(max(until, me.now))
+        yield me.arrival(PORT) | alarm
+        for message in me.mail(PORT):
+            self._hear(message.src, message.body)
+        return bool(alarm.processed)
+
+    def _hear(self, src: int, body: Request | Reply | Later) -> None:
+        """Take notice of a message."""
+        if isinstance(body, Request):
+            self._consider(src, body.stamp)
+            return
+        self._silent.discard(src)
+        if isinstance(body, Reply):
+            self._me.learn([body.record])
+        if body.stamp == self._wanted and src in self._missing:
+            if isinstance(body, Reply):
+                del self._missing[src]
+            else:
+                self._missing[src] = 0
+
+    def _consider(self, src: int, stamp: Stamp) -> None:
+        """Reply to a request, unless the own one is older."""
+        self._highest = max(self._highest, stamp[0])
+        if self._wanted is None or stamp < self._wanted:
+            self._reply(src, stamp)
+            return
+        if src in self._deferred:
+            self._me.send(src, Later(stamp), PORT)
+        self._deferred[src] = stamp
+
+    def _reply(self, dst: int, stamp: Stamp) -> None:
+        self._me.send(dst, Reply(stamp, self._me.record(self._me.assignment())), PORT)

@@ -1,0 +1,413 @@
+"""Faults: what they do to a network, the order in which they open and close, and what random plans draw."""
+
+from collections import Counter
+from itertools import pairwise
+from math import exp, inf
+
+import networkx as nx
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
+from desim.kernel.conditions import Conditions
+from desim.kernel.events import Trace
+from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn, schedule
+from desim.kernel.network import Network
+from desim.kernel.seeds import stream
+
+PERIOD = SECOND // 10
+
+
+def who_hears_whom(size, *faults, positions=None, until=1.0):
+    """Return at which tenths of a second a word of src reaches dst, by (src, dst); everybody speaks at every tenth."""
+    clock, trace = Clock(), Trace()
+    at = None if positions is None else lambda: positions(clock.now / SECOND)
+    network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, conditions=Conditions(at))
+    schedule(faults, clock, network, trace)
+    heard = {(src, dst): set() for src in range(size) for dst in range(size) if src != dst}
+
+    def speak(tenth):
+        for node in range(size):
+            network.send(node, None, tenth)
+
+    def listen(tenth):
+        for node in range(size):
+            for message in network.inbox(node).drain():
+                heard[message.src, node].add(message.body)
+
+    for tenth in range(round(10 * until)):
+        Instant(clock, tenth * PERIOD, Phase.DECISION).callbacks.append(lambda _, k=tenth: speak(k))
+        Instant(clock, tenth * PERIOD, Phase.SAMPLE).callbacks.append(lambda _, k=tenth: listen(k))
+    clock.run()
+    trace.append(network.tally())
+    return heard
+
+
+def tenths(start, stop):
+    return set(range(start, stop))
+
+
+ALWAYS = tenths(0, 10)
+
+
+def test_a_node_whose_radio_is_down_neither_sends_nor_receives():
+    """Node 1 of three is down from 0.3 s until 0.6 s, at which it is up."""
+    up = ALWAYS - tenths(3, 6)
+    assert who_hears_whom(3, Crash(node=1, at=0.3, until=0.6)) == {
+        (0, 1): up,
+        (1, 0): up,
+        (1, 2): up,
+        (2, 1): up,
+        (0, 2): ALWAYS,
+        (2, 0): ALWAYS,
+    }
+
+
+def test_a_crash_that_is_never_over_lasts():
+    assert who_hears_whom(2, Crash(node=1, at=0.3))[1, 0] == tenths(0, 3)
+
+
+@pytest.mark.parametrize(
+    ("second", "down"),
+    [((0.4, 0.8), (2, 8)), ((0.3, 0.5), (2, 6)), ((0.6, 0.8), (2, 8)), ((0.2, 0.6), (2, 6)), ((0.1, 0.9), (1, 9))],
+)
+def test_a_node_is_up_when_all_its_crashes_are_over(second, down):
+    """One from 0.2 s until 0.6 s, and one that overlaps, lies within, follows, is the same, or contains it."""
+    crashes = [Crash(node=0, at=at, until=until) for at, until in ((0.2, 0.6), second)]
+    for order in (crashes, crashes[::-1]):
+        assert who_hears_whom(2, *order)[0, 1] == ALWAYS - tenths(*down)
+
+
+@pytest.mark.parametrize("scope", ["radio", "robot"])
+def test_to_the_network_every_crash_is_one_of_the_radio(scope):
+    assert who_hears_whom(2, Crash(node=0, at=0.5, scope=scope))[0, 1] == tenths(0, 5)
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_a_node_recovers_with_or_without_what_it_knew(memory):
+    """Node 1 knew of 0 and 2 and had mail on two ports; node 2 forgets nothing; what comes later is kept."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
+    network.presume(2, "presumed")
+    network.publish(0, "told")
+    for port in ("", "other"):
+        network.send(0, None, "mail", port=port)
+    schedule([Crash(node=1, at=1.0, until=2.0, memory=memory)], clock, network)
+    Instant(clock, 3 * SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(2, "later"))
+    clock.run(until=2 * SECOND + 1)
+    assert sorted(network.heard(1)) == ([0, 2] if memory else [])
+    assert [len(network.inbox(1, port).drain()) for port in ("", "other")] == ([1, 1] if memory else [0, 0])
+    assert sorted(network.heard(2)) == [0]
+    assert len(network.inbox(2).drain()) == 1
+    clock.run()
+    assert network.heard(1)[2][1].body == "later"
+
+
+def test_what_a_node_knows_is_still_there_while_its_radio_is_down():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    network.publish(0, "told")
+    schedule([Crash(node=1, at=1.0, until=2.0, memory=False)], clock, network)
+    clock.run(until=2 * SECOND)
+    assert list(network.heard(1)) == [0]
+
+
+def test_a_node_without_memory_learns_again_what_it_had_heard():
+    """A record that is older than what was forgotten is news: it is the newest that is known."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    old, new = network.next_record(0, "old"), network.next_record(0, "new")
+    network.enter(1, new)
+    network.break_down(1)
+    network.repair(1, memory=False)
+    network.enter(1, old)
+    assert network.heard(1)[0][1] == old
+
+
+def heard_by_pairs(size, groups):
+    """Return who hears whom while a partition is open, as pairs."""
+    found = who_hears_whom(size, Partition(groups=groups, at=0.0))
+    return {pair for pair, when in found.items() if when}
+
+
+def pairs(*groups):
+    return {(src, dst) for group in groups for src in group for dst in group if src != dst}
+
+
+@pytest.mark.parametrize(
+    ("groups", "together"),
+    [
+        ([(0, 1), (2, 3, 4)], [(0, 1), (2, 3, 4)]),
+        ([(0, 1)], [(0, 1), (2, 3, 4)]),
+        ([(0,), (1,)], [(2, 3, 4)]),
+        ([(), (0, 1, 2)], [(0, 1, 2), (3, 4)]),
+        ([(0, 1, 2, 3, 4)], [(0, 1, 2, 3, 4)]),
+    ],
+)
+def test_a_partition_separates_its_groups_and_all_others_form_one_more(groups, together):
+    assert heard_by_pairs(5, groups) == pairs(*together)
+
+
+def test_partitions_that_overlap_separate_whom_either_does():
+    """{0 1 | 2 3} from 0.2 s until 0.6 s, {0 2 | 1 3} from 0.4 s until 0.8 s; 0 and 3 are separated by both."""
+    heard = who_hears_whom(
+        4, Partition(groups=[(0, 1)], at=0.2, until=0.6), Partition(groups=[(0, 2)], at=0.4, until=0.8)
+    )
+    assert heard[0, 1] == heard[3, 2] == ALWAYS - tenths(4, 8)
+    assert heard[0, 2] == heard[3, 1] == ALWAYS - tenths(2, 6)
+    assert heard[0, 3] == heard[2, 1] == ALWAYS - tenths(2, 8)
+
+
+@pytest.mark.parametrize("inner", [(0.4, 0.6), (0.4, 0.8), (0.2, 0.6)])
+def test_a_partition_within_an_equal_one_heals_only_itself(inner):
+    outer = Partition(groups=[(0,)], at=0.2, until=0.8)
+    heard = who_hears_whom(2, outer, Partition(groups=[(0,)], at=inner[0], until=inner[1]))
+    assert heard[0, 1] == ALWAYS - tenths(2, 8)
+
+
+def in_a_row(*xs):
+    return lambda time: np.array([[x, 0.0] for x in xs])
+
+
+def test_a_jamming_disc_deafens_who_is_inside_and_lets_him_be_heard_outside():
+    """Nodes at x = 0, 1, 5 m; a disc of 1 m around the first from 0.3 s until 0.6 s, and its rim belongs to it."""
+    jam = Jamming(centre=(0.0, 0.0), radius=1.0, at=0.3, until=0.6)
+    heard = who_hears_whom(3, jam, positions=in_a_row(0.0, 1.0, 5.0))
+    jammed = ALWAYS - tenths(3, 6)
+    assert heard == {(0, 1): jammed, (1, 0): jammed, (2, 0): jammed, (2, 1): jammed, (0, 2): ALWAYS, (1, 2): ALWAYS}
+
+
+def test_discs_that_overlap_are_undone_one_by_one():
+    discs = [Jamming(centre=(0.0, 0.0), radius=1.0, at=at, until=until) for at, until in ((0.1, 0.7), (0.3, 0.5))]
+    heard = who_hears_whom(2, *discs, positions=in_a_row(0.0, 5.0))
+    assert heard == {(1, 0): ALWAYS - tenths(1, 7), (0, 1): ALWAYS}
+
+
+def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
+    """Node 0 moves along x at 10 m/s: after k tenths of a second it is at k m; the disc covers 3 m to 5 m."""
+    heard = who_hears_whom(
+        2,
+        Jamming(centre=(4.0, 0.0), radius=1.0 + 1e-9, at=0.0),
+        positions=lambda time: np.array([[10.0 * time, 0.0], [99.0, 0.0]]),
+    )
+    assert heard == {(1, 0): ALWAYS - {3, 4, 5}, (0, 1): ALWAYS}
+
+
+def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
+    clock, trace, calls = Clock(), Trace(), []
+    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
+    crash = Crash(node=1, at=0.2, until=0.5)
+    cut = Partition(groups=[(0,)], at=0.1, until=0.2)
+    schedule(
+        [crash, cut, Crash(node=2, at=0.3)],
+        clock,
+        network,
+        trace,
+        crashed=lambda fault: calls.append((clock.now, "crashed", fault.node, network.conditions.down(fault.node))),
+        recovered=lambda fault: calls.append((clock.now, "recovered", fault.node, network.conditions.down(fault.node))),
+    )
+    clock.run()
+    tenth = SECOND // 10
+    assert [(type(event), event.t // tenth, type(event.fault)) for event in trace] == [
+        (Began, 1, Partition),
+        (Began, 2, Crash),
+        (Over, 2, Partition),
+        (Began, 3, Crash),
+        (Over, 5, Crash),
+    ]
+    assert calls == [
+        (2 * tenth, "crashed", 1, True),
+        (3 * tenth, "crashed", 2, True),
+        (5 * tenth, "recovered", 1, False),
+    ]
+
+
+def test_a_fault_too_short_for_the_clock_begins_and_is_over_at_one_instant():
+    clock, trace = Clock(), Trace()
+    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    schedule([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
+    clock.run()
+    assert [type(event) for event in trace] == [Began, Over]
+    assert not network.conditions.down(0)
+
+
+def downtimes(crashes, horizon):
+    """Return the number of crashes and the time down before the horizon of each node, as arrays."""
+    number, down = Counter(), Counter()
+    for crash in crashes:
+        number[crash.node] += 1
+        down[crash.node] += min(crash.until, horizon) - crash.at
+    nodes = range(max(number) + 1)
+    return np.array([number[node] for node in nodes]), np.array([down[node] for node in nodes])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_crashes_follow_the_alternating_renewal_process(seed):
+    """The chance to be down at t is p(t) = q (1 - exp(-k t)), q = a m / (1 + a m), k = a + 1 / m, and crashes come at
+    the rate a (1 - p(t)); both integrated over [0, T], with a = 0.3 1/s, m = 2 s, T = 40 s and 3000 nodes.
+    Within 5 standard errors; without regard to downtime (a T crashes, a m T down) it would be far off."""
+    rate, mean, horizon, nodes = 0.3, 2.0, 40.0, 3000
+    plan = RandomCrashes(rate=rate, mean_downtime=mean)
+    number, down = downtimes(drawn([plan], nodes, horizon, seed), horizon)
+    share, speed = rate * mean / (1 + rate * mean), rate + 1 / mean
+    time_down = share * (horizon - (1 - exp(-speed * horizon)) / speed)
+
+    def error(sample, expected):
+        return abs(sample.mean() - expected) / (sample.std(ddof=1) / np.sqrt(len(sample)))
+
+    assert error(down, time_down) < 5
+    assert error(number, rate * (horizon - time_down)) < 5
+    assert error(down, rate * mean * horizon) > 50
+    assert error(number, rate * horizon) > 50
+
+
+def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_plus_it():
+    """0.5 1/s and 1 s make 1/3; 200 nodes over 1000 s, within 5 standard errors and far from 1/2."""
+    horizon = 1000.0
+    _, down = downtimes(drawn([RandomCrashes(rate=0.5, mean_downtime=1.0)], 200, horizon, 0), horizon)
+    share, error = down.mean() / horizon, down.std(ddof=1) / horizon / np.sqrt(200)
+    assert abs(share - 1 / 3) < 5 * error < 0.02
+
+
+def test_random_crashes_of_a_node_do_not_overlap_and_begin_before_the_horizon():
+    plan = RandomCrashes(rate=5.0, mean_downtime=0.1, scope="radio", memory=False)
+    for crashes in [[c for c in drawn([plan], 4, 20.0, 7) if c.node == node] for node in range(4)]:
+        assert len(crashes) > 20
+        assert all(before.until < after.at for before, after in pairwise(crashes))
+        assert all(crash.at < 20.0 and crash.scope == "radio" and not crash.memory for crash in crashes)
+
+
+def test_the_crashes_of_a_node_depend_neither_on_how_many_there_are_nor_on_the_horizon():
+    plan = RandomCrashes(rate=1.0)
+    many = drawn([plan], 5, 50.0, 3)
+    assert drawn([plan], 2, 50.0, 3) == [crash for crash in many if crash.node < 2]
+    assert drawn([plan], 5, 10.0, 3) == [crash for crash in many if crash.at < 10.0]
+
+
+KINDS = ("crash", "partition", "jamming")
+
+
+@pytest.mark.parametrize("until", [inf, 8.0])
+@pytest.mark.parametrize("kinds", [KINDS, ("crash",), ("partition", "jamming")])
+def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
+    plan = RandomPlan(rate=20.0, mean_duration=2.0, until=until, kinds=kinds, box=(-3.0, 7.0))
+    faults = drawn([plan], 5, 10.0, 11)
+    assert {fault.kind for fault in faults} == set(kinds)
+    assert [fault.at for fault in faults] == sorted(fault.at for fault in faults)
+    assert all(fault.at < fault.until <= until and fault.at < 10.0 for fault in faults)
+    assert max(fault.at for fault in faults) > min(until, 10.0) - 1.0
+    for fault in faults:
+        if fault.kind == "crash":
+            assert 0 <= fault.node < 5
+        elif fault.kind == "partition":
+            assert 1 <= len(fault.groups[0]) < 5
+        else:
+            assert all(-3.0 <= x <= 7.0 for x in fault.centre)
+            assert 1.0 <= fault.radius <= 5.0
+
+
+def test_a_random_plan_has_faults_at_its_rate():
+    """20 1/s over 100 s are 2000 faults with a standard deviation of 45; and a mean duration of 0.5 s."""
+    faults = drawn([RandomPlan(rate=20.0, mean_duration=0.5)], 5, 100.0, 2)
+    durations = np.array([fault.until - fault.at for fault in faults])
+    assert abs(len(faults) - 2000) < 5 * 45
+    assert abs(durations.mean() - 0.5) < 5 * 0.5 / np.sqrt(len(faults))
+
+
+@pytest.mark.parametrize("plan", [RandomPlan(rate=5.0), RandomCrashes(rate=1.0)])
+def test_equal_seeds_draw_equal_plans_and_others_do_not(plan):
+    assert drawn([plan], 4, 10.0, 5) == drawn([plan], 4, 10.0, 5)
+    assert drawn([plan], 4, 10.0, 5) != drawn([plan], 4, 10.0, 6)
+
+
+def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_given():
+    first, second, given = RandomPlan(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, at=1.0)
+    alone = drawn([first], 4, 10.0, 5)
+    assert drawn([given, first], 4, 10.0, 5) == [given, *alone]
+    assert drawn([first, second], 4, 10.0, 5)[: len(alone)] == alone
+    assert drawn([first, first], 4, 10.0, 5)[len(alone) :] != alone
+    assert drawn([first], 4, 10.0, 5) == list(first.faults(4, 10.0, stream(5, "faults", 0)))
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_a_random_plan_is_possible_among_few(size):
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(size), conditions=Conditions(lambda: np.zeros((size, 2))))
+    schedule(drawn([RandomPlan(rate=20.0)], size, 5.0, 0), clock, network)
+    clock.run()
+    assert not any(network.conditions.down(node) or network.conditions.jammed(node) for node in range(size))
+    assert not network.conditions.cut(0, size - 1)
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "about"),
+    [
+        (Crash, {"node": 0, "at": 1.0, "until": 1.0}, "until"),
+        (Crash, {"node": 0, "at": 1.0, "until": 0.5}, "until"),
+        (Crash, {"node": -1, "at": 1.0}, "node"),
+        (Crash, {"node": 1.0, "at": 1.0}, "node"),
+        (Crash, {"node": 0, "at": -1.0}, "at"),
+        (Crash, {"node": 0, "at": inf}, "at"),
+        (Crash, {"node": 0, "at": 1.0, "scope": "wheels"}, "scope"),
+        (Crash, {"node": 0, "at": 1.0, "memory": 1}, "memory"),
+        (Crash, {"node": 0}, "at"),
+        (Partition, {"groups": [(0, 1), (1, 2)], "at": 0.0}, "disjoint"),
+        (Partition, {"groups": [(0, 0)], "at": 0.0}, "disjoint"),
+        (Partition, {"groups": [(-1,)], "at": 0.0}, "groups"),
+        (Partition, {"groups": [], "at": 0.0}, "groups"),
+        (Partition, {"groups": [(0,)], "at": 2.0, "until": 1.0}, "until"),
+        (Jamming, {"centre": (0.0, 0.0), "radius": 0.0, "at": 0.0}, "radius"),
+        (Jamming, {"centre": (0.0,), "radius": 1.0, "at": 0.0}, "centre"),
+        (Jamming, {"centre": (0.0, float("nan")), "radius": 1.0, "at": 0.0}, "centre"),
+        (RandomCrashes, {"rate": 0.0}, "rate"),
+        (RandomCrashes, {"mean_downtime": 0.0}, "mean_downtime"),
+        (RandomPlan, {"kinds": ()}, "kinds"),
+        (RandomPlan, {"kinds": ("flood",)}, "kinds"),
+        (RandomPlan, {"until": 0.0}, "until"),
+        (RandomPlan, {"box": (1.0, 0.0)}, "box"),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
+    with pytest.raises(ValidationError, match=about):
+        model(**fields)
+
+
+@pytest.mark.parametrize("fault", [Crash(node=3, at=0.0), Partition(groups=[(0,), (1, 3)], at=0.0)])
+def test_a_fault_of_a_node_that_does_not_exist_is_refused(fault):
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
+    with pytest.raises(ValueError, match=r"there is no node 3: the nodes are 0 \.\. 2"):
+        schedule([fault], clock, network)
+
+
+def test_a_jamming_disc_needs_positions():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    schedule([Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0)], clock, network)
+    with pytest.raises(ValueError, match="positions"):
+        clock.run()
+
+
+def test_faults_need_a_network_with_conditions():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(2))
+    schedule([Crash(node=0, at=1.0)], clock, network)
+    with pytest.raises(ValueError, match="conditions"):
+        clock.run()
+
+
+def test_a_node_that_is_not_down_cannot_be_repaired():
+    conditions = Conditions()
+    conditions.break_down(0)
+    conditions.repair(0)
+    with pytest.raises(ValueError, match="node 0 is not down"):
+        conditions.repair(0)
+
+
+def test_faults_happen_at_the_nanosecond_they_name():
+    clock, trace = Clock(), Trace()
+    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    schedule([Crash(node=0, at=0.7, until=0.700000002)], clock, network, trace)
+    clock.run()
+    assert [event.t for event in trace] == [nanoseconds(0.7), nanoseconds(0.7) + 2]

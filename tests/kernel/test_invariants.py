@@ -1,0 +1,269 @@
+"""The watcher of the invariants: it lets right histories pass and notices each kind of wrong one."""
+
+from math import inf
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.conditions import Conditions
+from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn, schedule
+from desim.kernel.invariants import Conservation
+from desim.kernel.latency import Constant, Uniform
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate, Unlimited
+from desim.kernel.network import Network
+
+pytestmark = pytest.mark.own_trace
+
+
+def sent(t, arrival, *, flight=0, src=0, dst=1, created=None):
+    return Sent(t, flight, src, dst, arrival, t if created is None else created, 24, None)
+
+
+def told(t, arrival, *, dst=(1, 2), flight=0, created=None):
+    return Broadcast(t, flight, 0, 1, dst, arrival, t if created is None else created, 24, None)
+
+
+def lost(t, cause="loss", *, flight=0, dst=1):
+    return Lost(t, flight, 0, dst, cause)
+
+
+def queued(t, *, flight=0, dst=(1,)):
+    return Queued(t, flight, 0, dst, 24)
+
+
+def tally(t, delivered=0, in_flight=0, **lost_by):
+    total = sum(lost_by.values())
+    return Tally(t, delivered + total + in_flight, delivered, total, in_flight, lost_by, 1, 24, 0.0)
+
+
+CRASH, PARTITION = Crash(node=1, at=0.0), Partition(groups=((0,),), at=0.0)
+
+RIGHT = {
+    "delivered": [sent(1, 5), tally(5, 1)],
+    "delivered at once": [sent(5, 5), tally(5, 1)],
+    "in flight": [sent(1, 5), tally(4, 0, 1)],
+    "lost as it leaves": [sent(1, LOST), lost(1), tally(4, loss=1)],
+    "lost as it arrives": [sent(1, 5), lost(5, "reach"), tally(9, reach=1)],
+    "a broadcast to all alike": [told(1, (5,)), tally(5, 2)],
+    "a broadcast to each by itself": [told(1, (5, LOST)), lost(1, dst=2), tally(4, 0, 1, loss=1)],
+    "a broadcast to one": [told(1, (5,), dst=(2,)), tally(5, 1)],
+    "a broadcast to nobody": [told(1, (), dst=()), tally(5)],
+    "several tallies": [tally(0), sent(1, 5), tally(2, 0, 1), tally(5, 1)],
+    "waiting": [queued(1), tally(9, 0, 1)],
+    "waiting, then delivered": [queued(1, dst=(1, 2)), told(3, (5,), created=1), tally(5, 2)],
+    "lost while it waits": [queued(1), lost(2, "crash"), tally(9, crash=1)],
+    "a loss to nobody": [tally(0, queue=0)],
+    "down until it arrives": [Began(0, CRASH), sent(1, 5), Over(5, CRASH), tally(5, 1)],
+    "down after it arrived": [sent(1, 5), Began(6, CRASH), tally(9, 1)],
+    "down twice": [*[Began(0, CRASH)] * 2, sent(1, 5), *[Over(2, CRASH)] * 2, tally(5, 1)],
+    "sender down as it arrives": [sent(1, 5, src=1, dst=0), Began(2, CRASH), tally(9, 1)],
+    "lost to a crash": [sent(1, 5), Began(5, CRASH), lost(5, "crash"), tally(9, crash=1)],
+    "a partition while it flies": [sent(1, 5), Began(2, PARTITION), Over(5, PARTITION), tally(9, 1)],
+    "a partition healed as it leaves": [Began(0, PARTITION), Over(1, PARTITION), sent(1, 5), tally(9, 1)],
+    "within a group": [Began(0, PARTITION), sent(1, 5, src=1, dst=2), tally(9, 1)],
+    "jamming": [Began(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), tally(9, 1)],
+    "overtaking": [sent(1, 9), sent(2, 5, flight=1), tally(9, 2)],
+}
+
+WRONG = {
+    "delivered, not counted": ("delivered", [sent(1, 5), tally(5, 0, 1)]),
+    "counted before it arrives": ("in flight", [sent(1, 5), tally(4, 1)]),
+    "counted, never sent": ("sent", [tally(4, 1)]),
+    "sent, not counted": ("sent", [sent(1, 5), tally(4)]),
+    "lost, not counted": ("lost", [sent(1, 5), lost(5), tally(5, 1)]),
+    "lost by another cause": ("lost", [sent(1, 5), lost(5), tally(5, reach=1)]),
+    "waiting, not counted": ("in flight", [queued(1, dst=(1, 2)), tally(9, 0, 1)]),
+    "waiting counted once more as it leaves": ("sent", [queued(1), sent(3, 5, created=1), tally(5, 2)]),
+    "arrives before it left": ("before it left", [sent(5, 4)]),
+    "one arrives before it left": ("before it left", [told(5, (6, 4))]),
+    "leaves before it was created": ("before it was created", [sent(5, 6, created=7)]),
+    "time runs backwards": ("backwards", [sent(5, 6), sent(4, 6, flight=1)]),
+    "leaves twice": ("once", [sent(1, 5), sent(2, 5)]),
+    "never arrives, is not lost": ("is lost", [sent(1, LOST), tally(2, loss=1)]),
+    "lost twice": ("once", [sent(1, 5), lost(5), lost(5)]),
+    "lost twice while it waits": ("once", [queued(1), lost(2), lost(2)]),
+    "lost, never sent": ("on its way", [lost(1)]),
+    "lost to another": ("on its way", [sent(1, 5), lost(5, dst=2)]),
+    "lost after it arrived": ("on its way", [sent(1, 5), lost(6)]),
+    "lost while it flies": ("as it arrives", [sent(1, 5), lost(3)]),
+    "down as it arrives": ("reaches 1, whose radio is down", [sent(1, 5), Began(3, CRASH), tally(9, 1)]),
+    "down from when it arrives": ("reaches 1", [sent(1, 5), Began(5, CRASH), tally(5, 1)]),
+    "down until after it arrived": ("reaches 1", [Began(0, CRASH), sent(1, 5), Over(6, CRASH)]),
+    "down once more": ("reaches 1", [*[Began(0, CRASH)] * 2, sent(1, 5), Over(2, CRASH), tally(9, 1)]),
+    "one of all is down": ("reaches 1", [told(1, (5,)), Began(3, CRASH), tally(9, 2)]),
+    "sender is down": ("says nothing", [Began(0, CRASH), sent(1, 5, src=1, dst=0)]),
+    "down sender waits": ("says nothing", [Began(0, Crash(node=0, at=0.0)), queued(1)]),
+    "left across a partition": ("leaves across", [Began(0, PARTITION), sent(1, 5)]),
+    "arrives across a partition": ("across", [sent(1, 5), Began(2, PARTITION), tally(9, 1)]),
+    "arrives as a partition begins": ("across", [sent(1, 5), Began(5, PARTITION), tally(9, 1)]),
+    "across a partition of named groups": (
+        "across",
+        [Began(0, Partition(groups=((0, 2), (1,)), at=0.0)), sent(1, 5, src=2)],
+    ),
+    "over, never begun": ("began", [Over(1, CRASH)]),
+    "over twice": ("began", [Began(0, CRASH), Over(1, CRASH), Over(1, CRASH)]),
+}
+
+
+def watch(events, **options):
+    trace = Trace([Conservation(**options)])
+    for event in events:
+        trace.append(event)
+
+
+@pytest.mark.parametrize("events", RIGHT.values(), ids=RIGHT)
+def test_a_right_history_passes(events):
+    watch(events)
+
+
+@pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
+def test_a_wrong_history_is_noticed(words, events):
+    """The text says what is wrong, and has an event of those that happened."""
+    with pytest.raises(AssertionError, match=words) as failure:
+        watch(events)
+    assert any(str(event) in str(failure.value) for event in events)
+
+
+def test_overtaking_is_noticed_on_links_that_are_first_in_first_out():
+    watch(
+        [sent(1, 9), sent(2, 9, flight=1), sent(2, 5, flight=2, dst=2), sent(3, 5, flight=3, src=1, dst=0)], fifo=True
+    )
+    with pytest.raises(AssertionError, match="overtakes"):
+        watch(RIGHT["overtaking"], fifo=True)
+    with pytest.raises(AssertionError, match="overtakes"):
+        watch([told(1, (9, 5)), told(2, (8, 7), flight=1)], fifo=True)
+
+
+def live(seed, network=Network, links=None, faults=(), size=5, **options):
+    """Let nodes talk for a second over a network under the eyes of the watcher."""
+    clock, trace = Clock(), Trace([Conservation(**options)])
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 20.0, (size, 2))
+
+    def positions():
+        return places * np.cos(clock.now / SECOND)
+
+    conditions = Conditions(positions) if faults else None
+    links = links or Links()
+    graph = nx.complete_graph(size)
+    net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, conditions=conditions)
+    schedule(drawn(faults, size, 1.0, seed), clock, net, trace)
+
+    def speak(node, dst, number):
+        if number % 2:
+            net.publish(node, number)
+        else:
+            net.send(node, dst if dst != node else None, number)
+
+    for number in range(60):
+        node, dst = rng.integers(size, size=2).tolist()
+        act = Instant(clock, int(rng.integers(100)) * SECOND // 100, Phase.DECISION + node)
+        act.callbacks.append(lambda _, n=node, d=dst, k=number: speak(n, d, k))
+    for tenth in range(11):
+        count = Instant(clock, tenth * SECOND // 10, Phase.SAMPLE)
+        count.callbacks.append(lambda _: trace.append(net.tally()))
+    clock.run(until=SECOND + 1)
+    return trace
+
+
+PLANS = [(), (RandomPlan(rate=20.0, mean_duration=0.1),), (Crash(node=0, at=0.0, until=inf), RandomPlan(rate=5.0))]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from(PLANS),
+    st.sampled_from([Constant(), Constant(value=0.03), Uniform(low=0.0, high=0.3)]),
+    st.sampled_from(["overtaking", "fifo"]),
+    st.sampled_from([Unlimited(), Bitrate(bitrate=1e4, half_duplex=True, queue_limit=2.0), Bitrate(bitrate=1e4)]),
+    st.sampled_from(["send", "delivery", "both"]),
+    st.sampled_from([0.0, 0.3]),
+)
+def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults, latency, order, medium, check, p):
+    links = Links(latency=latency, order=order, medium=medium, range=25.0, range_check=check, loss=Bernoulli(p=p))
+    live(seed, links=links, faults=faults, fifo=order == "fifo")
+
+
+class Deaf(Network):
+    """It loses what arrives, and does not say so."""
+
+    def _land(self, flight, nodes, airtime, event):
+        super()._land(flight, nodes[1:], airtime, event)
+
+
+class Talkative(Network):
+    """Who is down may speak."""
+
+    def _hand_over(self, src, *rest, **options):
+        conditions, self._conditions = self._conditions, None
+        super()._hand_over(src, *rest, **options)
+        self._conditions = conditions
+
+
+class Unbreakable(Network):
+    """Nothing keeps a message from arriving."""
+
+    def _obstacle(self, flight, node, airtime):
+        return None
+
+
+class Leaky(Network):
+    """It counts a loss and does not record it."""
+
+    def _lose(self, flight, nodes, cause):
+        self._lost[cause] += len(nodes)
+
+
+class Vague(Network):
+    """It takes every loss for one by chance, in its count."""
+
+    def tally(self):
+        true = super().tally()
+        return true._replace(lost_by={"loss": true.lost})
+
+
+class Doubling(Network):
+    """It lets a loss happen twice."""
+
+    def _lose(self, flight, nodes, cause):
+        super()._lose(flight, [*nodes, *nodes], cause)
+
+
+SLOW = Links(latency=Constant(value=0.05))
+ALL_SORTS = (RandomPlan(rate=20.0, mean_duration=0.1),)
+CRASHES = (RandomPlan(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
+
+
+@pytest.mark.parametrize(
+    ("network", "faults", "words"),
+    [
+        (Deaf, ALL_SORTS, "sent, delivered, lost, in flight"),
+        (Talkative, CRASHES, "says nothing"),
+        (Unbreakable, ALL_SORTS, "nothing reaches"),
+        (Leaky, ALL_SORTS, "nothing reaches|is lost"),
+        (Vague, ALL_SORTS, "lost are"),
+        (Doubling, ALL_SORTS, "once"),
+    ],
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_broken_network_is_noticed(network, faults, words, seed):
+    live(seed, Network, SLOW, faults)
+    with pytest.raises(AssertionError, match=words):
+        live(seed, network, SLOW, faults)
+
+
+def test_the_watcher_sees_messages_that_are_not_kept():
+    clock = Clock()
+    trace = Trace([Conservation()], messages=False)
+    network = Network(clock, nx.complete_graph(3), SLOW, trace=trace)
+    network.publish(0, "x")
+    trace.append(network.tally())
+    with pytest.raises(AssertionError, match="in flight"):
+        trace.append(network.tally()._replace(in_flight=1))
