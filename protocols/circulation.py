@@ -146,9 +146,11 @@ class Station:
         for _ in range(self._attempts):
             self._me.send(dst, token, PORT)
             until = self._me.now + self._resend
-            while not (yield from self._wait(until)):
-                if self.token is not token:
-                    return
+            while self.token is token and not (yield from self._wait(until)):
+                pass
+            if self.token is not token:
+                break
+        self._next = None
 
     def _wait(self, until: float) -> Waiting:
         """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""

@@ -6,8 +6,8 @@ Demers et al. 1987). A dissemination is called with an agent and is the process 
 pursuer begins to spread word of its own.
 """
 
-from heapq import heappop, heappush
-from itertools import count
+from functools import partial
+from math import inf
 from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
@@ -18,8 +18,6 @@ from desim.value import Time, Value
 
 PORT = "word"
 """Where word that is passed on comes in."""
-NANOSECOND = 1e-9
-"""Resolution of the clock, s."""
 
 
 class Dissemination(Protocol):
@@ -67,21 +65,18 @@ class Flooding(Value):
     def __call__(self, me: Agent) -> Process:
         """Pass on what is new after a random delay."""
         rng = me.stream("flooding")
-        waiting: list[tuple[float, int, Relayed]] = []  # a heap of what is to be said, by time
-        number = count()
         while True:
-            yield me.arrival(PORT) | me.at(waiting[0][0]) if waiting else me.arrival(PORT)
+            yield me.arrival(PORT)
+            known = {j: record.seq for j, (_, record) in me.heard().items()} | {me.id: inf}
             for message in me.mail(PORT):
                 (record,), hops = message.body
-                known = me.heard().get(record.src)
-                if record.src == me.id or (known is not None and known[1].seq >= record.seq):
+                if record.seq <= known.get(record.src, -1):
                     continue
+                known[record.src] = record.seq
                 me.learn([record])
                 if hops > 1:
-                    delay = rng.uniform(0.0, self.jitter)
-                    heappush(waiting, (me.now + delay, next(number), Relayed((record,), hops - 1)))
-            while waiting and waiting[0][0] <= me.now + NANOSECOND:
-                me.send(None, heappop(waiting)[2], PORT)
+                    again = partial(me.send, None, Relayed((record,), hops - 1), PORT)
+                    me.after(rng.uniform(0.0, self.jitter), again)
 
 
 class Gossip(Value):

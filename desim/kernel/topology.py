@@ -56,6 +56,7 @@ class Topology:
         self._positions = positions if range < inf else None
         self._certain = isinstance(self._reach, Disk)
         self._frozen, self._seed, self._rng = frozen, seed, stream(seed, "fading")
+        self._luck: dict[int, NDArray[np.float64]] = {}  # by sender, that of its pairs with all nodes
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
@@ -96,7 +97,9 @@ class Topology:
             return apart <= self._range
         probability = self._reach(apart, self._range)
         if self._frozen:
-            received: Truths = pair_luck(self._seed, "fading", src, dst) <= probability
+            if src not in self._luck:
+                self._luck[src] = pair_luck(self._seed, "fading", src, np.arange(self.size))
+            received: Truths = self._luck[src][dst] <= probability
         else:
             received = (self._rng.random(len(dst)) if chance is None else chance) <= probability
         return received & (probability > 0.0)

@@ -231,6 +231,12 @@ class Agent:
         """Return an event a duration from now, by its own clock, s."""
         return Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn)
 
+    def after(self, duration: float, act: Callable[[], object]) -> None:
+        """Do something a duration from now, by its own clock, s, without waiting for it."""
+        Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn).callbacks.append(
+            lambda _: act()
+        )
+
     def after_decisions(self) -> simpy.Event:
         """Return an event at this very instant, when everybody has decided who decides at it."""
         return Instant(self._env, self._env.now, int(Phase.HEARTBEAT) + self.id)

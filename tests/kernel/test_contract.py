@@ -306,6 +306,19 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
     assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "reach"]
 
 
+@pytest.mark.parametrize("conditions", [None, Conditions()])
+def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(conditions):
+    """Node 1 speaks at 0 s and its mail takes 2 s; node 0 speaks at 1 s and its mail takes 1 s."""
+    clock = Clock()
+    links = Links(latency=lambda hops, rng: 2.0 if hops.src else 1.0)
+    network = Network(clock, nx.complete_graph(3), links, conditions=conditions)
+    network.send(1, 2, "first")
+    Instant(clock, SECOND, Phase.DECISION).callbacks.append(lambda _: network.send(0, 2, "second"))
+    Instant(clock, 2 * SECOND, Phase.SAMPLE)
+    clock.run()
+    assert [message.body for message in network.inbox(2).drain()] == ["first", "second"]
+
+
 # A network whose messages land by events is the same as one whose messages need none.
 
 

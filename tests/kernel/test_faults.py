@@ -184,6 +184,14 @@ def test_discs_that_overlap_are_undone_one_by_one():
     assert heard == {(1, 0): ALWAYS - tenths(1, 7), (0, 1): ALWAYS}
 
 
+def test_discs_far_apart_deafen_each_its_own():
+    """Nodes at x = 0, 5, 9 m, and a disc around the first and one around the last."""
+    discs = [Jamming(centre=(x, 0.0), radius=1.0, at=0.3) for x in (0.0, 9.0)]
+    heard = who_hears_whom(3, *discs, positions=in_a_row(0.0, 5.0, 9.0))
+    assert {pair for pair, when in heard.items() if when == ALWAYS} == {(0, 1), (2, 1)}
+    assert all(heard[pair] == tenths(0, 3) for pair in [(1, 0), (2, 0), (0, 2), (1, 2)])
+
+
 def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
     """Node 0 moves along x at 10 m/s: after k tenths of a second it is at k m; the disc covers 3 m to 5 m."""
     heard = who_hears_whom(
