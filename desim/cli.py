@@ -1,6 +1,7 @@
 """The command line. Whatever takes time to import is imported by the command that needs it."""
 
 import json
+import re
 import sys
 import time
 from dataclasses import asdict
@@ -102,6 +103,24 @@ def schema() -> None:
     document = json.dumps(Scenario.model_json_schema())
     strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
     click.echo(json.dumps(strict, indent=2))
+
+
+@main.command()
+@click.argument("table", required=False)
+def keys(table: str | None) -> None:
+    """List the keys of scenario files with defaults, units and kinds: all, or those of a TABLE like network."""
+    from desim.scenario import Scenario
+    from desim.value import described
+
+    lines = list(described(Scenario, "scenario"))
+    tops = [k for k, line in enumerate(lines) if re.match(r" {4}\w", line)]
+    if table is not None:
+        names = [re.split(r"\W", lines[k].strip())[0] for k in tops]
+        if table not in names:
+            _refuse(f"there is no table {table!r}; allowed: {', '.join(names)}")
+        first = tops[names.index(table)]
+        lines = lines[first : next((k for k in tops if k > first), len(lines))]
+    click.echo("\n".join(lines))
 
 
 @main.command()

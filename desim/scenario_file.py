@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import tomli_w
 from pydantic import BaseModel, Discriminator, ValidationError
@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from desim.scenario import Scenario
 from desim.toml_lines import Place, key_lines
-from desim.value import OneOf
+from desim.value import OneOf, choices_of, markers_of, models_in
 
 
 class ScenarioError(ValueError):
@@ -196,42 +196,23 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
         if isinstance(part, str):
             owner, info = inner, inner.model_fields.get(part) if inner else None
         inner = _model_of(info, node) if info else None
-        if info and _markers(info) and path and isinstance(path[0], str):
+        tagged = info is not None and any(isinstance(each, OneOf | Discriminator) for each in markers_of(info))
+        if tagged and path and isinstance(path[0], str):
             path.pop(0)
     if error["type"] == "union_tag_invalid":
         place += ("kind",)
     return place, owner, info
 
 
-def _markers(info: FieldInfo) -> list[Any]:
-    """Return what marks a field, or the items of a field, as one of several models."""
-    return [each for each in [*info.metadata, *_metadata(info.annotation)] if isinstance(each, OneOf | Discriminator)]
-
-
-def _metadata(annotation: Any) -> Iterator[Any]:
-    """Yield the metadata inside an annotation."""
-    yield from getattr(annotation, "__metadata__", ())
-    for inner in get_args(annotation):
-        yield from _metadata(inner)
-
-
 def _one_of(info: FieldInfo) -> OneOf | None:
-    return next((each for each in _markers(info) if isinstance(each, OneOf)), None)
+    return next(iter(choices_of(info)), None)
 
 
 def _model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     """Return the model that the value of a field, or an item of it, should be."""
     if one_of := _one_of(info):
         return one_of.choices().get(str(value.get("kind"))) if isinstance(value, dict) else None
-    return next(_models_in(info.annotation), None)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that an annotation names."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in get_args(annotation):
-        yield from _models_in(inner)
+    return next(models_in(info.annotation), None)
 
 
 def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:

@@ -10,9 +10,10 @@ from importlib.metadata import entry_points
 from math import inf
 from pathlib import Path
 from types import FunctionType
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, ValidationInfo
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
@@ -119,15 +120,55 @@ def _callable_or(value: Any, validate: Callable[[Any], Any]) -> Any:
     return value if callable(value) else validate(value)
 
 
-def described(model: type[BaseModel], kind: str, indent: str = "") -> Iterator[str]:
-    """Yield lines of text that describe a model and its parameters, and the models they may hold in turn."""
-    yield f"{indent}{kind}: {(model.__doc__ or '').strip().splitlines()[0]}"
+def described(
+    model: type[BaseModel], title: str, indent: str = "", known: set[type[BaseModel]] | None = None
+) -> Iterator[str]:
+    """Yield lines of text that describe a model and its parameters, and the models they may hold in turn, once each."""
+    known = set() if known is None else known
+    yield f"{indent}{title}: {(model.__doc__ or '').strip().splitlines()[0]}"
+    if model in known:
+        return
+    known.add(model)
     for name, field in model.model_fields.items():
         if name == "kind":
             continue
-        default = field.get_default(call_default_factory=True)
-        shown = f"{{ kind = {kind_of(type(default))!r} }}" if isinstance(default, BaseModel) else repr(default)
-        yield f"{indent}    {name} = {shown}: {field.description}"
-        for choice in (each for each in field.metadata if isinstance(each, OneOf)):
-            for inner, chosen in choice.choices().items():
-                yield from described(chosen, inner, indent + "        ")
+        inner = indent + "    "
+        yield f"{inner}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
+        for choice in choices_of(field):
+            for kind, chosen in choice.choices().items():
+                yield from described(chosen, kind, inner + "    ", known)
+        for plain in models_in(field.annotation):
+            yield from list(described(plain, name, inner, known))[1:]
+
+
+def _default_of(field: FieldInfo) -> str:
+    if field.is_required():
+        return ""
+    default = field.get_default(call_default_factory=True)
+    if isinstance(default, BaseModel):
+        return f" = {{ kind = {kind_of(type(default))!r} }}" if "kind" in type(default).model_fields else ""
+    return f" = {default!r}"
+
+
+def choices_of(field: FieldInfo) -> list[OneOf]:
+    """Return what marks a field, or the items of a field, as one of several models."""
+    return [each for each in markers_of(field) if isinstance(each, OneOf)]
+
+
+def markers_of(field: FieldInfo) -> list[Any]:
+    """Return the metadata of a field and of what its annotation holds."""
+    return [*field.metadata, *_metadata(field.annotation)]
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    yield from getattr(annotation, "__metadata__", ())
+    for inner in get_args(annotation):
+        yield from _metadata(inner)
+
+
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models that an annotation names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from models_in(inner)

@@ -111,7 +111,9 @@ class Edges(Value):
 
     kind: Literal["edges"] = "edges"
     edges: tuple[Link, ...] = ()
-    """The edges; each may have a latency and a loss of its own. Or instead `file`: a path to *.json or *.graphml."""
+    """The edges; each may have a latency and a loss of its own."""
+    file: str | None = None
+    """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read at once."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the team."""
     directed: Truth = False
@@ -120,10 +122,11 @@ class Edges(Value):
     @model_validator(mode="before")
     @classmethod
     def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict) or "file" not in given:
+        if not isinstance(given, dict) or given.get("file") is None:
             return given
-        graph = _graph_in(beside(given["file"], info))
-        return {key: each for key, each in given.items() if key != "file"} | _fields(graph)
+        if "edges" in given:
+            raise ValueError("should have edges or a file of them, not both")
+        return given | {"file": None} | _fields(_graph_in(beside(given["file"], info)))
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":

@@ -159,17 +159,25 @@ class Empirical(_Drawn):
     """Every latency of a list, for instance of measured ones, is equally likely."""
 
     kind: Literal["empirical"] = "empirical"
-    values: Annotated[tuple[Time, ...], Field(min_length=1)]
-    """One-way latencies, s; or instead `file`, a text file of such numbers."""
+    values: Annotated[tuple[Time, ...], Field(min_length=1)] = ()
+    """One-way latencies, s."""
+    file: str | None = None
+    """Instead of values: a text file of them, relative to the scenario file; it is read at once."""
 
     @model_validator(mode="before")
     @classmethod
     def _read(cls, given: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, dict) or "file" not in given:
+        if not isinstance(given, dict) or given.get("file") is None:
             return given
-        return {key: each for key, each in given.items() if key != "file"} | {
-            "values": _numbers(beside(given["file"], info))
-        }
+        if "values" in given:
+            raise ValueError("should have values or a file of them, not both")
+        return given | {"file": None, "values": _numbers(beside(given["file"], info))}
+
+    @model_validator(mode="after")
+    def _has_some(self) -> Self:
+        if not self.values:
+            raise ValueError("needs values, or a file of them")
+        return self
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return (count,) draws, s."""

@@ -42,7 +42,8 @@ class Links(Value):
         ]
         | None
     ) = None
-    """A named network whose values stand where this table gives none; they are illustrative."""
+    """A named network whose values stand where this table gives none, illustrative: wifi, lte, 5g, satellite, acoustic,
+    lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
     """Who is linked to whom, before range."""
     range: Extent = inf

@@ -233,9 +233,11 @@ class Agent:
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
         """Do something a duration from now, by its own clock, s, without waiting for it."""
-        Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn).callbacks.append(
-            lambda _: act()
-        )
+
+        def happen(_: simpy.Event) -> None:
+            act()
+
+        Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
         """Return an event at this very instant, when everybody has decided who decides at it."""
