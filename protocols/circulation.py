@@ -237,8 +237,12 @@ class Station:
         """Have a token here in an epoch newer than all that were heard of, and let the neighbours know."""
         self._forgot = False
         self._answered.clear()
-        self._take(token._replace(epoch=(self._newest[0][0] + 1, self._me.id, self._me.now)))
+        self._take(token._replace(epoch=self._epoch()))
         self._me.send(None, Sign(*self._taken), PORT)
+
+    def _epoch(self) -> Epoch:
+        """Return an epoch of its own, newer than all that were heard of."""
+        return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _suspect(self, token: Token, dst: int) -> Token:
         """Return the token for others than a pursuer that does not answer; the copy that it may have is worthless."""

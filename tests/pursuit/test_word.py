@@ -189,11 +189,7 @@ def reckonings(order, step, seed, reckoning="exact"):
         {"payload": "state", "reckoning": reckoning, "warm_start": False},
         latency=Uniform(low=0.0, high=2.0),
         horizon=6.0,
-        team=Team(
-            positions=rng.uniform(-15.0, 15.0, (5, 2)).tolist(),
-            speeds=rng.uniform(1.0, 2.0, 5).tolist(),
-            active_at_start=0.0,
-        ),
+        team=Team(positions=places, speeds=speeds, active_at_start=0.0),
         evader=Evader(position=(0.0, 0.0), speed=0.9),
         motion=Motion(step=step, order=order),
     )

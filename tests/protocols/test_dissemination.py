@@ -1,0 +1,336 @@
+"""Dissemination: who has heard of whom, when, and how often something was said for that.
+
+Nobody moves and nobody knows anything at first; the latency is L = 0.25 s, so that times are exact.
+"""
+
+from collections import Counter
+from math import inf
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import kstest
+
+from desim import Scenario, run
+from desim.kernel.clock import seconds
+from desim.kernel.events import Sent, Tally
+from desim.kernel.faults import ClockSkew, Crash, RandomPlan
+from desim.kernel.graphs import Edges
+from desim.kernel.invariants import Conservation
+from desim.kernel.latency import Constant, ShiftedExponential
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.word import Announcements
+from desim.scenario import Motion, Recording, Team
+from protocols.dissemination import Flooding, Gossip, OneHop
+from protocols.sap import SpatialAdaptivePlay
+
+L = 0.25
+FAR = 1000
+"""More hops than there are."""
+
+
+def play(protocol, graph, spread, *watchers, **changes):
+    """Run a protocol for a pursuer on each node of a graph."""
+    given = {
+        "horizon": 10.0,
+        "team": Team(count=len(graph), active_at_start=0.0, speeds=1.0),
+        "motion": Motion(frozen=True),
+        "protocol": protocol,
+        "network": Links(graph=Edges.of(graph), latency=Constant(value=L)),
+        "announce": Announcements(trigger="never", warm_start=False, spread=spread),
+        "record": Recording(trajectory=0.0, messages=True),
+    }
+    return run(Scenario(**(given | changes)), 0, *watchers)
+
+
+def saying(*times, by=0, heard=None, watch=None):
+    """Return a protocol in which one pursuer chases and says so at times; at the end all note what they have heard.
+
+    heard: gets {pursuer: {source: (when the newest record arrived, s; its number)}}.
+    """
+
+    def protocol(me):
+        if me.id == by:
+            for t in times:
+                yield me.at(t)
+                me.assign(True)
+                me.tell()
+        yield me.at(9.5)
+        if heard is not None:
+            heard[me.id] = {j: (seconds(arrival), record.seq) for j, (arrival, record) in me.heard().items()}
+
+    return protocol
+
+
+def arrivals(graph, spread, **changes):
+    """Return when each pursuer heard what pursuer 0 said at 1 s, and the result of the run."""
+    heard = {}
+    result = play(saying(1.0, heard=heard), graph, spread, **changes)
+    return {j: known[0][0] for j, known in heard.items() if 0 in known}, result
+
+
+def test_one_hop_reaches_the_neighbours_and_nobody_else():
+    when, result = arrivals(nx.path_graph(5), OneHop())
+    assert when == {1: 1.25}
+    assert result.trace.of(Tally)[0].transmissions == 1
+
+
+@pytest.mark.parametrize("hops", [1, 2, 3, 5, FAR])
+def test_flooding_travels_one_hop_per_latency_and_so_many_hops_at_most(hops):
+    """On a path of 6 node k hears at 1 + k L; everyone up to the last but one who hears says it once."""
+    when, result = arrivals(nx.path_graph(6), Flooding(hops=hops, jitter=0.0))
+    assert when == {k: 1.0 + k * L for k in range(1, min(hops, 5) + 1)}
+    assert result.trace.of(Tally)[0].transmissions == min(hops, 6)
+
+
+def test_on_a_ring_word_goes_both_ways_and_meets():
+    """Six nodes: 1 and 5 hear after L, 2 and 4 after 2 L, 3 after 3 L, twice. Each says it once, to 2 neighbours."""
+    when, result = arrivals(nx.cycle_graph(6), Flooding(hops=FAR, jitter=0.0))
+    assert when == {1: 1.25, 5: 1.25, 2: 1.5, 4: 1.5, 3: 1.75}
+    tally = result.trace.of(Tally)[0]
+    assert (tally.transmissions, tally.sent, tally.delivered) == (6, 12, 12)
+    assert Counter(seconds(sent.t) for sent in result.trace.of(Sent)) == {1.0: 2, 1.25: 4, 1.5: 4, 1.75: 2}
+
+
+@st.composite
+def graphs(draw):
+    """A random graph, connected or not."""
+    count = draw(st.integers(2, 9))
+    pairs = [(i, j) for i in range(count) for j in range(i)]
+    graph = nx.empty_graph(count)
+    graph.add_edges_from(draw(st.lists(st.sampled_from(pairs), max_size=2 * count, unique=True)))
+    return graph
+
+
+@settings(max_examples=60, deadline=None)
+@given(graphs(), st.integers(1, 9), st.booleans())
+def test_flooding_is_breadth_first_search(graph, hops, breakable):
+    """Node j hears at 1 + L d(0, j) if d <= hops; those with d < hops say it once, each to all its neighbours.
+
+    Whether something may break does not matter (it lets messages take another way through the simulator).
+    """
+    faults = (Crash(node=0, at=9.9),) if breakable else ()
+    when, result = arrivals(graph, Flooding(hops=hops, jitter=0.0), fault=faults)
+    distance = nx.single_source_shortest_path_length(graph, 0)
+    assert when == {j: 1.0 + L * d for j, d in distance.items() if 0 < d <= hops}
+    speakers = [j for j, d in distance.items() if d < hops]
+    tally = result.trace.of(Tally)[0]
+    assert tally.transmissions == len(speakers)
+    assert tally.sent == tally.delivered == sum(graph.degree(j) for j in speakers)
+
+
+def test_what_is_said_again_is_new_and_what_is_heard_again_is_not():
+    """A complete graph of 5: each of three announcements is said once by each, whatever the number of copies."""
+    heard = {}
+    result = play(saying(1.0, 2.0, 3.0, heard=heard), nx.complete_graph(5), Flooding(jitter=0.0))
+    assert result.trace.of(Tally)[0].transmissions == 3 * 5
+    assert heard == {0: {}} | {j: {0: (3.25, 3)} for j in range(1, 5)}
+
+
+def test_word_that_is_passed_on_bears_the_time_and_number_of_its_source():
+    """Two hops, and a relay whose clock is wrong: it stays the record that pursuer 0 made at 1 s."""
+    seen = []
+
+    def protocol(me):
+        if me.id == 0:
+            yield me.at(1.0)
+            me.tell()
+        yield me.at(5.0)
+        seen.extend(me.heard().values())
+
+    play(protocol, nx.path_graph(3), Flooding(jitter=0.0), fault=(ClockSkew(node=1, offset=2.0, drift=0.5),))
+    assert [(arrival, record.src, record.seq, record.sent) for arrival, record in seen] == [
+        (1_250_000_000, 0, 1, 1_000_000_000),
+        (1_500_000_000, 0, 1, 1_000_000_000),
+    ]
+
+
+# Jitter.
+
+
+def delays(jitter, count=400):
+    """Return how much later than 2 L node 2 of a path hears what node 0 says, s, over many announcements."""
+    given = {"horizon": count + 1.0, "record": Recording(trajectory=0.0, messages=True)}
+    times = [float(k) for k in range(1, count + 1)]
+    result = play(saying(*times), nx.path_graph(3), Flooding(jitter=jitter), **given)
+    sent = [event for event in result.trace.of(Sent) if event.src == 1 and event.dst == 2]
+    return np.array([event.t / 1e9 - L - t for event, t in zip(sent, times, strict=True)])
+
+
+def test_relays_wait_for_a_uniform_time_up_to_the_jitter():
+    """400 delays are within [0, J] and uniform (Kolmogorov and Smirnov, p > 0.001); the control: not in [0, 1.2 J]."""
+    found = delays(0.1)
+    assert -1e-9 <= found.min() < found.max() <= 0.1 + 1e-9
+    assert kstest(found, "uniform", (0.0, 0.1)).pvalue > 0.001
+    assert kstest(found, "uniform", (0.0, 0.12)).pvalue < 0.001
+
+
+def test_without_jitter_there_is_no_delay():
+    assert delays(0.0, count=20) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_waits_to_be_said_does_not_hold_up_what_comes_in():
+    """Jitter of 2 s: node 1 says both announcements of 1.0 and 1.1 s, each after a delay of its own."""
+    result = play(saying(1.0, 1.1), nx.path_graph(3), Flooding(jitter=2.0))
+    first, second = (event for event in result.trace.of(Sent) if event.src == 1 and event.dst == 2)
+    assert {event.body.records[0].seq for event in (first, second)} == {1, 2}
+    assert first.t < second.t < 3.4e9
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize("drift", [-0.9, 0.5, 4.0, 900.0])
+def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
+    """The delay is up to J = 0.005 s by a clock that is 1 + drift as fast."""
+    skews = tuple(ClockSkew(node=node, offset=3.0, drift=drift) for node in (1, 2, 3))
+    result = play(saying(*np.linspace(1.0, 3.0, 50).tolist()), nx.path_graph(4), Flooding(), fault=skews, horizon=5.0)
+    sent = [event for event in result.trace.of(Sent) if (event.src, event.dst) == (2, 3)]
+    assert [event.body.records[0].seq for event in sent] == [*range(1, 51)] or drift < 0
+    assert len(sent) > 10
+
+
+# Within an instant.
+
+
+@pytest.mark.parametrize("faults", [(), (Crash(node=1, at=9.9),)], ids=["noted at sending", "settled on arrival"])
+@pytest.mark.parametrize("latency", [0.0, 1e-9])
+def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_instant(latency, faults):
+    """Everybody decides at 1 s, in order of ids, on a path of 8: the first chases, and all others hear of it in time.
+
+    The control: 1 ns per hop is too late.
+    """
+    seen, later = {}, {}
+
+    def protocol(me):
+        yield me.at(1.0)
+        seen[me.id] = me.believed_active()
+        me.assign(me.id == 0)
+        me.tell()
+        yield me.at(1.000001)
+        later[me.id] = me.believed_active()
+
+    links = Links(graph=Edges.of(nx.path_graph(8)), latency=Constant(value=latency))
+    play(protocol, nx.path_graph(8), Flooding(hops=7, jitter=0.0), network=links, fault=faults)
+    assert [seen[j] for j in range(8)] == ([[]] + [[0]] * 7 if latency == 0.0 else [[]] * 8)
+    assert [later[j] for j in range(8)] == [[]] + [[0]] * 7
+
+
+@settings(max_examples=40, deadline=None)
+@given(graphs(), st.integers(0, 8))
+def test_flooding_without_latency_reaches_everyone_who_is_connected(graph, speaker):
+    speaker %= len(graph)
+    heard = {}
+    links = Links(graph=Edges.of(graph))
+    play(saying(1.0, by=speaker, heard=heard), graph, Flooding(hops=FAR, jitter=0.0), network=links)
+    others = nx.node_connected_component(graph, speaker) - {speaker}
+    assert {j: known[speaker] for j, known in heard.items() if speaker in known} == dict.fromkeys(others, (1.0, 1))
+
+
+# Gossip.
+
+
+def test_gossip_takes_word_one_hop_farther_with_every_announcement():
+    """On a path pursuer k tells all it knows at k + 1 s: node j hears of node k < j at j + L, and of k > j never but one.
+
+    Node j hears of its right neighbour at j + 2 + L.
+    """
+    heard = {}
+
+    def protocol(me):
+        yield me.at(me.id + 1.0)
+        me.tell()
+        yield me.at(9.5)
+        heard[me.id] = {j: seconds(arrival) for j, (arrival, _) in me.heard().items()}
+
+    result = play(protocol, nx.path_graph(5), Gossip())
+    for j, known in heard.items():
+        right = {j + 1: j + 2 + L} if j < 4 else {}
+        assert known == dict.fromkeys(range(j), j + L) | right
+    assert result.trace.of(Tally)[0].transmissions == 5
+
+
+def test_gossip_merges_by_the_newest():
+    """0 says "I chase" at 1 s and "I stay" at 2 s; its way to 2 takes 5 s, the way by 1, who talks at 3 s, 2 x 0.25 s."""
+    graph, seen = nx.complete_graph(3), {}
+    graph.edges[0, 2]["latency"] = 5.0
+
+    def protocol(me):
+        for t in (1.0, 2.0) if me.id == 0 else (3.0,) if me.id == 1 else ():
+            yield me.at(t)
+            me.assign(t == 1.0 and me.id == 0)
+            me.tell()
+        for t in (3.2, 3.3, 6.5, 7.5) if me.id == 2 else ():
+            yield me.at(t)
+            seen[t] = [(seconds(arrival), record.seq, record.body.active) for arrival, record in me.heard().values()]
+
+    play(protocol, graph, Gossip(), network=Links(graph=Edges.of(graph), latency=Constant(value=L)))
+    assert seen[3.2] == []
+    assert sorted(seen[3.3]) == sorted(seen[6.5]) == sorted(seen[7.5]) == [(3.25, 1, False), (3.25, 2, False)]
+
+
+def test_gossip_tells_nobody_about_itself():
+    """Its own word comes back and is not entered; 16 + 8 bytes for the hops and 8 x 4 for each record."""
+    heard = {}
+
+    def protocol(me):
+        for t in (1.0, 2.0, 3.0):
+            yield me.at(t)
+            me.tell()
+        yield me.at(9.5)
+        heard[me.id] = set(me.heard())
+
+    result = play(protocol, nx.complete_graph(3), Gossip())
+    assert heard == {j: {0, 1, 2} - {j} for j in range(3)}
+    assert [event.size for event in result.trace.of(Sent) if event.src == 0] == [56, 56, 120, 120, 120, 120]
+
+
+# Loss.
+
+
+def test_flooding_under_loss_uses_every_path():
+    """0 - 3 over 1 or over 2, half of all messages lost: 1 - (1 - 1/4)^2 = 7/16; the control, one path: 1/4.
+
+    2,000 announcements, standard error 0.011.
+    """
+    count = 2000
+    times = np.arange(1, count + 1) / 10
+    for edges, expected in (([(0, 1), (0, 2), (1, 3), (2, 3)], 7 / 16), ([(0, 1), (1, 3)], 1 / 4)):
+        reached = []
+
+        def protocol(me, reached=reached):
+            for t in times:
+                yield me.at(float(t))
+                if me.id == 0:
+                    me.tell()
+                if me.id == 3 and 0 in me.heard():
+                    reached.append(me.heard()[0][1].seq)
+
+        graph = nx.empty_graph(4)
+        graph.add_edges_from(edges)
+        links = Links(graph=Edges.of(graph), latency=Constant(value=0.01), loss=Bernoulli(p=0.5))
+        still = {"network": links, "horizon": count / 10 + 1.0, "record": Recording(trajectory=0.0)}
+        play(protocol, graph, Flooding(jitter=0.001), **still)
+        share = len(set(reached)) / count
+        error = np.sqrt(expected * (1 - expected) / count)
+        assert abs(share - expected) < 4 * error
+        assert abs(share - (11 / 16 - expected)) > 4 * error
+
+
+@pytest.mark.parametrize("spread", [OneHop(), Flooding(), Flooding(hops=2, jitter=0.1), Gossip()])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_message_appears_or_disappears_while_word_is_passed_on(spread, seed):
+    """Loss, reordering, crashes, partitions and jamming: sent = delivered + lost + in flight, by every cause."""
+    graph = nx.gnp_random_graph(8, 0.4, seed=seed)
+    links = Links(
+        graph=Edges.of(graph), latency=ShiftedExponential(offset=0.001, mean=0.05), loss=Bernoulli(p=0.2)
+    )
+    announce = Announcements(spread=spread)
+    changes = {"network": links, "announce": announce, "horizon": 4.0, "fault": (RandomPlan(rate=2.0),)}
+    watched = Conservation()
+    result = play(SpatialAdaptivePlay(), graph, spread, watched, **changes)
+    tally = result.trace.of(Tally)[0]
+    assert tally.sent == tally.delivered + tally.lost + tally.in_flight > 100
+    assert tally.lost_by["loss"] > 0
+    assert inf > tally.delivered > 0
