@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from desim.kernel.clock import Clock, Phase
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace, Watcher
-from desim.kernel.faults import Crash, clock_errors, drawn, schedule
+from desim.kernel.faults import Crash, clock_errors, drawn
+from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
 from desim.pursuit.state import coordinates
@@ -55,7 +56,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         conditions=Conditions(positions) if faults else None,
     )
     crew = _Crew(env, scenario, world, network, seed)
-    schedule(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
+    inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
     crew.begin()
     world.begin()
     env.run(until=world.over)
@@ -75,6 +76,7 @@ class _Crew:
         self._processes: dict[int, simpy.Process] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
+        self._forgetful: set[int] = set()
 
     def begin(self) -> None:
         """Let everyone know how it begins, and set all processes going."""
@@ -103,9 +105,12 @@ class _Crew:
         """Let a pursuer go on, once nothing of it is broken any more."""
         if crash.scope == "robot":
             self._open[crash.node].remove(crash)
+            if not crash.memory:
+                self._forgetful.add(crash.node)
             if not self._open[crash.node]:
                 self._world.repair(crash.node)
-                self._repaired[crash.node].succeed(crash.memory)
+                self._repaired[crash.node].succeed(crash.node not in self._forgetful)
+                self._forgetful.discard(crash.node)
 
     def _agent(self, pursuer: int, phase: Phase) -> Agent:
         offset, drift = self._clocks[pursuer]

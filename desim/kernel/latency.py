@@ -2,9 +2,11 @@
 
 A latency is always one way; a round trip is two. A model answers with one number if all hops fare alike, else with one
 per hop. A model whose draws are independent of the hop has a method `draw`, so that the network may draw a block ahead;
-one whose quantiles are known has `quantile`, so that each pair of nodes may have a latency of its own (`PerPair`).
+one whose quantiles are known has `quantile`, so that each pair of nodes may have a latency of its own (`PerPair`); one
+with memory has `begin(size)`, which returns what answers for one run.
 """
 
+from dataclasses import replace
 from math import log, log1p, sqrt
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
@@ -239,10 +241,31 @@ class PerPair(Value):
             raise ValueError(f"base should have a method quantile(u), {self.base!r} has none")
         return self
 
+    def begin(self, size: int) -> Latency:
+        """Return the pairs of one run between `size` nodes; they remember their own latencies."""
+        return _Pairs(self, size)
+
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        own: Floats = self.base.quantile(hops.luck("pair latency", symmetric=self.symmetric))
-        return own + self.jitter(hops, rng)
+        return self.own(hops) + self.jitter(hops, rng)
+
+    def own(self, hops: Hops) -> Floats:
+        """Return the (k,) latencies that belong to the pairs, s."""
+        return np.asarray(self.base.quantile(hops.luck("pair latency", symmetric=self.symmetric)))
+
+
+class _Pairs:
+    """The pairs of one run: what is their own is worked out once per sender."""
+
+    def __init__(self, model: PerPair, size: int):
+        self._model, self._all = model, np.arange(size)
+        self._own: dict[int, Floats] = {}
+
+    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+        """Return (k,) base + jitter, s."""
+        if hops.src not in self._own:
+            self._own[hops.src] = self._model.own(replace(hops, dst=self._all))
+        return self._own[hops.src][hops.dst] + self._model.jitter(hops, rng)
 
 
 LATENCIES = OneOf(Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Propagation, PerPair)

@@ -82,7 +82,6 @@ class Network:
         size = self.topology.size
         self._travel = Travel(links, graph, seed, positions)
         self._conditions = conditions
-        self._may_lose = conditions is not None or not self._travel.lossless
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
         self._receiving = nanoseconds(links.processing.receiver)
@@ -90,6 +89,7 @@ class Network:
         self._air: Air[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
             self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._receiving)
+        self._may_lose = conditions is not None or not self._travel.lossless or self._air is not None
         self._records = Records(env, size)
         self._inboxes: dict[tuple[int, str], Inbox] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
@@ -120,7 +120,7 @@ class Network:
             sent: the time by the clock of `src`, ns; the true one if None.
         """
         record = Record(src, next(self._seq[src]), self._env.now if sent is None else sent, body)
-        self._hand_over(src, self._hearers(src), record, size)
+        self._hand_over(src, None, record, size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
@@ -130,14 +130,9 @@ class Network:
         Raises:
             ValueError: if there is no such node.
         """
-        message, reachable = Message(src, self._env.now, body), True
-        if dst is None:
-            receivers = self._hearers(src)
-        elif 0 <= dst < self.topology.size:
-            receivers, reachable = [dst], self._reaches(src, dst)
-        else:
+        if dst is not None and not 0 <= dst < self.topology.size:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
-        self._hand_over(src, receivers, message, size, port, reachable)
+        self._hand_over(src, dst, Message(src, self._env.now, body), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
         """Return the next record of a node, for who spreads it by other means than `publish`."""
@@ -210,32 +205,30 @@ class Network:
 
     # How a transmission goes.
 
-    def _hearers(self, src: int) -> list[int]:
-        return self.topology.hearers(src) if self._checks_departure else self.topology.linked(src)
-
-    def _reaches(self, src: int, dst: int) -> bool:
-        return dst in self.topology.linked(src) and (not self._checks_departure or self.topology.reaches(src, dst))
-
     def _hand_over(
-        self,
-        src: int,
-        receivers: list[int],
-        content: Record | Message,
-        size: int | None,
-        port: str = "",
-        reachable: bool = True,
+        self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = ""
     ) -> None:
         """Give a transmission to the transmitter of its node, if that works."""
         if self._conditions is not None and self._conditions.down(src):
             return
+        number, reachable, topology = next(self._flights), True, self.topology
+        if dst is None:
+            receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
+        else:
+            receivers = [dst]
+            reachable = dst in topology.linked(src) and not self._is_too_far(src, dst, number)
         if size is None:
             size = size_of(content.body)
-        flight = Flight(next(self._flights), src, self._env.now, size, receivers, content, port, reachable)
+        flight = Flight(number, src, self._env.now, size, receivers, content, port, reachable)
         self._sent += len(receivers)
         if self._air is None:
             self._leave(flight, 0)
         else:
             self._air.give(flight)
+
+    def _is_too_far(self, src: int, dst: int, number: int) -> bool:
+        """Return whether a message that leaves now does not reach a node."""
+        return self._checks_departure and not self.topology.reaches(src, dst, number)
 
     def _wait(self, flight: Flight) -> None:
         if self._trace is not None:
@@ -277,6 +270,8 @@ class Network:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         if self._conditions is not None:
             causes |= {node: "partition" for node in receivers if self._conditions.cut(src, node)}
+        if flight.created < self._env.now:  # it had to wait, and its receivers may have moved away
+            causes |= {node: "reach" for node in receivers if self._is_too_far(src, node, flight.number)}
         return causes if flight.reachable else dict.fromkeys(receivers, "reach")
 
     def _let_land(self, flight: Flight, reached: list[int], arrival: Arrival, airtime: int) -> None:
@@ -310,7 +305,7 @@ class Network:
                 return "partition"
             if broken.jammed(node):
                 return "jamming"
-        if self._checks_arrival and not self.topology.reaches(flight.src, node):
+        if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
         deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._receiving, airtime)
         return "half_duplex" if deaf else None

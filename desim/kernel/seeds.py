@@ -16,7 +16,9 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     return np.random.default_rng(_sequence(seed, name, index))
 
 
-def pair_luck(seed: int, name: str, src: int, dst: NDArray[np.intp], *, symmetric: bool = True) -> NDArray[np.float64]:
+def pair_luck(
+    seed: int, name: str, src: int, dst: NDArray[np.intp], number: int = 0, *, symmetric: bool = True
+) -> NDArray[np.float64]:
     """Return a uniform number in (0, 1) for each pair (src, dst[k]) that is the same whenever it is asked for.
 
     A hash instead of a table, so that ten thousand nodes do not need 10^8 numbers: splitmix64 (Steele, Lea & Flood
@@ -27,12 +29,14 @@ def pair_luck(seed: int, name: str, src: int, dst: NDArray[np.intp], *, symmetri
         name: of what the luck is about.
         src: one node.
         dst: (k,) other nodes.
+        number: of what happens to the pair: each has a luck of its own.
         symmetric: whether (i, j) and (j, i) share their luck.
     """
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
-    mixed = _mix(_mix(pair + _key(seed, name)) + np.uint64(0x9E3779B97F4A7C15))
+    turn = np.uint64(0x9E3779B97F4A7C15 * (number + 1) % 2**64)
+    mixed = _mix(_mix(pair + _key(seed, name)) + turn)
     # With 53 bits the greatest number would be rounded to 1, where most quantiles are infinite.
     return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from desim.kernel.hops import Positions, distances
 from desim.kernel.reach import Disk, Reach
-from desim.kernel.seeds import pair_luck, stream
+from desim.kernel.seeds import pair_luck
 
 Nodes = NDArray[np.intp]
 Truths = NDArray[np.bool_]
@@ -55,32 +55,32 @@ class Topology:
         self._range, self._reach = range, reach or Disk()
         self._positions = positions if range < inf else None
         self._certain = isinstance(self._reach, Disk)
-        self._frozen, self._seed, self._rng = frozen, seed, stream(seed, "fading")
+        self._frozen, self._seed = frozen, seed
         self._luck: dict[int, NDArray[np.float64]] = {}  # by sender, that of its pairs with all nodes
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
         return self._lists[node]
 
-    def hearers(self, node: int) -> list[int]:
-        """Return the nodes that a message of `node` reaches that leaves now, ascending; it may need a draw."""
+    def hearers(self, node: int, message: int = 0) -> list[int]:
+        """Return the nodes that a message of `node` reaches now, ascending; each message has a number, for its luck."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return self._lists[node]
-        near: list[int] = self._linked[node][self._received(node, self._linked[node])].tolist()
+        near: list[int] = self._linked[node][self._received(node, self._linked[node], message)].tolist()
         return near
 
-    def reaches(self, src: int, dst: int) -> bool:
-        """Return whether a message of one node reaches another now; it may need a draw."""
-        return self._positions is None or bool(self._received(src, np.array([dst]))[0])
+    def reaches(self, src: int, dst: int, message: int = 0) -> bool:
+        """Return whether a message of one node reaches another now."""
+        return self._positions is None or bool(self._received(src, np.array([dst]), message)[0])
 
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that hear `node` now, ascending; with fading per message, those with even chance or more."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
         linked = self._linked[node]
-        return linked if self._positions is None else linked[self._received(node, linked, chance=0.5)]
+        return linked if self._positions is None else linked[self._received(node, linked)]
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""
@@ -89,8 +89,8 @@ class Topology:
         now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
         return now
 
-    def _received(self, src: int, dst: Nodes, chance: float | None = None) -> Truths:
-        """Return which of the nodes `dst` are within reach; `chance` stands in for the draws per message."""
+    def _received(self, src: int, dst: Nodes, message: int | None = None) -> Truths:
+        """Return which of the nodes `dst` are within reach of a message, or with even chance or more of any."""
         assert self._positions is not None
         apart = distances(self._positions(), src, dst)
         if self._certain:
@@ -99,7 +99,10 @@ class Topology:
         if self._frozen:
             if src not in self._luck:
                 self._luck[src] = pair_luck(self._seed, "fading", src, np.arange(self.size))
-            received: Truths = self._luck[src][dst] <= probability
+            luck = self._luck[src][dst]
+        elif message is None:
+            luck = np.full(len(dst), 0.5)
         else:
-            received = (self._rng.random(len(dst)) if chance is None else chance) <= probability
+            luck = pair_luck(self._seed, "fading", src, dst, message, symmetric=False)
+        received: Truths = luck <= probability
         return received & (probability > 0.0)

@@ -9,7 +9,7 @@ each message, as its documentation does, but for one way that shows what drawing
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from functools import partial
-from math import log
+from math import log, log1p, sqrt
 from typing import Any, NamedTuple
 
 import networkx as nx
@@ -19,7 +19,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.hops import Hops
-from desim.kernel.latency import Constant, Latency
+from desim.kernel.latency import Constant, Latency, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
@@ -39,6 +39,8 @@ class Workload:
     graph: "nx.Graph[int]"
     turns: int
     latency: Latency
+    links: Links | None = None
+    """What the links of desim are like if not ideal but for the latency; the ways by hand know latencies only."""
     seed: int = 0
 
     @property
@@ -52,17 +54,17 @@ class Workload:
         return (self.turns - 0.5) * TICK
 
 
-def lognormal(hops: Hops, rng: np.random.Generator) -> np.ndarray:
-    """Return latencies of median 0.02 s and logarithmic standard deviation 0.5, s."""
-    return rng.lognormal(log(0.02), 0.5, len(hops.dst))
+LOGNORMAL = Lognormal(mean=0.02, cv=0.5)
+"""The latency of W2 and W3."""
 
 
 def one_latency(model: Latency) -> Callable[[np.random.Generator], float]:
     """Return how one draws a single latency of a model, s."""
     if isinstance(model, Constant):
         return lambda rng: model.value
-    mean = log(0.02)
-    return lambda rng: rng.lognormal(mean, 0.5)
+    variance = log1p(model.cv**2)
+    mean, deviation = log(model.mean) - variance / 2, sqrt(variance)
+    return lambda rng: rng.lognormal(mean, deviation)
 
 
 def disk_graph(size: int, degree: float, seed: int) -> "nx.Graph[int]":
@@ -77,8 +79,8 @@ def workloads() -> list[Workload]:
     constant = Constant(value=0.015)
     return [
         Workload("W1: 40 nodes, complete, constant", nx.complete_graph(40), 2000, constant),
-        Workload("W2: 40 nodes, complete, lognormal", nx.complete_graph(40), 2000, lognormal),
-        Workload("W3: 1000 nodes, disk graph, lognormal", disk_graph(1000, 20, seed=0), 5000, lognormal),
+        Workload("W2: 40 nodes, complete, lognormal", nx.complete_graph(40), 2000, LOGNORMAL),
+        Workload("W3: 1000 nodes, disk graph, lognormal", disk_graph(1000, 20, seed=0), 5000, LOGNORMAL),
         Workload("W4: 400 nodes, complete, constant", nx.complete_graph(400), 2000, constant),
     ]
 
@@ -102,7 +104,9 @@ class Desim:
     def __init__(self, workload: Workload):
         self.work = workload
         self.env = Clock()
-        self.network = Network(self.env, workload.graph, Links(latency=workload.latency), seed=workload.seed)
+        links = workload.links or Links(latency=workload.latency)
+        places = np.random.default_rng(workload.seed).random((workload.size, 2))
+        self.network = Network(self.env, workload.graph, links, seed=workload.seed, positions=lambda: places)
         self.env.process(self.turns())
 
     def run(self) -> None:

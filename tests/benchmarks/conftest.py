@@ -13,6 +13,8 @@ TARGETS = [
     ("send", "by hand, drawn at once", {"W1": 1.0, "W2": 1.0, "W3": 1.0, "W4": 1.0}),
 ]
 """How many times the deliveries per second of the other way the first should make at least, by workload."""
+BY_MODEL = "publish by model"
+"""The group in which models of links are compared with each other."""
 MOST = 1.3
 """How many times the time per slot of the bare loop desim should take at most."""
 
@@ -45,9 +47,14 @@ def pytest_terminal_summary(terminalreporter, config):
             deliveries[each.group][each.name] = each.extra_info["deliveries_per_second"]
         elif "slots_per_second" in each.extra_info:
             slots[each.name] = each.extra_info["slots_per_second"]
+    by_model = deliveries.pop(BY_MODEL, {})
     if deliveries:
         terminalreporter.section("deliveries per second, and their ratios")
         terminalreporter.write_line(f"{_rates(deliveries)}\n\n{_ratios(deliveries)}")
+    if by_model:
+        terminalreporter.section(f"{BY_MODEL}: deliveries per second, and share of the ideal")
+        rows = [(model, f"{rate:,.0f}", f"{rate / by_model['ideal']:.2f}") for model, rate in by_model.items()]
+        terminalreporter.write_line(aligned(rows))
     if len(slots) == 2:
         terminalreporter.section("time per slot, desim / bare loop")
         ratio = slots["bare loop"] / slots["desim"]

@@ -250,10 +250,11 @@ def test_records_are_lost_to_half_duplex_like_messages():
     assert net.tally().lost_by == {"half_duplex": 2}
 
 
-def test_who_speaks_in_turn_is_not_deaf():
+@pytest.mark.parametrize("reading", [0.0, 1.0])
+def test_who_speaks_in_turn_is_not_deaf(reading):
     """What comes in just until one begins, or from just when one ends, is heard; 1 ns of overlap is too much."""
     for shift, heard in ((0.0, [[1], [0]]), (-1e-9, [[], []]), (1e-9, [[1], [0]])):
-        clock, net, _ = network(2, medium(half_duplex=True))
+        clock, net, _ = network(2, medium(half_duplex=True), processing=Processing(receiver=reading))
         later(clock, 1.0, net.send, 0, 1, None, size=2)
         later(clock, 3.0 + shift, net.send, 1, 0, None, size=2)
         run_until(clock, 9.0)
@@ -282,13 +283,12 @@ def test_a_message_is_still_judged_by_when_it_came_in_if_reading_takes_long():
 
 
 def test_a_long_message_is_lost_to_a_short_word_long_ago():
-    """0 speaks from 0 to 50 s; 1 for a second at 5 s and again at 60 s, which must not make it forget the first."""
-    clock, net, _ = network(3, medium(half_duplex=True), latency=Constant(value=20.0))
+    """It comes in from 0 to 50 s and is readable at 150 s; 1 spoke at 5 s, and at 120 s, when it must remember that."""
+    clock, net, _ = network(3, medium(half_duplex=True), processing=Processing(receiver=100.0))
     later(clock, 0.0, net.send, 0, 1, None, size=50)
-    later(clock, 25.0, net.send, 1, 2, None, size=1)
-    for t in range(70, 90, 4):
-        later(clock, float(t), net.send, 1, 2, None, size=1)
-    run_until(clock, 200.0)
+    later(clock, 5.0, net.send, 1, 2, None, size=1)
+    later(clock, 120.0, net.send, 1, 2, None, size=1)
+    run_until(clock, 300.0)
     assert heard_by(net, clock, (1,)) == [[]]
 
 
@@ -399,6 +399,20 @@ def test_after_everything_was_taken_back_the_next_still_waits_for_what_is_on_the
         (0, "leaves", "A"),
         (5, "leaves", "C"),
         (7, "leaves", "D"),
+    ]
+
+
+def test_nobody_jumps_the_queue_at_the_instant_at_which_the_transmitter_is_free():
+    """A takes 2 s and B waits; C comes at 2 s, in a phase before that in which B leaves."""
+    clock, radio, done = air(medium())
+    for name in "AB":
+        radio.give(Item(0, 2, name))
+    Instant(clock, 2 * SECOND, Phase.FAULT).callbacks.append(lambda _: radio.give(Item(0, 2, "C")))
+    run_until(clock, 9.0)
+    assert [each for each in done if each[1] == "leaves"] == [
+        (0, "leaves", "A"),
+        (2, "leaves", "B"),
+        (4, "leaves", "C"),
     ]
 
 

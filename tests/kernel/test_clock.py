@@ -30,7 +30,8 @@ def test_phases_of_one_instant_happen_in_order_however_they_were_registered(reve
         Instant(clock, 5, priority).callbacks.append(lambda _, p=priority: order.append(p))
     clock.run()
     assert order == sorted(wanted)
-    assert [p.name for p in sorted(Phase)] == ["FAULT", "DELIVERY", "CAPTURE", "DECISION", "MOTION", "SAMPLE"]
+    names = ["FAULT", "DELIVERY", "RELAY", "CAPTURE", "DECISION", "HEARTBEAT", "MOTION", "SAMPLE"]
+    assert [phase.name for phase in sorted(Phase)] == names
 
 
 def test_an_event_made_in_a_late_phase_still_precedes_what_belongs_to_a_later_one():

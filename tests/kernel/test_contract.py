@@ -38,8 +38,9 @@ from hypothesis import strategies as st
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Lost, Trace
-from desim.kernel.faults import Crash, Jamming, Partition, schedule
+from desim.kernel.faults import Crash, Jamming, Partition
 from desim.kernel.hops import Hops
+from desim.kernel.injection import inject
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -85,7 +86,7 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
     network = Network(
         clock, nx.complete_graph(2), links, positions=positions, trace=trace, conditions=Conditions(positions)
     )
-    schedule(faults, clock, network, trace)
+    inject(faults, clock, network, trace)
     for time in times:
         Instant(clock, nanoseconds(time), Phase.DECISION).callbacks.append(lambda _: say(network, way))
     Instant(clock, nanoseconds(end), Phase.SAMPLE).callbacks.append(lambda _: trace.append(network.tally()))
@@ -280,7 +281,7 @@ class TestReceiver:
         clock, conditions = Clock(), Conditions()
         network = Network(clock, nx.complete_graph(2), conditions=conditions)
         say(network, way)
-        schedule([crash(1, 1.0, 2.0, memory=memory)], clock, network)
+        inject([crash(1, 1.0, 2.0, memory=memory)], clock, network)
         clock.run()
         assert network.tally()[1:5] == (1, 1, 0, 0)
         assert (0 in network.heard(1) if way == "publish" else bool(network.inbox(1).drain())) == memory

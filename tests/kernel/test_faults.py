@@ -12,7 +12,8 @@ from pydantic import ValidationError
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace
-from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn, schedule
+from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn
+from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 
@@ -24,7 +25,7 @@ def who_hears_whom(size, *faults, positions=None, until=1.0):
     clock, trace = Clock(), Trace()
     at = None if positions is None else lambda: positions(clock.now / SECOND)
     network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, conditions=Conditions(at))
-    schedule(faults, clock, network, trace)
+    inject(faults, clock, network, trace)
     heard = {(src, dst): set() for src in range(size) for dst in range(size) if src != dst}
 
     def speak(tenth):
@@ -93,7 +94,7 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
     network.publish(0, "told")
     for port in ("", "other"):
         network.send(0, None, "mail", port=port)
-    schedule([Crash(node=1, at=1.0, until=2.0, memory=memory)], clock, network)
+    inject([Crash(node=1, at=1.0, until=2.0, memory=memory)], clock, network)
     Instant(clock, 3 * SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(2, "later"))
     clock.run(until=2 * SECOND + 1)
     assert sorted(network.heard(1)) == ([0, 2] if memory else [])
@@ -108,7 +109,7 @@ def test_what_a_node_knows_is_still_there_while_its_radio_is_down():
     clock = Clock()
     network = Network(clock, nx.complete_graph(2), conditions=Conditions())
     network.publish(0, "told")
-    schedule([Crash(node=1, at=1.0, until=2.0, memory=False)], clock, network)
+    inject([Crash(node=1, at=1.0, until=2.0, memory=False)], clock, network)
     clock.run(until=2 * SECOND)
     assert list(network.heard(1)) == [0]
 
@@ -207,7 +208,7 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
     network = Network(clock, nx.complete_graph(3), conditions=Conditions())
     crash = Crash(node=1, at=0.2, until=0.5)
     cut = Partition(groups=[(0,)], at=0.1, until=0.2)
-    schedule(
+    inject(
         [crash, cut, Crash(node=2, at=0.3)],
         clock,
         network,
@@ -234,7 +235,7 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
 def test_a_fault_too_short_for_the_clock_begins_and_is_over_at_one_instant():
     clock, trace = Clock(), Trace()
     network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    schedule([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
+    inject([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
     clock.run()
     assert [type(event) for event in trace] == [Began, Over]
     assert not network.conditions.down(0)
@@ -342,7 +343,7 @@ def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_
 def test_a_random_plan_is_possible_among_few(size):
     clock = Clock()
     network = Network(clock, nx.complete_graph(size), conditions=Conditions(lambda: np.zeros((size, 2))))
-    schedule(drawn([RandomPlan(rate=20.0)], size, 5.0, 0), clock, network)
+    inject(drawn([RandomPlan(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
     assert not any(network.conditions.down(node) or network.conditions.jammed(node) for node in range(size))
     assert not network.conditions.cut(0, size - 1)
@@ -386,13 +387,13 @@ def test_a_fault_of_a_node_that_does_not_exist_is_refused(fault):
     clock = Clock()
     network = Network(clock, nx.complete_graph(3), conditions=Conditions())
     with pytest.raises(ValueError, match=r"there is no node 3: the nodes are 0 \.\. 2"):
-        schedule([fault], clock, network)
+        inject([fault], clock, network)
 
 
 def test_a_jamming_disc_needs_positions():
     clock = Clock()
     network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    schedule([Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0)], clock, network)
+    inject([Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0)], clock, network)
     with pytest.raises(ValueError, match="positions"):
         clock.run()
 
@@ -400,7 +401,7 @@ def test_a_jamming_disc_needs_positions():
 def test_faults_need_a_network_with_conditions():
     clock = Clock()
     network = Network(clock, nx.complete_graph(2))
-    schedule([Crash(node=0, at=1.0)], clock, network)
+    inject([Crash(node=0, at=1.0)], clock, network)
     with pytest.raises(ValueError, match="conditions"):
         clock.run()
 
@@ -416,6 +417,6 @@ def test_a_node_that_is_not_down_cannot_be_repaired():
 def test_faults_happen_at_the_nanosecond_they_name():
     clock, trace = Clock(), Trace()
     network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    schedule([Crash(node=0, at=0.7, until=0.700000002)], clock, network, trace)
+    inject([Crash(node=0, at=0.7, until=0.700000002)], clock, network, trace)
     clock.run()
     assert [event.t for event in trace] == [nanoseconds(0.7), nanoseconds(0.7) + 2]

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn, schedule
+from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn
+from desim.kernel.injection import inject
 from desim.kernel.invariants import Conservation
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
@@ -154,7 +155,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     links = links or Links()
     graph = nx.complete_graph(size)
     net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, conditions=conditions)
-    schedule(drawn(faults, size, 1.0, seed), clock, net, trace)
+    inject(drawn(faults, size, 1.0, seed), clock, net, trace)
 
     def speak(node, dst, number):
         if number % 2:

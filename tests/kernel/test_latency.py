@@ -25,7 +25,7 @@ from desim.kernel.links import Links
 
 SEEDS = range(5)
 MANY = Hops(0, np.arange(1, 100_001))
-LIST = (0.010, 0.010, 0.020, 0.050, 0.110)
+LIST = (0.050, 0.010, 0.110, 0.010, 0.020)
 
 DRAWN = {
     "uniform": (Uniform(low=0.02, high=0.08), 0.05, 0.06**2 / 12, Uniform(low=0.02, high=0.0824)),
@@ -51,7 +51,7 @@ DRAWN = {
         Empirical(values=LIST),
         sum(LIST) / 5,
         sum(x * x for x in LIST) / 5 - (sum(LIST) / 5) ** 2,
-        Empirical(values=(0.010, 0.010, 0.020, 0.050, 0.116)),
+        Empirical(values=(0.050, 0.010, 0.116, 0.010, 0.020)),
     ),
 }
 """Model, its mean (s) and variance (s^2), and the same model with something off by 3 % or so."""
@@ -268,6 +268,18 @@ def test_the_jitter_is_added_to_every_message_anew():
     assert np.abs(errors(messages, 0.03, 0.03**2)).max() < 5
     assert np.abs(errors(off, 0.03, 0.03**2)).min() > 5
     assert messages.min() >= 0.0
+
+
+@pytest.mark.parametrize("symmetric", [True, False])
+def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric):
+    """Draw by draw, whoever speaks first and to whom; the control is another seed."""
+    model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
+    run, ours, theirs = model.begin(30), np.random.default_rng(2), np.random.default_rng(2)
+    hops = [
+        Hops(src, np.array(dst), seed=9) for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
+    ]
+    assert [run(hop, ours).tolist() for hop in hops] == [model(hop, theirs).tolist() for hop in hops]
+    assert model.begin(30)(Hops(4, np.array([7]), seed=8), ours) != model(Hops(4, np.array([7]), seed=9), ours)
 
 
 @pytest.mark.parametrize("name", DRAWN)

@@ -92,6 +92,7 @@ def test_luck_is_uncorrelated_between_neighbours_seeds_names_and_ways():
         "next sender": pair_luck(7, "fading", 500_001, OTHERS),
         "next seed": pair_luck(8, "fading", 500_000, OTHERS),
         "other name": pair_luck(7, "pair latency", 500_000, OTHERS),
+        "next number": pair_luck(7, "fading", 500_000, OTHERS, 1),
         "asymmetric": pair_luck(7, "fading", 500_000, OTHERS, symmetric=False),
     }
     limit = 5 / np.sqrt(OTHERS.size)

@@ -98,13 +98,13 @@ def test_a_frozen_link_is_there_while_its_pair_is_near_enough_and_comes_back():
     assert not heard[20]
 
 
-def test_chance_of_its_own_does_not_disturb_the_rest():
-    """Fading per message draws from a stream of its own, equal for equal seeds and for those only."""
+def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
+    """With fading per message, messages 0 to 4 are heard by different nodes, and each by the same again."""
     at = np.column_stack([np.arange(50.0), np.zeros(50)])
 
     def heard(seed):
         topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), frozen=False, seed=seed)
-        return [topology.hearers(0) for _ in range(5)]
+        return [topology.hearers(0, message) for message in range(5)]
 
     assert heard(1) == heard(1)
     assert heard(1) != heard(2)

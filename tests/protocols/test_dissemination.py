@@ -4,7 +4,6 @@ Nobody moves and nobody knows anything at first; the latency is L = 0.25 s, so t
 """
 
 from collections import Counter
-from math import inf
 
 import networkx as nx
 import numpy as np
@@ -46,7 +45,7 @@ def play(protocol, graph, spread, *watchers, **changes):
     return run(Scenario(**(given | changes)), 0, *watchers)
 
 
-def saying(*times, by=0, heard=None, watch=None):
+def saying(*times, by=0, heard=None):
     """Return a protocol in which one pursuer chases and says so at times; at the end all note what they have heard.
 
     heard: gets {pursuer: {source: (when the newest record arrived, s; its number)}}.
@@ -58,7 +57,7 @@ def saying(*times, by=0, heard=None, watch=None):
                 yield me.at(t)
                 me.assign(True)
                 me.tell()
-        yield me.at(9.5)
+        yield me.at(max(9.5, me.now))
         if heard is not None:
             heard[me.id] = {j: (seconds(arrival), record.seq) for j, (arrival, record) in me.heard().items()}
 
@@ -187,8 +186,10 @@ def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
     skews = tuple(ClockSkew(node=node, offset=3.0, drift=drift) for node in (1, 2, 3))
     result = play(saying(*np.linspace(1.0, 3.0, 50).tolist()), nx.path_graph(4), Flooding(), fault=skews, horizon=5.0)
     sent = [event for event in result.trace.of(Sent) if (event.src, event.dst) == (2, 3)]
-    assert [event.body.records[0].seq for event in sent] == [*range(1, 51)] or drift < 0
-    assert len(sent) > 10
+    said = [event.body.records[0].seq for event in sent]
+    assert said == sorted(said)
+    assert said[-1] == 50
+    assert len(said) > 10
 
 
 # Within an instant.
@@ -232,9 +233,9 @@ def test_flooding_without_latency_reaches_everyone_who_is_connected(graph, speak
 
 
 def test_gossip_takes_word_one_hop_farther_with_every_announcement():
-    """On a path pursuer k tells all it knows at k + 1 s: node j hears of node k < j at j + L, and of k > j never but one.
+    """On a path pursuer k tells all it knows at k + 1 s.
 
-    Node j hears of its right neighbour at j + 2 + L.
+    So node j hears of all k < j at j + L, of j + 1 at j + 2 + L, and of those farther on never.
     """
     heard = {}
 
@@ -252,7 +253,7 @@ def test_gossip_takes_word_one_hop_farther_with_every_announcement():
 
 
 def test_gossip_merges_by_the_newest():
-    """0 says "I chase" at 1 s and "I stay" at 2 s; its way to 2 takes 5 s, the way by 1, who talks at 3 s, 2 x 0.25 s."""
+    """0 says "I chase" at 1 s and "I stay" at 2 s; its way to 2 takes 5 s, that by 1, who talks at 3 s, 0.25 s twice."""
     graph, seen = nx.complete_graph(3), {}
     graph.edges[0, 2]["latency"] = 5.0
 
@@ -323,14 +324,11 @@ def test_flooding_under_loss_uses_every_path():
 def test_no_message_appears_or_disappears_while_word_is_passed_on(spread, seed):
     """Loss, reordering, crashes, partitions and jamming: sent = delivered + lost + in flight, by every cause."""
     graph = nx.gnp_random_graph(8, 0.4, seed=seed)
-    links = Links(
-        graph=Edges.of(graph), latency=ShiftedExponential(offset=0.001, mean=0.05), loss=Bernoulli(p=0.2)
-    )
+    links = Links(graph=Edges.of(graph), latency=ShiftedExponential(offset=0.001, mean=0.05), loss=Bernoulli(p=0.2))
     announce = Announcements(spread=spread)
     changes = {"network": links, "announce": announce, "horizon": 4.0, "fault": (RandomPlan(rate=2.0),)}
     watched = Conservation()
     result = play(SpatialAdaptivePlay(), graph, spread, watched, **changes)
     tally = result.trace.of(Tally)[0]
     assert tally.sent == tally.delivered + tally.lost + tally.in_flight > 100
-    assert tally.lost_by["loss"] > 0
-    assert inf > tally.delivered > 0
+    assert min(tally.lost_by["loss"], tally.lost_by["crash"], tally.delivered) > 0

@@ -6,13 +6,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from scipy.stats import kstest
 
 from desim import Scenario, run
+from desim.cli import main
 from desim.kernel.seeds import stream
-from desim.pursuit.events import Decided
+from desim.pursuit.events import Decided, Started
+from desim.pursuit.game import best_response, capture_time
 from desim.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, SharedSeed, owned_slots
+from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed, owned_slots
+from protocols.temperature import ConstantTau
 
 
 def decisions(schedule, count, horizon, seed=0):
@@ -84,7 +89,159 @@ def test_poisson_waits_are_exponential():
 
 
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team():
-    for schedule in (SharedSeed(slot=0.004), Poisson(rate=50.0)):
+    for schedule in (
+        *(SharedSeed(slot=0.004), Poisson(rate=50.0), Rounds(period=0.02), Rounds(period=0.01, q=0.5)),
+        *(Periodic(period=0.02), Periodic(period=0.02, jitter=0.0)),
+    ):
         made = len(decisions(schedule, 5, 40.0))
         assert schedule.mean_slot(SimpleNamespace(team_size=5)) == pytest.approx(0.004)
         assert made == pytest.approx(10_000, abs=5 * np.sqrt(10_000))
+
+
+# Rounds.
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_in_a_round_everybody_decides_at_the_same_instant_in_the_order_of_ids(count):
+    made = [(d.t, d.pursuer) for d in decisions(Rounds(period=0.1), count, 2.05)]
+    assert made == [(k * 100_000_000, pursuer) for k in range(1, 21) for pursuer in range(count)]
+
+
+def rounds(seed, latency, p0=0.5, count=7):
+    """Return the first profile, those after each of 12 greedy rounds of 0.1 s, and the times of capture (r = 30 s)."""
+    scenario = Scenario(
+        horizon=30.0,
+        team=Team(count=count, speeds=np.linspace(1.0, 2.0, count).tolist(), active_at_start=p0),
+        motion=Motion(frozen=True),
+        protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=Rounds(period=0.1)),
+        network={"latency": {"kind": "constant", "value": latency}},
+        record={"trajectory": 0.0},
+    )
+    result = run(scenario, seed)
+    start = result.trace.of(Started)[0]
+    made = [d.active for d in result.trace.of(Decided)][: 12 * count]
+    phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
+    return start.active, [tuple(made[k * count : (k + 1) * count]) for k in range(12)], phi
+
+
+def all_respond(phi, profile):
+    """Return the best response of everybody to a profile, all at once; r = 30 s."""
+
+    def others(i):
+        return [phi[j] for j, active in enumerate(profile) if active and j != i]
+
+    return tuple(best_response(phi[i], others(i), 30.0) for i in range(len(phi)))
+
+
+def one_by_one(phi, profile):
+    """Return the profile after everybody in turn has responded to those before: not what a round is."""
+    for i in range(len(phi)):
+        profile = (*profile[:i], all_respond(phi, profile)[i], *profile[i + 1 :])
+    return profile
+
+
+@pytest.mark.parametrize("latency", [0.0, 1e-9, 0.0999])
+def test_a_round_is_simultaneous_best_response_even_without_latency(latency):
+    """Everybody answers the profile of the round before. The control: one by one goes another way."""
+    differs = 0
+    for seed in range(12):
+        profile, found, phi = rounds(seed, latency, p0=seed % 3 / 2)
+        differs += found[0] != one_by_one(phi, profile)
+        for each in found:
+            profile = all_respond(phi, profile)
+            assert each == profile
+    assert differs > 6
+
+
+def test_word_that_takes_longer_than_a_round_is_of_the_round_before_last():
+    """L = 0.15 s, rounds of 0.1 s: each answers what was decided two rounds ago, at first the profile of the start."""
+    profile, found, phi = rounds(3, 0.15, p0=1.0)
+    known = [profile, profile, *found]
+    assert found == [all_respond(phi, known[k]) for k in range(12)]
+    assert found != [all_respond(phi, known[k + 1]) for k in range(12)]
+
+
+def test_a_share_q_of_the_rounds_of_each_is_a_revision():
+    """4 pursuers, 2,000 rounds, q = 0.3: standard error sqrt(q (1 - q) / 8000) = 0.005; chances are independent."""
+    made = decisions(Rounds(period=0.01, q=0.3), 4, 20.005, seed=1)
+    revised = np.zeros((2000, 4))
+    for decision in made:
+        assert decision.t % 10_000_000 == 0
+        revised[decision.t // 10_000_000 - 1, decision.pursuer] = 1.0
+    error = np.sqrt(0.3 * 0.7 / revised.size)
+    assert revised.sum() == len(made)
+    assert abs(revised.mean() - 0.3) < 4 * error
+    assert abs(revised.mean() - 0.33) > 4 * error
+    correlation = np.corrcoef(revised.T)[np.triu_indices(4, 1)]
+    assert np.abs(correlation).max() < 4 / np.sqrt(2000)
+
+
+# Periodic timers.
+
+
+def ticks(schedule, count, horizon, seed=0):
+    """Return the times of each pursuer's decisions, s."""
+    times = {pursuer: [] for pursuer in range(count)}
+    for decision in decisions(schedule, count, horizon, seed):
+        times[decision.pursuer].append(decision.t / 1e9)
+    return [np.array(each) for each in times.values()]
+
+
+@pytest.mark.parametrize("jitter", [0.1, 0.5, 0.99])
+def test_waits_of_a_timer_are_uniform_about_the_period(jitter):
+    """2,000 waits within 0.01 (1 -+ jitter) s, uniform (Kolmogorov and Smirnov, p > 0.001); their mean is a period.
+
+    The control: a jitter that is a tenth greater is told apart.
+    """
+    (times,) = ticks(Periodic(period=0.01, jitter=jitter), 1, 20.0, seed=2)
+    waits = np.diff(times) / 0.01 - 1.0
+    assert np.abs(waits).max() <= jitter + 1e-6
+    assert abs(waits.mean()) < 4 * jitter / np.sqrt(3 * len(waits))
+    assert kstest(waits, "uniform", (-jitter, 2 * jitter)).pvalue > 0.001
+    assert kstest(waits, "uniform", (-1.1 * jitter, 2.2 * jitter)).pvalue < 0.001
+
+
+def test_a_timer_without_jitter_is_strictly_periodic():
+    for times in ticks(Periodic(period=0.1, jitter=0.0), 3, 10.0):
+        assert len(times) >= 99
+        assert np.diff(times) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_timers_begin_at_random_phases():
+    """200 phases are uniform in [0, period) (p > 0.001); the control, a third less, is told apart."""
+    first = np.array([times[0] for times in ticks(Periodic(period=0.5, jitter=0.5), 200, 0.75)])
+    assert kstest(first / 0.5, "uniform").pvalue > 0.001
+    assert kstest(first / 0.75, "uniform").pvalue < 0.001
+
+
+@pytest.mark.parametrize(
+    ("period", "jitter", "step", "warned"),
+    [
+        (0.02, 0.0, 0.01, True),
+        (0.2, 0.0, 0.01, True),
+        (0.2, 0.0, 0.1, True),
+        (0.03, 0.0, 0.01, False),
+        (0.3, 0.0, 0.1, False),
+        (0.025, 0.0, 0.01, False),
+        (0.01, 0.0, 0.02, False),
+        (0.2, 0.01, 0.01, False),
+        (0.2, 0.5, 0.01, False),
+    ],
+)
+def test_a_strict_timer_of_an_even_number_of_steps_is_warned_of(period, jitter, step, warned):
+    protocol = SpatialAdaptivePlay(schedule=Periodic(period=period, jitter=jitter))
+    found = dict(Scenario(protocol=protocol, motion=Motion(step=step)).warnings())
+    assert [*found] == (["protocol.schedule.jitter"] if warned else [])
+    if warned:
+        assert f"{round(period / step)} motion steps" in found["protocol.schedule.jitter"]
+
+
+def test_the_check_of_a_file_warns_of_a_strict_timer_at_its_line(tmp_path):
+    file = tmp_path / "timer.toml"
+    file.write_text('[protocol]\nkind = "sap"\n\n[protocol.schedule]\nkind = "periodic"\nperiod = 0.04\njitter = 0.0\n')
+    said = CliRunner().invoke(main, ["check", str(file)])
+    assert said.exit_code == 0
+    assert said.stderr.startswith(f"warning: {file}:7: protocol.schedule.jitter: ")
+    assert "4 motion steps" in said.stderr
+    file.write_text(file.read_text().replace("0.04", "0.05"))
+    assert CliRunner().invoke(main, ["check", str(file)]).stderr == ""

@@ -1,0 +1,64 @@
+"""Deliveries per second of `publish` under each model of latency, loss and reach, against an ideal link.
+
+Forty nodes on a complete graph. A model whose draws do not depend on the hop is drawn in blocks; what it costs beside the
+ideal is a time of arrival per receiver. Slower are those that ask numpy anew for each broadcast: for distances
+(propagation, by_distance, any finite range), for a jitter on top of what belongs to a pair (per_pair) or for the memory of
+each link (gilbert_elliott); and those under which every arrival is an event (reach judged at delivery, faults).
+"""
+
+import gc
+from dataclasses import replace
+
+import pytest
+
+from desim.kernel.latency import (
+    Constant,
+    Empirical,
+    Gamma,
+    Lognormal,
+    PerPair,
+    Propagation,
+    ShiftedExponential,
+    Uniform,
+)
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.reach import Disk, LogDistance, QuasiUnitDisk
+from tests.benchmarks.broadcasts import LOGNORMAL, WAYS, workloads
+from tests.benchmarks.conftest import BY_MODEL
+
+LAPS = 5
+FAR = 10.0
+"""Beyond every node, so that the number of receivers stays the same, m."""
+MODELS = {
+    "ideal": Links(),
+    "constant": Links(latency=Constant(value=0.015)),
+    "uniform": Links(latency=Uniform(low=0.0, high=0.03)),
+    "shifted_exponential": Links(latency=ShiftedExponential(offset=0.005, mean=0.01)),
+    "gamma": Links(latency=Gamma(shape=2.0, scale=0.0075)),
+    "lognormal": Links(latency=Lognormal(mean=0.015, cv=0.5)),
+    "empirical": Links(latency=Empirical(values=(0.005, 0.01, 0.03))),
+    "propagation": Links(latency=Propagation(speed=50.0)),
+    "per_pair": Links(latency=PerPair()),
+    "lognormal, fifo": Links(latency=LOGNORMAL, order="fifo"),
+    "bernoulli": Links(loss=Bernoulli(p=0.1)),
+    "gilbert_elliott": Links(loss=GilbertElliott(share=0.1, burst=5.0)),
+    "gilbert_elliott in time": Links(loss=GilbertElliott(share=0.1, burst=5.0, advance="time")),
+    "by_distance": Links(loss=ByDistance(distance=FAR)),
+    "disk": Links(range=FAR, reach=Disk()),
+    "quasi_unit_disk": Links(range=FAR, reach=QuasiUnitDisk(certain=1.0)),
+    "log_distance": Links(range=100 * FAR, reach=LogDistance()),
+    "disk at delivery": Links(range=FAR, range_check="delivery"),
+}
+
+
+@pytest.mark.parametrize("way", MODELS)  # changes first
+@pytest.mark.parametrize("lap", range(LAPS))
+def test_publish_under_each_model(benchmark, lap, way):
+    benchmark.group = BY_MODEL
+    work = replace(workloads()[0], links=MODELS[way])
+    ready = WAYS["publish"](work)
+    gc.collect()
+    benchmark.pedantic(ready.run)
+    assert ready.network.tally().sent == 39 * work.turns
+    benchmark.extra_info["deliveries"] = 39 * work.turns

@@ -1,0 +1,230 @@
+"""Mutual exclusion among neighbours: what they know of each other, what it costs, and that it never stops."""
+
+from collections import Counter
+from itertools import pairwise
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from desim import Scenario, run
+from desim.kernel.events import Sent
+from desim.kernel.faults import Crash, Partition, RandomPlan
+from desim.kernel.graphs import Complete, Grid, Star
+from desim.kernel.latency import Constant, Lognormal
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.events import Decided
+from desim.pursuit.word import Announcements
+from desim.scenario import Motion, Team
+from protocols.mutex import Later, LocalMutex, Reply, Request, Section
+from protocols.schedules import Poisson
+
+SECOND = 1_000_000_000
+
+
+def frozen(protocol, *, count=7, horizon=10.0, latency=0.0, loss=0.0, faults=(), trigger="never", graph=None):
+    """Return a game that stands still, negotiated by a protocol."""
+    model = Constant(value=latency) if isinstance(latency, float) else latency
+    return Scenario(
+        horizon=horizon,
+        team=Team(count=count, speeds=2.0),
+        motion=Motion(frozen=True),
+        protocol=protocol,
+        network=Links(latency=model, loss=Bernoulli(p=loss), graph=graph or Complete()),
+        announce=Announcements(trigger=trigger),
+        fault=faults,
+        record={"trajectory": 0.0, "messages": True},
+    )
+
+
+def flips(schedule, links, log=None):
+    """Return the protocol that decides by a coin, and notes what it believed of its neighbours and what is true."""
+    truth = {}
+
+    def protocol(me):
+        truth.setdefault(me.id, me.action)
+
+        def revise():
+            if log is not None:
+                near = set(links[me.id])
+                log.append((near & set(me.believed_active()), {j for j in near if truth[j]}))
+            me.assign(me.rng.random() < 0.5)
+            truth[me.id] = me.action
+
+        yield from schedule(me, revise)
+
+    return protocol
+
+
+def bodies(result, kind):
+    return [sent for sent in result.trace.of(Sent) if isinstance(sent.body, kind)]
+
+
+LATENCIES = pytest.mark.parametrize(
+    "latency", [0.0, 0.05, 1.0, Lognormal(mean=0.05, cv=2.0)], ids=["0 s", "0.05 s", "1 s", "heavy tails"]
+)
+
+
+@LATENCIES
+@pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
+def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
+    """Whoever decides knows the last decision of every neighbour, however late messages are and whoever overtakes."""
+    log = []
+    horizon = 60.0 if latency == 1.0 else 10.0
+    run(frozen(flips(LocalMutex(), graph(7), log), latency=latency, graph=graph, horizon=horizon), 1)
+    assert len(log) > 50
+    assert all(believed == true for believed, true in log)
+
+
+@LATENCIES
+def test_no_two_neighbours_are_inside_at_once(latency):
+    """With a section that takes a while: between entering and leaving of one no neighbour of it enters."""
+    graph, inside, entered = Grid(columns=3)(7), set(), []
+
+    def protocol(me):
+        section = Section(me, 10, max(2.5 * me.typical_latency, 0.001))
+        for _ in range(5):
+            yield from section.idle(me.now + me.rng.exponential(0.05))
+            yield from section.enter()
+            assert not inside & set(graph[me.id])
+            inside.add(me.id)
+            entered.append((me.id, frozenset(inside)))
+            yield from section.idle(me.now + me.rng.exponential(0.05))
+            inside.remove(me.id)
+            section.leave()
+        yield from section.idle(1e6)
+
+    run(frozen(protocol, latency=latency, graph=Grid(columns=3), horizon=200.0), 3)
+    assert Counter(i for i, _ in entered) == dict.fromkeys(range(7), 5)
+    assert any(len(others) > 1 for _, others in entered)  # those who are no neighbours do not wait for each other
+
+
+def test_poisson_clocks_do_not_exclude():
+    """The control: announced decisions at the ticks of Poisson clocks are often stale at a latency of half a second."""
+    log = []
+    run(frozen(flips(Poisson(rate=5.0), Complete()(7), log), latency=0.5, trigger="both"), 1)
+    assert np.mean([believed != true for believed, true in log]) > 0.3
+
+
+@pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
+def test_a_decision_takes_two_messages_per_neighbour(graph):
+    result = run(frozen(flips(LocalMutex(), graph(7)), graph=graph), 0)
+    links = graph(7)
+    expected = sum(links.degree[d.pursuer] for d in result.trace.of(Decided))
+    assert len(bodies(result, Request)) == len(bodies(result, Reply)) == expected
+    assert not bodies(result, Later)
+
+
+@pytest.mark.parametrize("latency", [0.1, 1.0])
+def test_a_decision_takes_a_round_trip(latency):
+    """Two latencies after its first request is sent, at the earliest; and one alone needs just that."""
+    result = run(frozen(flips(LocalMutex(), Complete()(7)), latency=latency, horizon=30.0), 0)
+    first = {}
+    for sent in bodies(result, Request):
+        first.setdefault(sent.body.stamp, sent.t)
+    waits = []
+    for pursuer in range(7):
+        asked = [t for (_, i), t in first.items() if i == pursuer]
+        decided = [d.t for d in result.trace.of(Decided) if d.pursuer == pursuer]
+        waits += [d - t for d, t in zip(decided, asked, strict=False)]
+    assert min(waits) == round(2 * latency * SECOND)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02, 1.0])
+def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
+    """Up to what contention adds: less than a third, from idle to saturated sections."""
+
+    class Member:
+        team_size, typical_latency = 7, latency
+
+        def neighbours(self):
+            return list(range(1, 7))
+
+    horizon = 100.0 if latency == 1.0 else 30.0
+    result = run(frozen(flips(LocalMutex(), Complete()(7)), latency=latency, horizon=horizon), 0)
+    found = horizon / len(result.trace.of(Decided))
+    slot = LocalMutex().mean_slot(Member())
+    assert 0.8 * slot < found < 1.33 * slot
+
+
+@pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
+def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistaken(graph):
+    """A neighbour is left out wrongly if none of 10 requests is answered: .51^10 = 1 of 840; 5 runs of 10 s.
+
+    Everybody decides again and again: nobody pauses for more than 10 rounds of repetition.
+    """
+    log = []
+    for seed in range(5):
+        result = run(frozen(flips(LocalMutex(), graph(7), log), latency=0.02, loss=0.3, graph=graph), seed)
+        for pursuer in range(7):
+            times = [0, *(d.t for d in result.trace.of(Decided) if d.pursuer == pursuer), 10 * SECOND]
+            assert max(b - a for a, b in pairwise(times)) < 4 * SECOND
+    assert np.mean([believed != true for believed, true in log]) < 0.03
+
+
+def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_it_is_back():
+    """Ten requests in vain take 10 x 2.5 L = 1.25 s; after that nobody waits for it."""
+    log = []
+    fault = Crash(at=2.0, until=8.0, node=3, scope="radio")
+    graph = Complete()(4)
+    protocol = flips(LocalMutex(), graph, log)
+    result = run(frozen(protocol, count=4, latency=0.05, horizon=20.0, faults=(fault,)), 0)
+
+    def pauses(since, until):
+        times = [d.t / SECOND for d in result.trace.of(Decided) if d.pursuer != 3 and since < d.t / SECOND < until]
+        return np.diff(times)
+
+    assert pauses(2.0, 4.5).max() > 1.0
+    assert pauses(4.5, 8.0).max() < 1.0
+    late = log[-len([d for d in result.trace.of(Decided) if d.t > 11 * SECOND]) :]
+    assert len(late) > 50
+    assert all(believed == true for believed, true in late)
+
+
+def test_after_a_partition_all_exclude_each_other_again():
+    log = []
+    fault = Partition(at=1.0, until=5.0, groups=((0, 2, 5),))
+    result = run(frozen(flips(LocalMutex(), Complete()(7), log), latency=0.03, horizon=15.0, faults=(fault,)), 0)
+    apart, again = ([d for d in result.trace.of(Decided) if a < d.t / SECOND < b] for a, b in ((3.0, 5.0), (7.0, 15.0)))
+    assert {d.pursuer for d in apart} == {d.pursuer for d in again} == set(range(7))
+    assert all(believed == true for believed, true in log[-len(again) :])
+    assert any(believed != true for believed, true in log[: -len(again)])  # the control: across the cut
+
+
+@pytest.mark.slow
+def test_no_storm_ends_in_a_deadlock():
+    """150 plans of crashes, partitions, jamming and losses until 3 s: everybody decides from then on, and knows.
+
+    A neighbour is given up in 10 x 2.5 L, and at most once more for each; all is well again after another second.
+    """
+    stuck, mistaken = {}, {}
+    for seed in range(150):
+        rng = np.random.default_rng([seed, 6])
+        count, graph = int(rng.integers(2, 8)), (Complete(), Grid(columns=3), Star())[rng.integers(3)]
+        latency = (Lognormal(mean=0.02, cv=1.0), Constant(value=0.02), Constant())[rng.integers(3)]
+        plan = RandomPlan(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=3.0)
+        log = []
+        protocol = flips(LocalMutex(), graph(count), log)
+        scenario = frozen(protocol, count=count, latency=latency, graph=graph, faults=(plan,), horizon=7.0)
+        links = scenario.network.model_copy(update={"loss": Storm(float(rng.uniform(0.0, 0.4)), 3.0)})
+        result = run(scenario.model_copy(update={"network": links}), seed)
+        late = [d for d in result.trace.of(Decided) if d.t > 5 * SECOND]
+        stuck[seed] = set(range(count)) - {d.pursuer for d in late}
+        mistaken[seed] = sum(believed != true for believed, true in log[len(log) - len(late) :])
+    assert {seed: who for seed, who in stuck.items() if who} == {}
+    assert {seed: number for seed, number in mistaken.items() if number} == {}
+
+
+class Storm:
+    """Independent losses until a time, s; then none."""
+
+    def __init__(self, p, until):
+        self._p, self._until = p, until
+
+    def __call__(self, hops, rng):
+        return rng.random(len(hops.dst)) < (self._p if hops.now < self._until else 0.0)
+
+
+def test_the_graphs_of_these_tests_are_connected():
+    assert all(nx.is_connected(graph(7)) for graph in (Complete(), Grid(columns=3), Star()))
