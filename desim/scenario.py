@@ -190,15 +190,18 @@ class Scenario(Value):
         """Yield what does not fit the team: where it is, and why."""
         count = self.team.count
         nobody = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
+        graph = None
         try:
             graph = self.network.graph(count)
             Topology(graph)
         except ValueError as error:
             yield ("network", "graph"), str(error)
         for k, link in enumerate(self.network.link):
-            for end in ("src", "dst"):
-                if getattr(link, end) >= count:
-                    yield ("network", "link", k, end), nobody.format(getattr(link, end))
+            strangers = [end for end in ("src", "dst") if getattr(link, end) >= count]
+            yield from ((("network", "link", k, end), nobody.format(getattr(link, end))) for end in strangers)
+            for src, dst in link.ways() if not strangers else ():
+                if graph is not None and not graph.has_edge(src, dst):
+                    yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
         for k, fault in enumerate(self.fault):
             if (node := getattr(fault, "node", None)) is not None and node >= count:
                 yield ("fault", k, "node"), nobody.format(node)

@@ -132,6 +132,7 @@ def test_news_that_is_lost_and_never_repeated_can_be_wrong_for_ever():
         assert profile == relay
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spread", "settles"), [(OneHop(), False), (Flooding(hops=5), True)])
 def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(spread, settles):
     """Six on a path, phi = 1, 2, 4, 8, 16, 32 s: who hears of nobody near it chases, however far pursuer 0 is ahead.

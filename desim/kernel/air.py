@@ -39,7 +39,7 @@ class Air(Generic[Item]):
         leave: called when a transmission begins, with its airtime in ns.
         wait: called when a transmission has to wait.
         drop: called when a transmission that waits is dropped.
-        lag: how long after it was received a message is judged, ns.
+        lag: how long a message is processed at both ends before it is judged, ns.
     """
 
     def __init__(
@@ -92,7 +92,10 @@ class Air(Generic[Item]):
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
-        """Return whether a node was on the air itself while something of an airtime came in until `received`, ns."""
+        """Return whether a node was on the air itself while something of an airtime (ns) came in until `received`, ns.
+
+        Both count from when they were handed to a transmitter, before any processing.
+        """
         return any(begin < received and end > received - airtime for begin, end in self._spells[node])
 
     def _begin(self, channel: int, item: Item) -> None:

@@ -97,9 +97,9 @@ class Tally(NamedTuple):
     transmissions: int
     """How many times something was put on the air, whatever the number of receivers."""
     octets: int
-    """Bytes put on the air."""
+    """Bytes of the messages put on the air, without what the medium adds to each."""
     utilisation: float
-    """Share of the time in which the channels were busy, in [0, 1]."""
+    """Share of the time in which the channels were busy, in [0, 1]: of the shared one, or the mean over all nodes'."""
 
 
 Kind = TypeVar("Kind")

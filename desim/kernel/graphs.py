@@ -159,7 +159,8 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
     try:
         if file.suffix == ".graphml":
             return nx.read_graphml(file, node_type=int)
-        return nx.node_link_graph(json.loads(file.read_text(encoding="utf-8")), edges="edges")
+        data = json.loads(file.read_text(encoding="utf-8"))
+        return nx.node_link_graph(data, edges="edges" if "edges" in data else "links")  # the key before networkx 3.4
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:  # whatever the two readers of networkx raise at what they do not expect

@@ -3,7 +3,7 @@
 from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link
 from desim.kernel.latency import LATENCIES, Constant, Latency
@@ -66,6 +66,14 @@ class Links(Value):
     """What it takes to put a message on the air."""
     link: tuple[Link, ...] = ()
     """Links that are not like the rest."""
+
+    @field_validator("medium")
+    @classmethod
+    def _is_a_medium(cls, medium: Medium) -> Medium:
+        missing = [name for name in ("shared", "half_duplex", "queue_limit") if not hasattr(medium, name)]
+        if missing:
+            raise ValueError(f"should have attributes shared, half_duplex and queue_limit, {medium!r} lacks {missing}")
+        return medium
 
     @model_validator(mode="before")
     @classmethod

@@ -56,7 +56,7 @@ class Bitrate(_Radio):
     """So many bits a second: 8 (bytes + header) / bitrate."""
 
     kind: Literal["bitrate"] = "bitrate"
-    bitrate: Annotated[float, Field(gt=0, le=1e15, strict=True)]
+    bitrate: Annotated[float, Field(ge=1, le=1e15, strict=True)]
     """bit/s"""
     header: Count = 0
     """Bytes that the link adds to every message."""
@@ -86,10 +86,10 @@ class LoRa(_Radio):
     def __call__(self, size: int) -> float:
         """Return (preamble + 4.25 + payload symbols) symbol times, s.
 
-        Symbols of 16 ms and more carry two bits less (low data rate optimisation).
+        Symbols of more than 16 ms carry two bits less (low data rate optimisation).
         """
         symbol: float = 2**self.spreading_factor / self.bandwidth
-        per_block = 4 * (self.spreading_factor - 2 * (symbol >= 0.016))
+        per_block = 4 * (self.spreading_factor - 2 * (symbol > 0.016))
         bits = 8 * size - 4 * self.spreading_factor + 28 + 16 * self.crc - 20 * self.implicit_header
         payload = 8 + max(ceil(bits / per_block) * (self.coding_rate + 4), 0)
         return (self.preamble + 4.25 + payload) * symbol

@@ -84,11 +84,11 @@ class Network:
         self._conditions = conditions
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
-        self._receiving = nanoseconds(links.processing.receiver)
+        self._processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         self._typical_airtime = nanoseconds(links.medium(TYPICAL_SIZE))
         self._air: Air[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
-            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._receiving)
+            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._processing)
         self._may_lose = conditions is not None or not self._travel.lossless or self._air is not None
         self._records = Records(env, size)
         self._inboxes: dict[tuple[int, str], Inbox] = {}
@@ -250,6 +250,7 @@ class Network:
             reached = [node for node in receivers if node not in causes]
             if not isinstance(arrival, int):
                 arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
+        arrival = self._travel.in_order(flight.src, reached, arrival)
         if self._trace is not None:
             self._record(flight, reached, arrival)
         for node, cause in causes.items():
@@ -307,7 +308,7 @@ class Network:
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
-        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._receiving, airtime)
+        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._processing, airtime)
         return "half_duplex" if deaf else None
 
     def _lose(self, flight: Flight, nodes: list[int], cause: Cause) -> None:

@@ -42,16 +42,21 @@ class Travel:
         graph: whose edges may have models of their own.
         seed: of the streams "latency" and "loss".
         positions: where the nodes are now, for models that ask.
+        purpose: stands before the names of the streams.
+
+    Raises:
+        ValueError: if a link that is not like the rest is not in the graph.
     """
 
-    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Positions | None):
+    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Positions | None, purpose: str = ""):
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
         self._fixed = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         self._latency, self._loss = _begun(links.latency, size), _begun(links.loss, size)
-        self._latency_rng, self._loss_rng = stream(seed, "latency"), stream(seed, "loss")
-        self._own_rng = stream(seed, "own links")
+        names = ("latency", "loss", "latency of own links", "loss of own links")
+        streams = [stream(seed, purpose + name) for name in names]
+        self._latency_rng, self._loss_rng, self._own_latency_rng, self._own_loss_rng = streams
         self._delays = _stock(self._latency, self._latency_rng, _checked)
         self._lots = _stock(self._loss, self._loss_rng, np.ndarray.tolist)
         self._own_latency, self._own_loss = _own(links, graph, "latency"), _own(links, graph, "loss")
@@ -76,7 +81,7 @@ class Travel:
         for k, node in enumerate(dst if own else ()):
             if node in own:
                 lost = lost or [False] * len(dst)
-                lost[k] = bool(_alone(own[node], self._hops(src, [node], now, size), self._own_rng))
+                lost[k] = bool(_alone(own[node], self._hops(src, [node], now, size), self._own_loss_rng))
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
@@ -98,16 +103,18 @@ class Travel:
             delays = [delays] * len(dst) if isinstance(delays, int) else delays
             for k, node in enumerate(dst):
                 if node in own:
-                    (delays[k],) = _checked([_alone(own[node], self._hops(src, [node], now, size), self._own_rng)])
-        arrival: Arrival = start + delays if isinstance(delays, int) else [start + delay for delay in delays]
-        return arrival if self._last is None else self._in_order(src, dst, arrival)
+                    (delays[k],) = _checked(
+                        [_alone(own[node], self._hops(src, [node], now, size), self._own_latency_rng)]
+                    )
+        return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
     def typical_latency(self, airtime: int) -> float:
         """Return the mean one-way latency of a message with an airtime (ns), over all links, s.
 
         It is measured on draws that the messages of the run do not share.
         """
-        like_this = Travel(self._links, self._graph, self._seed, self._positions)
+        free = self._links.model_copy(update={"order": "overtaking"})
+        like_this = Travel(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
         found: list[int] = []
         for src in list(range(size)) * rounds:
@@ -117,10 +124,11 @@ class Travel:
                 break
         return sum(found) / len(found) / SECOND if found else 0.0
 
-    def _in_order(self, src: int, dst: list[int], arrival: Arrival) -> list[int]:
-        """Let no message arrive before an earlier one of its link."""
+    def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
+        """Let no message that is not lost arrive before an earlier one of its link, if they keep their order."""
         last = self._last
-        assert last is not None
+        if last is None:
+            return arrival
         for node, when in zip(dst, each(arrival), strict=False):
             last[src, node] = max(when, last.get((src, node), 0))
         return [last[src, node] for node in dst]
@@ -169,6 +177,9 @@ def _own(links: Links, graph: "nx.Graph[int]", name: str) -> Own:
             for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
                 found.setdefault(way[0], {})[way[1]] = _begun(as_model(name, value), len(graph))
     for link in links.link:
+        for src, dst in link.ways():
+            if not graph.has_edge(src, dst):
+                raise ValueError(f"there is no link from {src} to {dst} in the graph")
         model = getattr(link, name)
         for src, dst in link.ways() if model is not None else ():
             found.setdefault(src, {})[dst] = _begun(model, len(graph))

@@ -35,4 +35,4 @@ def _size(body: Any) -> int:
         return sum(map(_size, body))
     if isinstance(body, np.ndarray):
         return NUMBER * body.size
-    return NUMBER
+    return 2 * NUMBER if isinstance(body, complex) else NUMBER

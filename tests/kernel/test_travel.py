@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.events import LOST, Sent, Trace
 from desim.kernel.graphs import Edges, Link
 from desim.kernel.latency import (
     Constant,
@@ -42,6 +43,11 @@ def travel(links, size=4, graph=None, seed=7, positions=None):
     return Travel(links, nx.complete_graph(size) if graph is None else graph, seed, positions)
 
 
+def arrivals_in_order(trip, src, dst, now, airtime=0):
+    """Return when a message that nothing is lost of is readable at each receiver, ns."""
+    return trip.in_order(src, dst, trip.arrivals(src, dst, now, airtime, 24))
+
+
 def delays(links, src, dst, seed=7, count=1, **rest):
     """Return what `count` transmissions take, s: (count, receivers)."""
     trip = travel(links, seed=seed, **rest)
@@ -56,7 +62,7 @@ def delays(links, src, dst, seed=7, count=1, **rest):
 @pytest.mark.parametrize("own", [(), (Link(src=1, dst=2, latency=Gamma()),)])
 def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):
     """In the order in which they are needed, whatever the blocks and whatever links of their own are elsewhere."""
-    trip = travel(Links(latency=model, link=own), graph=nx.empty_graph(9001))
+    trip = travel(Links(latency=model, link=own), graph=nx.star_graph([1, *range(2, 9001), 0]))
     found = [delay for count in COUNTS for delay in trip.arrivals(0, list(range(1, count + 1)), 0, 0, 24)]
     expected = model.draw(len(found), stream(7, "latency"))
     assert len(found) > 3 * BLOCK
@@ -65,7 +71,7 @@ def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):
 
 
 def test_losses_are_exactly_the_draws_that_their_stream_gives():
-    trip = travel(Links(loss=Bernoulli(p=0.3)), graph=nx.empty_graph(9001))
+    trip = travel(Links(loss=Bernoulli(p=0.3)), graph=nx.star_graph([1, *range(2, 9001), 0]))
     found = [lost for count in COUNTS for lost in trip.losses(0, list(range(1, count + 1)), 0, 24)]
     assert found == (stream(7, "loss").random(len(found)) < 0.3).tolist()
 
@@ -196,7 +202,7 @@ def test_with_fifo_no_message_of_a_link_arrives_before_an_earlier_one(messages, 
         dst = [node for node in range(4) if node != src]
         now = t * SECOND // 100
         for node, when, alone in zip(
-            dst, fifo.arrivals(src, dst, now, airtime, 24), free.arrivals(src, dst, now, airtime, 24), strict=True
+            dst, arrivals_in_order(fifo, src, dst, now, airtime), free.arrivals(src, dst, now, airtime, 24), strict=True
         ):
             latest = seen.setdefault((src, node), [])
             latest.append(alone)
@@ -209,7 +215,7 @@ def test_without_fifo_messages_overtake():
     arrivals = [trip.arrivals(0, [1], k * SECOND // 100, 0, 24)[0] for k in range(100)]
     assert (np.diff(arrivals) < 0).sum() > 20
     trip = travel(Links(latency=Uniform(high=1.0), order="fifo"))
-    arrivals = [trip.arrivals(0, [1], k * SECOND // 100, 0, 24)[0] for k in range(100)]
+    arrivals = [arrivals_in_order(trip, 0, [1], k * SECOND // 100)[0] for k in range(100)]
     assert (np.diff(arrivals) >= 0).all()
 
 
@@ -229,7 +235,7 @@ def test_fifo_mail_is_read_in_the_order_in_which_it_was_sent(order):
 def test_a_link_of_its_own_keeps_its_order_too():
     own = (Link(src=0, dst=1, latency=Uniform(high=1.0)),)
     trip = travel(Links(order="fifo", link=own))
-    arrivals = np.array([trip.arrivals(0, [1, 2], k * SECOND // 100, 0, 24) for k in range(100)])
+    arrivals = np.array([arrivals_in_order(trip, 0, [1, 2], k * SECOND // 100) for k in range(100)])
     assert (np.diff(arrivals, axis=0) >= 0).all()
     assert (np.diff(arrivals[:, 1]) == SECOND // 100).all()
 
@@ -252,3 +258,53 @@ def test_processing_and_airtime_are_added_once_each(model, order, own):
 def test_times_are_rounded_to_the_nanosecond_and_not_cut_off():
     assert travel(Links(latency=Constant(value=1.6e-9))).arrivals(0, [1], 0, 0, 24) == 2
     assert travel(Links(latency=Uniform(low=1.6e-9, high=1.6e-9))).arrivals(0, [1], 0, 0, 24) == [2]
+
+
+def test_nobody_waits_for_a_message_that_is_lost():
+    """Half of the messages are lost; one that is not arrives when it would, or with the last before it that arrived."""
+    clock, trace = Clock(), Trace()
+    links = Links(latency=Uniform(high=1.0), loss=Bernoulli(p=0.5), order="fifo")
+    free = travel(Links(latency=Uniform(high=1.0)), size=2)
+    network = Network(clock, nx.complete_graph(2), links, seed=7, trace=trace)
+    expected, latest = [], 0
+
+    def speak():
+        for _ in range(200):
+            network.send(0, 1, "x")
+            yield clock.timeout(SECOND // 100)
+
+    clock.process(speak())
+    clock.run()
+    for sent in trace.of(Sent):
+        (alone,) = free.arrivals(0, [1], sent.t, 0, 24)
+        latest = latest if sent.arrival == LOST else max(latest, alone)
+        expected.append(LOST if sent.arrival == LOST else latest)
+    assert [sent.arrival for sent in trace.of(Sent)] == expected
+    assert 50 < expected.count(LOST) < 150
+
+
+def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
+    """Exponential of mean 50 ms over 4 nodes: 1,200 draws, within 5 x 50 / sqrt(1200) ms; none of the run."""
+    links = Links(latency=ShiftedExponential(mean=0.05), order="fifo")
+    trip, same = travel(links), travel(links)
+    typical = trip.typical_latency(0)
+    assert typical == pytest.approx(0.05, abs=5 * 0.05 / sqrt(1200))
+    assert abs(2 * typical - 0.05) > 5 * 0.05 / sqrt(1200)
+    assert trip.arrivals(0, [1, 2], 0, 0, 24) == same.arrivals(0, [1, 2], 0, 0, 24)
+
+
+def test_the_loss_of_a_link_of_its_own_does_not_change_its_latencies():
+    def latencies(p):
+        own = Link(src=0, dst=1, latency=Uniform(high=1.0), loss=Bernoulli(p=p))
+        trip, found = travel(Links(link=(own,))), []
+        for _ in range(20):
+            trip.losses(0, [1, 2], 0, 24)
+            found.append(trip.arrivals(0, [1, 2], 0, 0, 24))
+        return found
+
+    assert latencies(0.0) == latencies(0.3)
+
+
+def test_a_link_that_is_not_in_the_graph_is_refused():
+    with pytest.raises(ValueError, match="no link from 0 to 2 in the graph"):
+        travel(Links(link=(Link(src=0, dst=2),)), graph=nx.path_graph(3))

@@ -187,9 +187,8 @@ def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
     result = play(saying(*np.linspace(1.0, 3.0, 50).tolist()), nx.path_graph(4), Flooding(), fault=skews, horizon=5.0)
     sent = [event for event in result.trace.of(Sent) if (event.src, event.dst) == (2, 3)]
     said = [event.body.records[0].seq for event in sent]
-    assert said == sorted(said)
-    assert said[-1] == 50
-    assert len(said) > 10
+    assert len(set(said)) == len(said) > 10
+    assert max(said) == 50
 
 
 # Within an instant.
@@ -253,7 +252,7 @@ def test_gossip_takes_word_one_hop_farther_with_every_announcement():
 
 
 def test_gossip_merges_by_the_newest():
-    """0 says "I chase" at 1 s and "I stay" at 2 s; its way to 2 takes 5 s, that by 1, who talks at 3 s, 0.25 s twice."""
+    """0 says "I chase" at 1 s and "I stay" at 2 s; to 2 that takes 5 s, by 1, who talks at 3 s, 2 x 0.25 s."""
     graph, seen = nx.complete_graph(3), {}
     graph.edges[0, 2]["latency"] = 5.0
 

@@ -1,0 +1,336 @@
+"""Faults in a run: what becomes of a pursuer that breaks down, and of the pursuit; and of clocks that are wrong."""
+
+from collections import Counter
+from math import inf
+
+import numpy as np
+import pytest
+
+from desim import Scenario, run, summary
+from desim.analysis.metrics import activity
+from desim.kernel.events import Broadcast, Tally
+from desim.kernel.faults import ClockSkew, Crash
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.pursuit.events import Decided, Ended, Halted, Sampled
+from desim.pursuit.word import Announcements
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.temperature import ConstantTau
+
+
+def play(protocol, *faults, **changes):
+    """Run a protocol for three pursuers at 2, 3 and 5 m (speed 1) of an evader that stands still; h = 0.1 s."""
+    given = {
+        "horizon": 4.0,
+        "team": Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        "evader": Evader(position=(0.0, 0.0), speed=0.0),
+        "motion": Motion(step=0.1),
+        "protocol": protocol,
+        "announce": Announcements(trigger="revision"),
+        "record": Recording(trajectory=0.01, messages=True),
+        "fault": faults,
+    }
+    return run(Scenario(**(given | changes)))
+
+
+def chasing(me):
+    """Chase from the beginning, and decide to go on with it at 0.1, 0.2, ... s."""
+    for k in range(100):
+        if k / 10 + 1e-6 >= me.now:
+            yield me.at(k / 10 + 1e-6)
+            me.assign(True)
+            me.announce()
+
+
+def decided(result, pursuer):
+    """Return when a pursuer decided, s."""
+    return [d.t / 1e9 for d in result.trace.of(Decided) if d.pursuer == pursuer]
+
+
+def track(result, pursuer):
+    """Return the times of the samples, s, and the distance of a pursuer on the line then, m."""
+    samples = result.trace.of(Sampled)
+    return np.array([s.t / 1e9 for s in samples]), np.array([s.pursuers[pursuer][0] for s in samples])
+
+
+# Breakdowns.
+
+
+@pytest.mark.parametrize("at", [0.75, 0.7, 0.7000001])
+def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_repaired(at):
+    """Pursuer 1 chases at 1 m/s from 3 m on; broken down inside a step, or on its boundary, it stays at 3 - at.
+
+    Repaired at 1.55 s it makes up at once for what was due meanwhile, and chases. The others chase all the while.
+    """
+    result = play(chasing, Crash(node=1, at=at, until=1.55), horizon=1.9)
+    assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(Halted)] == [(at, 1)]
+    assert [t for t in decided(result, 1) if t > at] == pytest.approx([1.55, 1.6, 1.7, 1.8], abs=1e-5)
+    assert len([t for t in decided(result, 0) if at < t < 1.55]) == 8
+    t, x = track(result, 1)
+    assert x[t <= at] == pytest.approx(3.0 - t[t <= at], abs=1e-5)
+    broken = (t >= at) & (t <= 1.55)
+    assert x[broken] == pytest.approx(3.0 - at, abs=1e-5)
+    assert np.ptp(x[broken & (t > at)]) == 0.0
+    assert x[t > 1.55] == pytest.approx(3.0 - at - (t[t > 1.55] - 1.55), abs=1e-5)
+    assert track(result, 2)[1][-1] == pytest.approx(5.0 - 1.9, abs=1e-5)
+
+
+def test_a_pursuer_whose_radio_alone_is_broken_goes_on_and_is_not_heard():
+    result = play(chasing, Crash(node=1, at=0.75, until=1.55, scope="radio"), horizon=1.9)
+    assert not result.trace.of(Halted)
+    assert len(decided(result, 1)) == len(decided(result, 0)) == 19
+    t, x = track(result, 1)
+    assert x == pytest.approx(3.0 - t, abs=1e-5)
+    said = [b.t / 1e9 for b in result.trace.of(Broadcast) if b.src == 1]
+    assert [round(t, 3) for t in said] == [k / 10 for k in range(19) if not 0.75 < k / 10 < 1.55]
+    assert result.trace.of(Tally)[0].lost_by["crash"] == 2 * 8
+
+
+def east(state, rng):
+    """The evader's strategy: along the line of the pursuers."""
+    return 1.0 + 0.0j
+
+
+@pytest.mark.parametrize(("scope", "capturer"), [("robot", None), ("radio", 1)])
+def test_who_is_broken_captures_nobody(scope, capturer):
+    """The evader runs over pursuer 1, which stands at 3 m: with a broken radio only it captures at 2.9 s."""
+    changes = {
+        "team": Team(positions=[(2.0, 5.0), (3.0, 0.0), (9.0, 0.0)], speeds=2.0, active_at_start=0.0),
+        "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=east),
+    }
+    result = play(lambda me: iter(()), Crash(node=1, at=1.0, scope=scope), **changes)
+    (end,) = result.trace.of(Ended)
+    assert (end.reason, end.capturer) == (("captured", 1) if capturer else ("horizon", None))
+    if capturer:
+        assert end.t / 1e9 == pytest.approx(2.9)
+
+
+def test_who_breaks_down_just_before_it_would_capture_does_not():
+    """A capture at 1.9 s is foreseen; at 1.9 s - 1 us the pursuer breaks down. The control: 1 us later is too late."""
+
+    def protocol(me):
+        yield me.at(0.0)
+        me.assign(me.id == 0)
+
+    for at, capturer in ((1.9 - 1e-6, None), (1.9 + 1e-6, 0)):
+        assert play(protocol, Crash(node=0, at=at)).trace.of(Ended)[0].capturer == capturer
+
+
+def test_a_capture_by_somebody_else_is_still_foreseen_when_one_breaks_down():
+    """0 breaks down inside the very step in which 1, who is 0.05 m behind, captures: at 1.95 s."""
+
+    def protocol(me):
+        yield me.at(0.0)
+        me.assign(me.id < 2)
+
+    team = Team(positions=[(2.0, 0.0), (2.05, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0)
+    (end,) = play(protocol, Crash(node=0, at=1.895), team=team, motion=Motion(step=0.25)).trace.of(Ended)
+    assert (end.capturer, end.t / 1e9) == (1, pytest.approx(1.95, abs=1e-6))
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(memory):
+    """Pursuer 0 says at 0.5 s that it chases, and nothing afterwards; 1 is broken down from 1 until 2 s."""
+    log = []
+
+    def protocol(me):
+        begun = me.now
+        if me.id == 0:
+            yield me.at(0.5)
+            me.assign(True)
+            me.tell()
+        if me.id == 1:
+            for k in range(1, 4):
+                yield me.sleep(0.75)
+                log.append((me.now, begun, k, sorted(me.heard()), me.believed_active()))
+
+    announce = Announcements(trigger="never")
+    play(protocol, Crash(node=1, at=1.0, until=2.0, memory=memory), announce=announce, motion=Motion(frozen=True))
+    known = (sorted({0, 2}), [0])
+    if memory:  # what it slept for at 1.5 s is over when it is repaired
+        assert log == [(0.75, 0.0, 1, *known), (2.0, 0.0, 2, *known), (2.75, 0.0, 3, *known)]
+    else:
+        assert log == [(0.75, 0.0, 1, *known), (2.75, 2.0, 1, [], []), (3.5, 2.0, 2, [], [])]
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_a_broken_radio_never_stops_the_protocol_but_may_make_it_forget(memory):
+    log = []
+
+    def protocol(me):
+        if me.id == 1:
+            for _ in range(3):
+                yield me.sleep(0.75)
+                log.append((me.now, sorted(me.heard())))
+
+    crash = Crash(node=1, at=1.0, until=2.0, memory=memory, scope="radio")
+    play(protocol, crash, announce=Announcements(trigger="never"))
+    assert log == [(0.75, [0, 2]), (1.5, [0, 2]), (2.25, [0, 2] if memory else [])]
+
+
+@pytest.mark.parametrize(
+    "schedule", [SharedSeed(slot=0.05), Poisson(), Rounds(period=0.2), Periodic()], ids=lambda schedule: schedule.kind
+)
+@pytest.mark.parametrize("memory", [True, False])
+def test_every_schedule_survives_a_breakdown(schedule, memory):
+    """Nothing is decided from 1 s to 2 s; from 2 s to 12 s as often as by the others, within 5 standard errors."""
+    protocol = SpatialAdaptivePlay(schedule=schedule)
+    crash = Crash(node=1, at=1.0, until=2.0, memory=memory)
+    result = play(protocol, crash, horizon=12.0, motion=Motion(frozen=True))
+    made = decided(result, 1)
+    assert not [t for t in made if 1.0 <= t < 2.0]
+    after, others = (len([t for t in decided(result, j) if t >= 2.0]) for j in (1, 0))
+    assert after == pytest.approx(others, abs=5 * np.sqrt(2 * others))
+    assert [t for t in made if 2.0 <= t < 3.0]
+
+
+# The breakdown of the pursuer that chases.
+
+PAYLOADS = ["action", "time", "state"]
+
+
+def relay_breaks_down(announce, seed=0, *faults):
+    """Return a pursuit whose relay pursuer 0 (2.6 s from the capture) breaks down for ever after 1 s."""
+    return run(
+        Scenario(
+            horizon=40.0,
+            team=Team(positions=[(3.0, 0.0), (-8.0, 1.0), (0.0, 9.0)], speeds=[2.0, 1.5, 1.5]),
+            evader=Evader(position=(0.0, 0.0), speed=0.9),
+            protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=Poisson(rate=10.0)),
+            announce=announce,
+            network=Links(latency=Constant(value=0.02)),
+            fault=faults,
+            record=Recording(trajectory=0.0),
+        ),
+        seed,
+    )
+
+
+CRASH = Crash(node=0, at=1.0)
+
+
+def first_chase_after(result, time):
+    """Return who is the first to begin to chase after a time (s), and when, s; None if nobody does."""
+    later = [(d.pursuer, d.t / 1e9) for d in result.trace.of(Decided) if d.t > time * 1e9 and d.active]
+    return later[0] if later else None
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_forgotten(payload):
+    """Its last heartbeat came up to 1.02 s; it is forgotten 3 T + 2 L = 0.34 s later; somebody revises within 1 s."""
+    announce = Announcements(payload=payload)
+    for seed in range(5):
+        healthy = summary(relay_breaks_down(announce, seed))
+        assert (healthy.capturer, healthy.captured) == (0, True)
+        result = relay_breaks_down(announce, seed, CRASH)
+        who, when = first_chase_after(result, 1.0)
+        assert who in {1, 2}
+        assert 1.2 < when < 2.4
+        assert summary(result).capturer in {1, 2}
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("announce", [{"forget_after": inf}, {"trigger": "change"}], ids=["never forget", "on change"])
+def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announce):
+    """The mission ends at the horizon, with nobody active since 1 s. The control: 2 s of memory are enough."""
+    for seed in range(3):
+        result = relay_breaks_down(Announcements(payload=payload, **announce), seed, CRASH)
+        assert first_chase_after(result, 1.0) is None
+        numbers = summary(result)
+        assert not numbers.captured
+        assert numbers.idle_time == pytest.approx(39.0, abs=1e-6)
+    remembering = Announcements(payload=payload, **(announce | {"forget_after": 2.0}))
+    assert summary(relay_breaks_down(remembering, 0, CRASH)).captured
+
+
+def test_a_relay_pursuer_with_a_broken_radio_is_doubled_and_captures_all_the_same():
+    """Forgotten, it is joined by another; unforgotten it is not."""
+    crash = Crash(node=0, at=1.0, scope="radio")
+    for announce, crowd in ((Announcements(), 2), (Announcements(forget_after=inf), 1)):
+        result = relay_breaks_down(announce, 1, crash)
+        assert summary(result).capturer == 0
+        assert activity(result)[1][-1] == crowd
+
+
+# Clocks.
+
+
+def test_a_wrong_clock_shows_its_own_time_and_wakes_by_it():
+    """c(t) = offset + (1 + drift) t: what is to happen at c happens at (c - offset) / (1 + drift), or now."""
+    log = []
+
+    def protocol(me):
+        if me.id == 1:
+            log.append(me.now)
+            yield me.at(1.0)
+            log.append(me.now)
+            yield me.at(2.0)
+            me.assign(False)
+            yield me.sleep(1.2)
+            me.assign(False)
+
+    result = play(protocol, ClockSkew(node=1, offset=1.5, drift=0.25))
+    assert log == [1.5, 1.5]
+    assert decided(result, 1) == pytest.approx([0.4, 0.4 + 0.96], abs=1e-9)
+
+
+def test_clock_errors_of_one_node_add_up_and_those_of_all_are_drawn():
+    shown = {}
+
+    def protocol(me):
+        yield me.sleep(0.0)
+        shown[me.id] = me.now
+
+    play(protocol, ClockSkew(node=1, offset=0.5), ClockSkew(node=1, offset=0.25))
+    assert shown == {0: 0.0, 1: 0.75, 2: 0.0}
+    team = Team(count=200, active_at_start=0.0)
+    play(protocol, ClockSkew(offset=2.0), team=team, horizon=0.1, record=Recording(trajectory=0.0))
+    drawn = np.array([*shown.values()])
+    assert abs(drawn.mean()) < 4 * 2.0 / np.sqrt(200)
+    assert abs(drawn.std() - 2.0) < 4 * 2.0 / np.sqrt(400)
+
+
+def slots(*faults, count=4, slot=0.1, horizon=20.05):
+    """Return the decisions under a shared seed as (true time in slots, pursuer)."""
+    protocol = SpatialAdaptivePlay(schedule=SharedSeed(slot=slot))
+    team, record = Team(count=count), Recording(trajectory=0.0)
+    result = play(protocol, *faults, team=team, record=record, horizon=horizon, motion=Motion(frozen=True))
+    return [(d.t / 1e9 / slot, d.pursuer) for d in result.trace.of(Decided)]
+
+
+def test_a_shared_seed_collides_under_skew():
+    """Pursuer 0's clock is 0.6 slots slow, so it decides in the slot after its own, as does the owner of that.
+
+    200 slots: true slots in which two decide are those of another after one of 0; with right clocks there are none.
+    """
+    right, skewed = slots(), slots(ClockSkew(node=0, offset=-0.06))
+    assert [round(t, 6) for t, _ in right] == [*range(1, 201)]
+    owner = {round(t): pursuer for t, pursuer in right}
+    expected = {(round(k + 0.6, 6) if pursuer == 0 else float(k), pursuer) for k, pursuer in owner.items()}
+    assert {(round(t, 6), pursuer) for t, pursuer in skewed} == {each for each in expected if each[0] < 200.5}
+    crowds = Counter(int(np.ceil(t - 1e-6)) for t, _ in skewed)
+    doubled = {k for k, decisions in crowds.items() if decisions == 2 and k <= 200}
+    assert doubled == {k for k in range(2, 201) if owner[k - 1] == 0 and owner[k] != 0}
+    assert len(doubled) > 20
+
+
+def test_a_shared_seed_drifts_apart():
+    """A clock that gains 1 % has its k-th slot at k / 1.01: after 100 slots it decides a whole slot too early."""
+    owner = {round(t): pursuer for t, pursuer in slots()}
+    drifting = [t for t, pursuer in slots(ClockSkew(node=0, drift=0.01)) if pursuer == 0]
+    mine = [k for k in range(1, 250) if owner.get(k) == 0]
+    assert drifting[: len(mine)] == pytest.approx([k / 1.01 for k in mine], abs=1e-6)
+
+
+@pytest.mark.parametrize("schedule", [Poisson(rate=10.0), Periodic(period=0.1), Rounds(period=0.1)])
+@pytest.mark.parametrize("offset", [-2.0, 2.0])
+def test_a_wrong_clock_neither_bunches_nor_stops_revisions(schedule, offset):
+    """The offset is at most what a schedule by common rounds is early or late; nobody decides twice at one instant."""
+    protocol = SpatialAdaptivePlay(schedule=schedule)
+    result = play(protocol, ClockSkew(node=1, offset=offset), motion=Motion(frozen=True), horizon=10.0)
+    times = decided(result, 1)
+    assert len(set(times)) == len(times)
+    late = 2.0 if offset < 0 and schedule.kind == "rounds" else 0.0
+    assert len(times) == pytest.approx(100 - 10 * late, abs=5 * np.sqrt(100))
