@@ -1,7 +1,8 @@
 """Schedules: when each pursuer revises its action.
 
 A schedule is called with an agent and with what to do at its turn, and is the process that does it: it waits, calls
-`revise`, lets the pursuer announce its action, and waits again. `mean_slot(me)` is the mean time delta between two revisions in the whole team.
+`revise`, lets the pursuer announce its action, and waits again. `mean_slot(me)` is the mean time delta between two
+revisions in the whole team.
 """
 
 from collections.abc import Callable, Iterator

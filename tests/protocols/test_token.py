@@ -14,7 +14,7 @@ import pytest
 
 from desim import Scenario, run
 from desim.kernel.events import Sent
-from desim.kernel.faults import Crash, Partition, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomPlan
 from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
@@ -134,6 +134,16 @@ def test_no_decision_is_stale_at_any_latency(schedule, graph, latency):
     run(frozen(flips(schedule, log), count=7, horizon=horizon, latency=latency, graph=graph), 2)
     assert len(log) > 30
     assert [believed for _, believed, _ in log] == [true for _, _, true in log]
+
+
+@pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0, drift=0.01),)], ids=["clocks agree", "skewed clocks"])
+def test_announcements_and_clocks_do_not_make_the_ring_stale(skew):
+    """Heartbeats are older word of the same action, or newer word of it; clocks serve as timers only."""
+    log = []
+    result = run(frozen(flips(TokenRing(), log), count=7, latency=0.3, faults=skew, trigger="both"), 2)
+    assert len(log) > 25
+    assert all(believed == true for _, believed, true in log)
+    assert [d.pursuer for d in decided(result)] == [k % 7 for k in range(len(log))]
 
 
 def test_decisions_by_timers_are_stale_on_a_slow_network():
@@ -382,7 +392,7 @@ class Storm:
 
 
 def soak(seed):
-    """Return a scenario with a storm of 3 s, the groups that can talk after it, the longest patience (s), and if it is a ring.
+    """Return a scenario with a storm of 3 s, who can talk after it, the longest patience (s), and whether it is a ring.
 
     Crashes of both scopes, partitions, jamming and losses come and go; in half of the plans a partition, in a third
     a crash stays open.
