@@ -13,49 +13,23 @@ Robust to loss: yes. The token is sent again until its receipt. A neighbour that
 """
 
 from collections.abc import Callable, Generator
-from typing import Any, NamedTuple
+from typing import Any
 
 from desim.pursuit.agent import Agent, Process
+from protocols.token_messages import (
+    UNHEARD,
+    Age,
+    Epoch,
+    Receipt,
+    Sign,
+    Token,
+    longest_absent,
+    marked,
+    neglects,
+)
 
 PORT = "token"
 """Where all that concerns the token comes in."""
-
-Epoch = tuple[int, int, float]
-"""Number, claimant and the time on its clock, s: no two claims have the same, not even after a loss of memory."""
-Age = tuple[Epoch, int]
-"""Epoch and hop: of two tokens, or two words of one, the newer is the greater."""
-UNHEARD: Epoch = (0, -1, 0.0)
-
-
-class Token(NamedTuple):
-    """The right to revise, and all that is known."""
-
-    epoch: Epoch
-    hop: int
-    """How many revisions there were."""
-    visits: tuple[int, ...]
-    """The hop at which each pursuer was last visited, or tried or greeted in vain; 0 if never."""
-    absent: tuple[int, ...]
-    """Who did not answer."""
-    records: tuple[Any, ...]
-    """The newest of each pursuer, as far as the sender knows."""
-
-
-class Receipt(NamedTuple):
-    """Answer to a token or a greeting; what was sent is of no use if the epoch is newer than its own."""
-
-    epoch: Epoch
-    hop: int
-
-
-class Sign(NamedTuple):
-    """Word that a token of this age is in use: a claim if the epoch is new."""
-
-    epoch: Epoch
-    hop: int
-    asks: bool = False
-    """Whether an answer is wanted: a greeting."""
-
 
 Waiting = Generator[Any, Any, bool]
 """A part of a process that finds out whether something is so."""
@@ -75,11 +49,6 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
             revise()
             me.announce()
             yield from station.hand_on(station.token, choose)
-
-
-def present(token: Token, pursuers: list[int]) -> list[int]:
-    """Return those of some pursuers that are not known to be absent."""
-    return [j for j in pursuers if j not in token.absent] if token.absent else pursuers
 
 
 class Station:
@@ -105,8 +74,8 @@ class Station:
     def patience(self) -> float:
         """How long there may be no sign of the token until this pursuer claims a new one, s.
 
-        Three rounds, and while a neighbour is given up; twice a hop longer for each lower id, so that a claim of
-        theirs is heard in time.
+        Three rounds, and as long as it takes to give a neighbour up; two hops longer for each lower id, so that the
+        claim of one is heard before others make theirs.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._me.typical_latency + self._hold) + self._attempts * self._resend
@@ -246,7 +215,7 @@ class Station:
 
     def _suspect(self, token: Token, dst: int) -> Token:
         """Return the token for others than a pursuer that does not answer; the copy that it may have is worthless."""
-        self._renew(token._replace(absent=(*token.absent, dst), visits=_marked(token, dst)))
+        self._renew(token._replace(absent=(*token.absent, dst), visits=marked(token, dst)))
         assert self.token is not None
         return self.token
 
@@ -255,30 +224,18 @@ class Station:
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
-        token = self._greeted(token._replace(visits=_marked(token, me.id)))
+        token = self._greeted(token._replace(visits=marked(token, me.id)))
         known = (record for _, record in me.heard().values())
         token = token._replace(records=(me.record(me.assignment()), *known))
         self._take(token)
-        if token.hop % me.team_size == 0 and _neglects(token):
+        if token.hop % me.team_size == 0 and neglects(token):
             me.send(None, Sign(*self._taken), PORT)
         return token
 
     def _greeted(self, token: Token) -> Token:
         """Return the token after it was tried whether one of the absent answers again: each once in N hops."""
-        long_ago = token.hop - len(token.visits)
-        due = [j for j in self._me.neighbours() if j in token.absent and token.visits[j] <= long_ago]
-        if not due:
+        dst = longest_absent(token, self._me.neighbours())
+        if dst is None:
             return token
-        dst = min(due, key=token.visits.__getitem__)
         self._me.send(dst, Sign(token.epoch, token.hop, asks=True), PORT)
-        return token._replace(visits=_marked(token, dst))
-
-
-def _marked(token: Token, pursuer: int) -> tuple[int, ...]:
-    """Return the visits, with one at this hop."""
-    return (*token.visits[:pursuer], token.hop, *token.visits[pursuer + 1 :])
-
-
-def _neglects(token: Token) -> bool:
-    """Return whether somebody who is present was not visited for N hops, and may come to think that it is lost."""
-    return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
+        return token._replace(visits=marked(token, dst))

@@ -19,7 +19,8 @@ from pydantic import Field
 
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Value
-from protocols.circulation import Token, circulate, present
+from protocols.circulation import circulate
+from protocols.token_messages import Token, present
 
 Attempts = Annotated[int, Field(ge=1, strict=True)]
 

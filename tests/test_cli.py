@@ -799,3 +799,21 @@ def test_a_folder_that_cannot_be_made_for_one_of_several_runs_is_told(file, tmp_
     (tmp_path / "out" / "seed-8").touch()
     (said,) = refused("run", file(DUEL), "-n", "2", "-o", tmp_path / "out")
     assert said.startswith(f"--out {tmp_path / 'out' / 'seed-8'}: cannot be written")
+
+
+def test_keys_lists_every_key_of_a_table_with_default_and_unit():
+    lines = accepted("keys", "announce").stdout.splitlines()
+    assert lines[0].startswith("    announce: ")
+    assert "        heartbeat = 0.1: Time between two heartbeats of a pursuer, s." in lines
+    assert any(line.strip().startswith("flooding: ") for line in lines)
+    assert not any("latency" in line and line.startswith("    network") for line in lines)
+
+
+def test_keys_without_a_table_lists_all_of_them():
+    text = accepted("keys").stdout
+    assert all(re.search(rf"^    {name}\b", text, re.MULTILINE) for name in Scenario.model_fields)
+
+
+def test_keys_of_a_table_that_does_not_exist_are_refused():
+    (said,) = refused("keys", "netwrok")
+    assert said.startswith("there is no table 'netwrok'; allowed: name, seed, ")

@@ -481,3 +481,113 @@ def test_a_scenario_with_a_function_of_ones_own_is_dumped_with_where_the_functio
 
 def mine(me):
     yield me.at(0.0)
+
+
+BAD_NETWORKS = {
+    "negative latency": ('network.latency = { kind = "constant", value = -1.0 }', "network.latency.value", "0"),
+    "latency nan": ('network.latency = { kind = "lognormal", mean = nan }', "network.latency.mean", "finite"),
+    "uniform upside down": ('network.latency = { kind = "uniform", low = 2.0, high = 1.0 }', "network.latency", "low"),
+    "probability above 1": ('network.loss = { kind = "bernoulli", p = 1.5 }', "network.loss.p", "1"),
+    "impossible bursts": (
+        'network.loss = { kind = "gilbert_elliott", share = 0.9, burst = 2.0 }',
+        "network.loss",
+        "at least 9 messages",
+    ),
+    "link to nobody": (
+        "network.link = [{ src = 0, dst = 2 }, { src = 1, dst = 9 }]",
+        "network.link.1.dst",
+        "there is no pursuer 9: they are 0 .. 3",
+    ),
+    "link that is no edge": (
+        'network = { graph = { kind = "ring" }, link = [{ src = 0, dst = 2 }] }',
+        "network.link.0",
+        "no link from 0 to 2",
+    ),
+    "latency of a link": (
+        'network.link = [{ src = 0, dst = 2, latency = { kind = "constant", value = -2.0 } }]',
+        "network.link.0.latency.value",
+        "greater than or equal to 0",
+    ),
+    "graph of another size": (
+        'network.graph = { kind = "edges", nodes = 3, edges = [{ src = 0, dst = 1 }] }',
+        "network.graph",
+        "the graph has 3 nodes, the team 4",
+    ),
+    "edge to nobody": (
+        'network.graph = { kind = "edges", edges = [{ src = 0, dst = 4 }] }',
+        "network.graph",
+        "the nodes should be 0 .. 3",
+    ),
+    "graph file that is not there": (
+        'network.graph = { kind = "edges", file = "no.json" }',
+        "network.graph",
+        "no.json",
+    ),
+    "graph with a strange centre": (
+        'network.graph = { kind = "star", centre = 4 }',
+        "network.graph",
+        "there is no node 4",
+    ),
+    "bitrate of 0": ('network.medium = { kind = "bitrate", bitrate = 0.0 }', "network.medium.bitrate", "bit/s"),
+    "spreading factor": (
+        'network.medium = { kind = "lora", spreading_factor = 6 }',
+        "network.medium.spreading_factor",
+        "7",
+    ),
+    "no such preset": ('network.preset = "wlan"', "network.preset", "'wifi'"),
+    "window that ends before it starts": (
+        'fault = [{ kind = "crash", node = 1, at = 2.0, until = 1.0 }]',
+        "fault.0.until",
+        "later than at (got 1 and 2)",
+    ),
+    "second fault of a list": (
+        'fault = [{ kind = "crash", node = 1, at = 2.0 }, { kind = "crash", node = 7, at = 2.0 }]',
+        "fault.1.node",
+        "there is no pursuer 7",
+    ),
+    "fault of no kind": ("fault = [{ node = 1 }]", "fault.0", 'should be a table with a kind, { kind = "crash" }'),
+    "fault of a strange kind": ('fault = [{ kind = "crahs" }]', "fault.0.kind", "did you mean 'crash'"),
+    "groups that overlap": (
+        'fault = [{ kind = "partition", at = 1.0, groups = [[0, 1], [1]] }]',
+        "fault.0.groups",
+        "should be disjoint, 1 is named twice",
+    ),
+    "forgetting at once": ("announce.forget_after = 0.0", "announce.forget_after", "greater than 0"),
+    "forgetting in words": ('announce.forget_after = "never"', "announce.forget_after", "'auto'"),
+    "strange payload": ('announce.payload = "everything"', "announce.payload", "'action', 'time' or 'state'"),
+    "strange spread": ('announce.spread = { kind = "floding" }', "announce.spread.kind", "did you mean 'flooding'"),
+    "empirical without values": ('network.latency = { kind = "empirical" }', "network.latency", "needs values"),
+    "jitter of a timer": (
+        'protocol = { kind = "sap", schedule = { kind = "periodic", jitter = 1.0 } }',
+        "protocol.schedule.jitter",
+        "less than 1",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "key", "words"), BAD_NETWORKS.values(), ids=BAD_NETWORKS)
+def test_a_network_that_cannot_be_is_refused_with_file_line_and_key(tmp_path, text, key, words):
+    file = tmp_path / "bad.toml"
+    file.write_text(f'name = "bad"\nteam.count = 4\n\n{text}\n')
+    with pytest.raises(ScenarioError) as refused:
+        load(file)
+    (said,) = str(refused.value).splitlines()
+    assert said.startswith(f"{file}:4: {key}: ")
+    assert words in said
+
+
+@pytest.mark.parametrize("content", ["", "# nothing\n", "0.1 x", "-0.1", "nan"])
+def test_a_file_of_latencies_that_holds_none_is_refused(tmp_path, content):
+    (tmp_path / "delays.txt").write_text(content)
+    file = tmp_path / "bad.toml"
+    file.write_text('name = "bad"\nnetwork.latency = { kind = "empirical", file = "delays.txt" }\n')
+    with pytest.raises(ScenarioError, match=r"bad.toml:2: network.latency: .*delays\.txt"):
+        load(file)
+
+
+def test_files_are_found_beside_the_scenario_and_kept_in_it(tmp_path):
+    (tmp_path / "delays.txt").write_text("0.1, 0.2\n0.3  # s\n")
+    (tmp_path / "good.toml").write_text('network.latency = { kind = "empirical", file = "delays.txt" }\n')
+    scenario = load(tmp_path / "good.toml")
+    assert scenario.network.latency.values == (0.1, 0.2, 0.3)
+    assert load(tmp_path / "good.toml", ["team.count=3"]).network == scenario.network

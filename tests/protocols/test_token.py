@@ -22,11 +22,12 @@ from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import best_response, capture_time, relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Team
-from protocols.circulation import Receipt, Sign, Station, Token, circulate, present
+from protocols.circulation import Station, circulate
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
+from protocols.token_messages import Receipt, Sign, Token, present
 
 SECOND = 1_000_000_000
 
