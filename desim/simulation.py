@@ -73,6 +73,7 @@ class _Crew:
     def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
         self._env, self._scenario, self._world, self._network, self._seed = env, scenario, world, network, seed
         self._clocks = clock_errors(scenario.fault, world.size, seed)
+        self._embodied = getattr(scenario.protocol, "embodied", True)
         self._processes: dict[int, simpy.Process] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
@@ -85,7 +86,7 @@ class _Crew:
         for pursuer in range(self._world.size):
             agent = self._agent(pursuer, Phase.DECISION)
             if announce.warm_start:
-                self._network.presume(pursuer, agent.assignment())
+                agent.presume()
             self._processes[pursuer] = env.process(self._live(agent, protocol))
             env.process(announce.spread(self._agent(pursuer, Phase.RELAY)))
             if speaks and announce.beats:
@@ -98,7 +99,7 @@ class _Crew:
             if len(self._open[crash.node]) == 1:
                 self._world.halt(crash.node)
                 self._repaired[crash.node] = self._env.event()
-                if self._processes[crash.node].is_alive:
+                if self._embodied and self._processes[crash.node].is_alive:
                     self._processes[crash.node].interrupt(self._repaired[crash.node])
 
     def recovered(self, crash: Crash) -> None:
@@ -141,8 +142,9 @@ class _Crew:
                 remembers = yield cast("simpy.Event", crash.cause)
                 if not remembers and behaviour is not None:
                     behaviour.close()
-                    behaviour = protocol(agent)
-                    awaited = next(behaviour, None)
+                    behaviour = None
+                if behaviour is None or awaited.processed:
+                    awaited = agent.at(agent.now)  # it goes on in its turn, after what arrives at this instant
                 continue
             if behaviour is None:
                 behaviour = protocol(agent)

@@ -19,6 +19,9 @@ from desim.pursuit.state import Points, State, complex_points, coordinates
 from desim.scenario import Scenario
 from desim.value import FARTHEST
 
+MOST_RETRACINGS = 10_000
+"""How many teammates' paths are remembered between two times that somebody asks for them."""
+
 
 class World:
     """The only thing that changes during a run, beside the network.
@@ -50,6 +53,7 @@ class World:
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
         self._aims: list[tuple[int, complex]] | None = [] if _reckons(scenario) else None
+        self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
         self._active = scenario.team.start_profile(seed)
         self._state = State(0, self._origins, self._active)
         self._capture_times: list[float] | None = None
@@ -61,8 +65,8 @@ class World:
         evader, pursuers = _points(self.state())
         self._trace.append(Started(0, evader, pursuers, tuple(self._speeds.tolist()), self.profile()))
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
+        self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
         if not self._motion.frozen:
-            self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
             self._env.process(self._move(nanoseconds(self._motion.step)))
         if self._sampling:
             self._env.process(self._samples(nanoseconds(self._sampling)))
@@ -114,15 +118,30 @@ class World:
         if not exact:
             gap = evader - position
             return evader - max(abs(gap) - speed * seconds(age), 0.0) * gap / max(abs(gap), SMALLEST)
+        return self._retraced(position, speed, now - age)
+
+    def _retraced(self, position: complex, speed: float, since: int) -> complex:
+        """Return where a pursuer is that was at a position (m) at an instant (ns) and has chased since, m.
+
+        It goes on from where it was when last asked for, if it was; cost O(motion steps since then).
+        """
         assert self._aims is not None
-        start = max(bisect_right(self._aims, now - age, key=itemgetter(0)) - 1, 0)
-        ends = [*(begun for begun, _ in self._aims[start + 1 :]), now]
-        since = now - age
-        for (_, aim), end in zip(self._aims[start:], ends, strict=True):
-            gap = aim - position
-            position += gap * (speed * seconds(end - since) / max(abs(gap), SMALLEST))
-            since = end
-        return position
+        known = (position, speed, since)
+        t, place = self._retracings.pop(known, (max(since, 0), position))
+        first = max(bisect_right(self._aims, t, key=itemgetter(0)) - 1, 0)
+        ends = [begun for begun, _ in self._aims[first + 1 :]] + [self._env.now]
+        for (_, aim), end in zip(self._aims[first:], ends, strict=False):  # no aim yet at the very start
+            gap = aim - place
+            place += gap * (speed * seconds(end - t) / max(abs(gap), SMALLEST))
+            t = end
+        self._retracings[known] = (t, place)
+        if len(self._retracings) > MOST_RETRACINGS:
+            del self._retracings[next(iter(self._retracings))]  # the one not asked for for longest
+        return place
+
+    def obeys(self, pursuer: int) -> bool:
+        """Return whether a pursuer would follow an order: it is not broken."""
+        return not self._broken[pursuer]
 
     def active(self, pursuer: int) -> bool:
         """Return whether a pursuer chases."""
@@ -219,6 +238,8 @@ class World:
     def _foresee_capture(self) -> None:
         """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""
         self._capture_ahead = None
+        if self._motion.frozen:
+            return
         state, radius = self.state(), self._capture.radius
         duration = seconds(self._step_end - state.t)
         if state.distances[state.nearest] - radius > self._closing_bound * duration:

@@ -9,6 +9,7 @@ Messages: none.
 """
 
 from itertools import count
+from math import inf
 from typing import ClassVar, Literal
 
 from desim.pursuit.agent import Agent, Process
@@ -20,6 +21,9 @@ class Centralised(Value):
     """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that the relay pursuer chases alone."""
 
     announces: ClassVar[bool] = False
+    """Nobody repeats its action by heartbeats."""
+    embodied: ClassVar[bool] = False
+    """The centre is in no robot, and does not break down with one."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time between two decisions delta, s."""
@@ -28,11 +32,11 @@ class Centralised(Value):
         """Assign the pursuer of least time of capture, if it can be in time."""
         if me.id != 0:
             return
-        chasing = {*me.believed_active(), *([me.id] if me.action else [])}
+        everyone = range(me.team_size)
         for k in count():
             yield me.at(k * self.slot)
-            relay = relay_pursuer(me.capture_times(), me.time_left())
-            wanted = set() if relay is None else {relay}
-            for pursuer in sorted(chasing ^ wanted):
-                me.command(pursuer, pursuer == relay)
-            chasing = wanted
+            phi = [time if me.obeys(j) else inf for j, time in enumerate(me.capture_times())]
+            relay = relay_pursuer(phi, me.time_left())
+            for pursuer in everyone:
+                if me.acts(pursuer) != (pursuer == relay):
+                    me.command(pursuer, pursuer == relay)

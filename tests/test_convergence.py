@@ -38,7 +38,7 @@ SCHEDULES = {
 }
 SLOW = {"token_ring": 6.0, "token_walk": 8.0, "local_mutex": 6.0}
 """Schedules whose revisions wait for messages, and how many times less the latency is for them."""
-HORIZON = {"poisson": 0.5, "shared_seed": 0.5, "local_mutex": 0.5}
+HORIZON = {"poisson": 0.5, "shared_seed": 0.5, "local_mutex": 0.35}
 LATENCIES = (
     lambda rng, mean: Constant(value=mean),
     lambda rng, mean: Uniform(low=0.0, high=2 * mean),

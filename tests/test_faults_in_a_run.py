@@ -15,6 +15,7 @@ from desim.kernel.links import Links
 from desim.pursuit.events import Decided, Ended, Halted, Sampled
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
+from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
@@ -93,14 +94,19 @@ def east(state, rng):
     return 1.0 + 0.0j
 
 
+@pytest.mark.parametrize("at", [1.0, 2.9 - 1e-6])
 @pytest.mark.parametrize(("scope", "capturer"), [("robot", None), ("radio", 1)])
-def test_who_is_broken_captures_nobody(scope, capturer):
-    """The evader runs over pursuer 1, which stands at 3 m: with a broken radio only it captures at 2.9 s."""
+def test_who_is_broken_captures_nobody(scope, capturer, at):
+    """The evader runs over pursuer 1, which stands at 3 m: with a broken radio only it captures at 2.9 s.
+
+    It does not matter whether that was foreseen when it broke down; a motion step is 0.25 s.
+    """
     changes = {
         "team": Team(positions=[(2.0, 5.0), (3.0, 0.0), (9.0, 0.0)], speeds=2.0, active_at_start=0.0),
         "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=east),
+        "motion": Motion(step=0.25),
     }
-    result = play(lambda me: iter(()), Crash(node=1, at=1.0, scope=scope), **changes)
+    result = play(lambda me: iter(()), Crash(node=1, at=at, scope=scope), **changes)
     (end,) = result.trace.of(Ended)
     assert (end.reason, end.capturer) == (("captured", 1) if capturer else ("horizon", None))
     if capturer:
@@ -153,6 +159,20 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
         assert log == [(0.75, 0.0, 1, *known), (2.0, 0.0, 2, *known), (2.75, 0.0, 3, *known)]
     else:
         assert log == [(0.75, 0.0, 1, *known), (2.75, 2.0, 1, [], []), (3.5, 2.0, 2, [], [])]
+
+
+@pytest.mark.parametrize(("memory", "times"), [(True, [0.75, 1.5, 2.25]), (False, [0.75, 1.95, 2.7])])
+def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten(memory, times):
+    """Broken down from 1 to 1.2 s while it sleeps until 1.5 s; without memory it begins to sleep for 0.75 s anew."""
+    log = []
+
+    def protocol(me):
+        while me.id == 1:
+            yield me.sleep(0.75)
+            log.append(me.now)
+
+    play(protocol, Crash(node=1, at=1.0, until=1.2, memory=memory), horizon=2.8)
+    assert log == pytest.approx(times, abs=1e-9)
 
 
 @pytest.mark.parametrize("memory", [True, False])
@@ -335,3 +355,86 @@ def test_a_wrong_clock_neither_bunches_nor_stops_revisions(schedule, offset):
     assert len(set(times)) == len(times)
     late = 2.0 if offset < 0 and schedule.kind == "rounds" else 0.0
     assert len(times) == pytest.approx(100 - 10 * late, abs=5 * np.sqrt(100))
+
+
+# What breakdowns and clocks must not bring down.
+
+
+def test_a_time_that_passed_during_a_breakdown_comes_at_once():
+    def timer(me):
+        for k in range(1, 10):
+            yield me.at(k * 0.1)
+            times[me.id].append(round(me.now, 6))
+
+    times = {0: [], 1: [], 2: []}
+    play(timer, Crash(node=0, at=0.25, until=0.55), horizon=1.0)
+    assert times[0] == [0.1, 0.2, 0.55, 0.55, 0.55, 0.6, 0.7, 0.8, 0.9]
+    assert times[1] == [k / 10 for k in range(1, 10)]
+
+
+def test_the_centre_sends_another_while_the_relay_is_broken_and_the_relay_again_when_it_is_repaired():
+    """Pursuer 0 (2 m) is the relay; while it is broken pursuer 1 is, which has come nearer when 0 is repaired."""
+    result = play(Centralised(slot=0.1), Crash(node=0, at=0.55, until=0.85), Crash(node=1, at=0.7), horizon=9.0)
+    orders = [(round(d.t / 1e9, 6), d.pursuer, d.active) for d in result.trace.of(Decided)]
+    assert orders == [(0.0, 0, True), (0.6, 1, True), (0.7, 2, True), (0.9, 0, True), (0.9, 2, False)]
+    assert result.trace.of(Ended)[0].capturer == 0
+
+
+@pytest.mark.parametrize("offset", [-1.0, 0.0, 10.0])
+def test_heartbeats_keep_their_period_on_a_clock_that_is_wrong(offset):
+    """Ten a second, from the first tenth of a second on, whatever the clock shows."""
+    heard = play(lambda me: iter(()), ClockSkew(node=0, offset=offset), announce=Announcements(), horizon=2.0)
+    beats = np.array([b.t / 1e9 for b in heard.trace.of(Broadcast) if b.src == 0])
+    assert beats[0] < 0.1
+    assert np.diff(beats) == pytest.approx(0.1, abs=1e-8)
+
+
+def test_dead_reckoning_survives_clocks_that_are_ahead():
+    """What was said at the start seems older than the pursuit; nobody is reckoned before the evader has moved."""
+    scenario = Scenario(
+        team=Team(count=5), fault=(ClockSkew(offset=0.03),), announce=Announcements(payload="state"), horizon=2.0
+    )
+    assert summary(run(scenario, 1)).decisions > 0
+
+
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offset):
+    """All clocks are wrong alike, so pursuer 0, active at 2 m and still at 2 m in a frozen game, is reckoned there."""
+
+    def look(me):
+        yield me.at(me.now)
+        if me.id == 1:
+            seen.append(me.believed())
+
+    seen = []
+    skews = [ClockSkew(node=node, offset=offset) for node in range(3)]
+    team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=1.0)
+    play(look, *skews, team=team, announce=Announcements(payload="state", trigger="never"))
+    assert seen == [pytest.approx({0: 1.9, 2: 4.9})]
+
+
+def test_nobody_is_captured_in_a_frozen_game_when_somebody_breaks_down():
+    near = Team(positions=[(0.0, 0.0), (5.0, 0.0), (6.0, 0.0)], speeds=1.0, active_at_start=0.0)
+    result = play(
+        lambda me: iter(()),
+        Crash(node=1, at=1.0, until=2.0),
+        team=near,
+        evader=Evader(position=(0.05, 0.0), speed=0.0),
+        motion=Motion(frozen=True),
+    )
+    assert result.trace.of(Ended) == [Ended(4 * 10**9, "horizon", None)]
+
+
+def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
+    """Pursuer 0 says at 0.5 s that it chases; 1, which wanted to look at 0.55 s, is repaired as that arrives at 0.6 s."""
+
+    def look(me):
+        yield me.at(0.5 if me.id == 0 else 0.55)
+        if me.id == 0:
+            me.assign(True)
+            me.announce()
+        seen[me.id] = (round(me.now, 6), me.believed_active())
+
+    seen = {}
+    play(look, Crash(node=1, at=0.2, until=0.6), network=Links(latency=Constant(value=0.1)))
+    assert seen[1] == (0.6, [0])

@@ -100,10 +100,10 @@ class Network:
 
     # What nodes do.
 
-    def presume(self, src: int, body: Any) -> None:
-        """Let everyone know a record of `src` from the start, without a message."""
+    def presume(self, src: int, body: Any, sent: int | None = None) -> None:
+        """Let everyone know a record of `src` from the start, without a message; `sent` as in `publish`."""
         others = [node for node in range(self.topology.size) if node != src]
-        record = Record(src, 0, self._env.now, body)
+        record = Record(src, 0, self._env.now if sent is None else sent, body)
         if self._conditions is None:
             self._records.note(record, others, self._env.now)
         else:

@@ -45,6 +45,10 @@ class Surroundings(Protocol):
         """Return the position of a pursuer, m."""
         ...
 
+    def obeys(self, pursuer: int) -> bool:
+        """Return whether a pursuer would follow an order."""
+        ...
+
     def reckoned(self, position: complex, speed: float, age: int, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased since, m."""
         ...
@@ -176,6 +180,14 @@ class Agent:
         """Let another pursuer chase or stay, at once and past the network: for omniscient benchmarks only."""
         self._world.order(pursuer, active)
 
+    def acts(self, pursuer: int) -> bool:
+        """Return whether another pursuer chases, past the network: for omniscient benchmarks only."""
+        return self._world.active(pursuer)
+
+    def obeys(self, pursuer: int) -> bool:
+        """Return whether another pursuer is not broken, past the network: for omniscient benchmarks only."""
+        return self._world.obeys(pursuer)
+
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
         trigger = self._announcements.trigger
@@ -186,6 +198,10 @@ class Agent:
         """Tell the others its action, whether or not it has changed."""
         self._told = self.action
         self._announcements.spread.tell(self, self.assignment())
+
+    def presume(self) -> None:
+        """Let everyone know its action from the start."""
+        self._network.presume(self.id, self.assignment(), self._stamp())
 
     def assignment(self) -> Assignment | TimedAssignment | LocatedAssignment:
         """Return what it would announce now."""
@@ -222,8 +238,6 @@ class Agent:
 
     def at(self, time: float) -> simpy.Event:
         """Return an event at a time on its own clock, s; now, if that has passed."""
-        if self._offset == 0.0 and self._rate == 1.0:
-            return Instant(self._env, nanoseconds(time), self._turn)
         when = nanoseconds((time - self._offset) / self._rate)
         return Instant(self._env, max(when, self._env.now), self._turn)
 
@@ -278,7 +292,7 @@ Behaviour = Callable[[Agent], Process]
 
 def heartbeats(me: Agent, period: float) -> Process:
     """Repeat what a pursuer does, every period (s) of its own clock, from a random phase on."""
-    phase = me.stream("heartbeat").uniform(0.0, period)
+    first = me.now + me.stream("heartbeat").uniform(0.0, period)
     for k in count():
-        yield me.at(phase + k * period)
+        yield me.at(first + k * period)
         me.tell()

@@ -77,14 +77,15 @@ def bodies(result, kind):
 class Circulation:
     """A watcher that follows the tokens within a group of pursuers.
 
-    One token alone is passed on in an order in which its age (epoch, hop) only grows. `spoilt` is the last time at
-    which that was not so, s: there were two.
+    One token alone is passed on with growing hop numbers, and an epoch that was followed by another never returns.
+    `spoilt` is the last time at which that was not so, s: there were two.
     """
 
     def __init__(self, group):
         self._group = set(group)
         self._known = set()
-        self._newest = None
+        self._past = set()
+        self._last = (None, 0)
         self.spoilt = -inf
         self.visits = defaultdict(list)
 
@@ -92,12 +93,17 @@ class Circulation:
         if isinstance(event, Decided) and event.pursuer in self._group:
             self.visits[event.pursuer].append(event.t / SECOND)
         if isinstance(event, Sent) and isinstance(event.body, Token) and event.src in self._group:
-            age = (event.body.epoch, event.body.hop)
-            if (event.src, age) not in self._known:  # not a repetition
-                self._known.add((event.src, age))
-                if self._newest is not None and age <= self._newest:
-                    self.spoilt = event.t / SECOND
-                self._newest = max(age, self._newest or age)
+            passed = (event.src, event.body.epoch, event.body.hop)
+            if passed not in self._known:  # not a repetition
+                self._known.add(passed)
+                self._follow(event.t / SECOND, *passed[1:])
+
+    def _follow(self, time, epoch, hop):
+        last_epoch, last_hop = self._last
+        if epoch in self._past or (epoch == last_epoch and hop <= last_hop):
+            self.spoilt = time
+        self._past = (self._past | {last_epoch}) - {epoch}
+        self._last = epoch, hop
 
     def fault(self, since, until, *, everybody=True):
         """Return what is wrong from a time on (s): two tokens, or somebody, or nobody at all, reached until another."""
