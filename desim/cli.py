@@ -145,7 +145,8 @@ def _scenario(file: Path, overrides: tuple[str, ...]) -> "Scenario":
     except OSError as error:
         _refuse(f"{file}: cannot be read: {error.strerror}")
     for key, why in scenario.warnings():
-        click.echo(f"warning: {source.where(tuple(key.split('.')))}: {key}: {why}", err=True)
+        place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+        click.echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
     return scenario
 
 

@@ -1,6 +1,7 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
 from collections.abc import Iterator
+from math import inf
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -10,8 +11,11 @@ from pydantic_core import PydanticCustomError
 
 from desim.kernel.faults import FAULTS
 from desim.kernel.links import Links
+from desim.kernel.presets import PRESETS
+from desim.kernel.reach import Disk
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
+from desim.kernel.travel import TYPICAL_SIZE
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
 from desim.pursuit.word import Announcements
@@ -66,7 +70,7 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 with which each pursuer is active at first, in [0, 1]; everyone knows who is."""
+    """Probability p0 with which each pursuer is active at first, in [0, 1]."""
 
     @model_validator(mode="before")
     @classmethod
@@ -192,9 +196,12 @@ class Scenario(Value):
         nobody = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
         graph = None
         try:
-            graph = self.network.graph(count)
-            Topology(graph)
-        except ValueError as error:
+            made = self.network.graph(count)
+            if len(made) != count or made.is_multigraph():
+                raise ValueError(f"should be a simple graph of {count} nodes, got {made}")
+            Topology(made)
+            graph = made
+        except (ValueError, TypeError, AttributeError) as error:
             yield ("network", "graph"), str(error)
         for k, link in enumerate(self.network.link):
             strangers = [end for end in ("src", "dst") if getattr(link, end) >= count]
@@ -217,6 +224,7 @@ class Scenario(Value):
                 f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
                 f" {self.evader.speed} m/s, so every time of capture is inf and nobody will chase",
             )
+        yield from self._warnings_of_network()
         if hasattr(self.protocol, "warnings"):
             yield from ((f"protocol.{key}", why) for key, why in self.protocol.warnings(self.motion.step))
         if self.motion.step > self.horizon:
@@ -227,4 +235,27 @@ class Scenario(Value):
                 "motion.step",
                 f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
                 f" than 2 x radius = {2 * self.capture.radius:g} m",
+            )
+
+    def _warnings_of_network(self) -> Iterator[tuple[str, str]]:
+        """Yield what has no effect, and what a channel cannot carry."""
+        network, announce = self.network, self.announce
+        if network.preset is not None:
+            preset = Links(preset=network.preset)
+            for key in PRESETS[network.preset]:
+                if getattr(network, key) != getattr(preset, key):
+                    yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
+        if network.range == inf and network.reach != Disk():
+            yield "network.reach", "it has no effect while the range is inf"
+        if announce.trigger == "never" and getattr(announce.spread, "kind", "one_hop") != "one_hop":
+            yield "announce.spread", "it has no effect, for nothing is ever announced"
+        for k, fault in enumerate(self.fault):
+            if getattr(fault, "at", 0.0) >= self.horizon:
+                yield f"fault.{k}.at", "it would begin after the horizon"
+        load = network.medium(TYPICAL_SIZE) / announce.heartbeat * (self.team.count if network.medium.shared else 1)
+        if announce.beats and load > 1.0:
+            yield (
+                "announce.heartbeat",
+                f"heartbeats of {TYPICAL_SIZE} bytes alone would keep the channel busy {load:.1f} times over, so that"
+                " messages wait for longer and longer, or are dropped",
             )

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Discriminator, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from desim.kernel.presets import PRESETS
 from desim.scenario import Scenario
 from desim.toml_lines import Place, key_lines
 from desim.value import OneOf, choices_of, markers_of, models_in
@@ -88,7 +89,7 @@ def _apply(override: str, source: Source) -> None:
     name, equals, text = override.partition("=")
     place: Place = ()
     node: Any = source.tables
-    default: Any = Scenario().model_dump()
+    default: Any = _defaults(source.tables)
     *parents, last = name.strip().split(".")
     if not equals or not all((*parents, last)):
         raise ScenarioError(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
@@ -108,6 +109,14 @@ def _apply(override: str, source: Source) -> None:
         raise ScenarioError(f"--set {override}: {error}") from error
     source.overrides.pop((*place, key), None)  # the last one counts
     source.overrides[*place, key] = override
+
+
+def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
+    """Return what holds where tables say nothing: the default scenario, with the network's preset if it has one."""
+    default = Scenario().model_dump()
+    network = tables.get("network")
+    preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
+    return default if preset is None else default | {"network": default["network"] | preset}
 
 
 def _key(part: str, node: Any) -> str | int:
@@ -165,7 +174,7 @@ def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
             yield _fault(source, place, why)
         return
     place, owner, info = _locate(error, source.tables)
-    description = (info.description or "").split("\n")[0].rstrip(".") if info else ""
+    description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description else ""
     name = str(place[-1]) if place else ""
     yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")

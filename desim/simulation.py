@@ -71,8 +71,11 @@ class _Crew:
     """The agents of a run and their processes."""
 
     def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
-        self._env, self._scenario, self._world, self._network, self._seed = env, scenario, world, network, seed
-        self._clocks = clock_errors(scenario.fault, world.size, seed)
+        self._env, self._scenario, self._world = env, scenario, world
+        self._agents = [
+            Agent(pursuer, env, world, network, seed, scenario.announce, offset=offset, drift=drift)
+            for pursuer, (offset, drift) in enumerate(clock_errors(scenario.fault, world.size, seed))
+        ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
         self._processes: dict[int, simpy.Process] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
@@ -84,13 +87,13 @@ class _Crew:
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
         speaks = getattr(protocol, "announces", True)
         for pursuer in range(self._world.size):
-            agent = self._agent(pursuer, Phase.DECISION)
+            agent = self._agents[pursuer]
             if announce.warm_start:
                 agent.presume()
             self._processes[pursuer] = env.process(self._live(agent, protocol))
-            env.process(announce.spread(self._agent(pursuer, Phase.RELAY)))
+            env.process(announce.spread(agent.in_phase(Phase.RELAY)))
             if speaks and announce.beats:
-                env.process(heartbeats(self._agent(pursuer, Phase.HEARTBEAT), announce.heartbeat))
+                env.process(heartbeats(agent.in_phase(Phase.HEARTBEAT), announce.heartbeat))
 
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer whose robot, not only its radio, broke down."""
@@ -104,28 +107,16 @@ class _Crew:
 
     def recovered(self, crash: Crash) -> None:
         """Let a pursuer go on, once nothing of it is broken any more."""
-        if crash.scope == "robot":
-            self._open[crash.node].remove(crash)
+        node, robot = crash.node, crash.scope == "robot"
+        self._agents[node].repaired(restarted=robot and not crash.memory)
+        if robot:
+            self._open[node].remove(crash)
             if not crash.memory:
-                self._forgetful.add(crash.node)
-            if not self._open[crash.node]:
-                self._world.repair(crash.node)
-                self._repaired[crash.node].succeed(crash.node not in self._forgetful)
-                self._forgetful.discard(crash.node)
-
-    def _agent(self, pursuer: int, phase: Phase) -> Agent:
-        offset, drift = self._clocks[pursuer]
-        return Agent(
-            pursuer,
-            self._env,
-            self._world,
-            self._network,
-            self._seed,
-            self._scenario.announce,
-            phase=phase,
-            offset=offset,
-            drift=drift,
-        )
+                self._forgetful.add(node)
+            if not self._open[node]:
+                self._world.repair(node)
+                self._repaired[node].succeed(node not in self._forgetful)
+                self._forgetful.discard(node)
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
         """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made.

@@ -6,13 +6,22 @@ from Python any callable will do.
 
 import json
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from importlib.metadata import entry_points
 from math import inf
 from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, ValidationInfo
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
@@ -83,12 +92,18 @@ class OneOf:
 
     Models that other distributions install under the entry point group `group` are accepted too; they are loaded
     when the schema is built. An object that can be called is taken as it is, so that a script may pass a function
-    or a model of its own.
+    or a model of its own; a file names such a one by the kind "module:name".
+
+    Args:
+        models: of this distribution.
+        group: of entry points.
+        needs: attributes that whatever is taken as it is must have.
     """
 
-    def __init__(self, *models: type[BaseModel], group: str | None = None):
+    def __init__(self, *models: type[BaseModel], group: str | None = None, needs: tuple[str, ...] = ()):
         self.models = models
         self.group = group
+        self.needs = needs
 
     def choices(self) -> dict[str, type[BaseModel]]:
         """Return the models by kind, those of this distribution first."""
@@ -108,16 +123,42 @@ class OneOf:
             return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
 
         return core_schema.no_info_wrap_validator_function(
-            _callable_or,
+            self._accept,
             by_kind,
             serialization=core_schema.wrap_serializer_function_ser_schema(written, schema=by_kind),
         )
 
+    def _accept(self, value: Any, validate: Callable[[Any], Any]) -> Any:
+        if isinstance(value, type):
+            raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
+        if isinstance(value, dict) and ":" in str(value.get("kind", "")):
+            value = _imported(value)
+        if not callable(value):
+            return validate(value)
+        if missing := [name for name in self.needs if not hasattr(value, name)]:
+            raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
+        return value
 
-def _callable_or(value: Any, validate: Callable[[Any], Any]) -> Any:
-    if isinstance(value, type):
-        raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-    return value if callable(value) else validate(value)
+
+def _imported(table: dict[str, Any]) -> Any:
+    """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters."""
+    module, _, name = table["kind"].partition(":")
+    try:
+        found = getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{table['kind']!r} cannot be imported: {error}") from error
+    parameters = {key: each for key, each in table.items() if key != "kind"}
+    if not isinstance(found, type):
+        if parameters:
+            raise ValueError(f"{table['kind']!r} is no model and takes no parameters, got {', '.join(parameters)}")
+        return found
+    try:
+        return found(**parameters)
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()]
+        raise ValueError(f"{table['kind']!r}: {'; '.join(faults)}") from error
+    except TypeError as error:
+        raise ValueError(f"{table['kind']!r}: {error}") from error
 
 
 def described(

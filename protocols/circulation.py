@@ -15,6 +15,7 @@ Robust to loss: yes. The token is sent again until its receipt. A neighbour that
 from collections.abc import Callable, Generator
 from typing import Any
 
+from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.token_messages import (
     UNHEARD,
@@ -51,6 +52,12 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
             yield from station.hand_on(station.token, choose)
 
 
+def hop_time(me: Agent) -> float:
+    """Return how long a token that knows of everyone typically travels, its airtime included, s."""
+    records = (Record(me.id, 0, 0, me.assignment()),) * me.team_size
+    return me.typical_latency(Token(UNHEARD, 0, (0,) * me.team_size, (), records))
+
+
 class Station:
     """One pursuer's part in the circulation.
 
@@ -66,8 +73,9 @@ class Station:
         self._taken: Age = (UNHEARD, 0)  # of the last token that was here
         self._seen = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # what that one said
         self._answered: set[int] = set()  # who has, since the last token left or a new epoch began
-        self._forgot = me.now > 0.0  # it may have lost its memory, and with it what it has taken already
-        self._resend = max(2.5 * me.typical_latency, hold)
+        self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
+        self._hop_time = hop_time(me)
+        self._resend = max(1.25 * (self._hop_time + me.typical_latency(Receipt(UNHEARD, 0))), hold)
         self._deadline = me.now + self.patience
 
     @property
@@ -78,7 +86,7 @@ class Station:
         claim of one is heard before others make theirs.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
-        return hops * (self._me.typical_latency + self._hold) + self._attempts * self._resend
+        return hops * (self._hop_time + self._hold) + self._attempts * self._resend
 
     # What it does while the token is elsewhere, and while it is here.
 

@@ -7,7 +7,6 @@ pursuer begins to spread word of its own.
 """
 
 from functools import partial
-from math import inf
 from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
@@ -49,6 +48,7 @@ class OneHop(Value):
 class Flooding(Value):
     """Whoever hears something new says it once more, up to a number of hops; duplicates are dropped.
 
+    A duplicate is not one that may travel farther than the first.
     Robust to loss: where there are several paths. Messages: up to one transmission per pursuer and announcement.
     """
 
@@ -65,16 +65,14 @@ class Flooding(Value):
     def __call__(self, me: Agent) -> Process:
         """Pass on what is new after a random delay."""
         rng = me.stream("flooding")
+        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last word
         while True:
             yield me.arrival(PORT)
-            known = {j: record.seq for j, (_, record) in me.heard().items()} | {me.id: inf}
             for message in me.mail(PORT):
                 (record,), hops = message.body
-                if record.seq <= known.get(record.src, -1):
-                    continue
-                known[record.src] = record.seq
                 me.learn([record])
-                if hops > 1:
+                if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
+                    passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Relayed((record,), hops - 1), PORT)
                     me.after(rng.uniform(0.0, self.jitter), again)
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Rate, Value
 
@@ -40,7 +41,7 @@ class Reply(NamedTuple):
 
     stamp: Stamp
     """Of the request."""
-    record: Any
+    records: tuple[Record, ...]
     """What the replier does."""
 
 
@@ -64,12 +65,12 @@ class LocalMutex(Value):
 
     def mean_slot(self, me: Agent) -> float:
         """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s."""
-        latency, neighbours = me.typical_latency, len(me.neighbours())
+        latency, neighbours = me.typical_latency(), len(me.neighbours())
         return max(1.0 / self.rate + 2.0 * latency, (neighbours + 1) * latency) / me.team_size
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
-        section = Section(me, self.attempts, max(2.5 * me.typical_latency, self.floor))
+        section = Section(me, self.attempts, max(2.5 * me.typical_latency(), self.floor))
         rng = me.stream("mutex")
         while True:
             yield from section.idle(me.now + rng.exponential(1.0 / self.rate))
@@ -152,7 +153,7 @@ class Section:
             return
         self._silent.discard(src)
         if isinstance(body, Reply):
-            self._me.learn([body.record])
+            self._me.learn(body.records)
         if body.stamp == self._wanted and src in self._missing:
             if isinstance(body, Reply):
                 del self._missing[src]
@@ -170,4 +171,4 @@ class Section:
         self._deferred[src] = stamp
 
     def _reply(self, dst: int, stamp: Stamp) -> None:
-        self._me.send(dst, Reply(stamp, self._me.record(self._me.assignment())), PORT)
+        self._me.send(dst, Reply(stamp, (self._me.record(self._me.assignment()),)), PORT)

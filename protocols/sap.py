@@ -5,8 +5,9 @@ Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pu
 Parameters: tau (temperature), schedule (who revises when).
 Assumes: revisions one at a time and news that travels at once, for the Gibbs law and the paper's results; on a complete
     graph neither is needed for convergence as tau -> 0.
-Messages: one broadcast per revision.
-Robust to loss: yes, for every revision repeats the action even if it is unchanged.
+Messages: announcements as the scenario's `announce` says, one broadcast per change of action and heartbeat by default;
+    and those of the schedule.
+Robust to loss: yes, with heartbeats.
 """
 
 from collections.abc import Iterator
@@ -20,6 +21,8 @@ from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
 from protocols.temperature import ConstantTau, PaperTau, Temperature
 from protocols.token import TokenRing, TokenWalk
 
+SCHEDULES = OneOf(SharedSeed, Poisson, Rounds, Periodic, TokenRing, TokenWalk, LocalMutex, needs=("mean_slot",))
+
 
 class SpatialAdaptivePlay(Value):
     """Each pursuer in its turn chooses to chase with probability expit(gain / tau), and says so."""
@@ -27,9 +30,7 @@ class SpatialAdaptivePlay(Value):
     kind: Literal["sap"] = "sap"
     tau: Annotated[Temperature, OneOf(PaperTau, ConstantTau)] = PaperTau()
     """Temperature, s."""
-    schedule: Annotated[Schedule, OneOf(SharedSeed, Poisson, Rounds, Periodic, TokenRing, TokenWalk, LocalMutex)] = (
-        SharedSeed()
-    )
+    schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
     """When each pursuer revises."""
 
     def __call__(self, me: Agent) -> Process:
@@ -37,7 +38,7 @@ class SpatialAdaptivePlay(Value):
         slot = self.schedule.mean_slot(me)
 
         def revise() -> None:
-            inverse_tau = self.tau(me.now / slot)
+            inverse_tau = self.tau(max(me.now, 0.0) / slot)
             me.assign(me.rng.random() < activation_probability(me.gain(), inverse_tau))
 
         yield from self.schedule(me, revise)

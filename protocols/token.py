@@ -19,7 +19,7 @@ from pydantic import Field
 
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Value
-from protocols.circulation import circulate
+from protocols.circulation import circulate, hop_time
 from protocols.token_messages import Token, present
 
 Attempts = Annotated[int, Field(ge=1, strict=True)]
@@ -36,7 +36,7 @@ class TokenRing(Value):
 
     def mean_slot(self, me: Agent) -> float:
         """Return hold + L, s."""
-        return self.hold + me.typical_latency
+        return self.hold + hop_time(me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""
@@ -54,7 +54,7 @@ class TokenWalk(Value):
 
     def mean_slot(self, me: Agent) -> float:
         """Return hold + L, s; who keeps the token is faster by L."""
-        return self.hold + me.typical_latency
+        return self.hold + hop_time(me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""

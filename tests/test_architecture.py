@@ -21,7 +21,7 @@ ALLOWED = {
     "desim.kernel.loss": {"desim.kernel.hops", "desim.value"},
     "desim.kernel.reach": {"desim.value"},
     "desim.kernel.medium": {"desim.value"},
-    "desim.kernel.wire": set(),
+    "desim.kernel.wire": {"desim.kernel.records"},
     "desim.kernel.graphs": {"desim.kernel.latency", "desim.kernel.loss", "desim.value"},
     "desim.kernel.links": {
         "desim.kernel.graphs",
@@ -43,7 +43,7 @@ ALLOWED = {
     "desim.pursuit.agent": {"desim.kernel", "desim.pursuit.game", "desim.pursuit.word"},
     "desim.scenario": {"desim.kernel", "desim.pursuit", "desim.value"},
     "desim.toml_lines": set(),
-    "desim.scenario_file": {"desim.scenario", "desim.toml_lines", "desim.value"},
+    "desim.scenario_file": {"desim.kernel.presets", "desim.scenario", "desim.toml_lines", "desim.value"},
     "desim.world": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.value"},
     "desim.simulation": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.world"},
     "desim.analysis": {
@@ -57,7 +57,14 @@ ALLOWED = {
     "desim.cli": {"desim"},
     "desim.__main__": {"desim.cli"},
     "desim": {"desim"},
-    "protocols": {"desim.pursuit.agent", "desim.pursuit.game", "desim.pursuit.word", "desim.value", "protocols"},
+    "protocols": {
+        "desim.kernel.records",
+        "desim.pursuit.agent",
+        "desim.pursuit.game",
+        "desim.pursuit.word",
+        "desim.value",
+        "protocols",
+    },
     "scenarios": {"desim", "protocols", "scenarios"},
 }
 FORBIDDEN = {

@@ -426,7 +426,7 @@ def test_nobody_is_captured_in_a_frozen_game_when_somebody_breaks_down():
 
 
 def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
-    """Pursuer 0 says at 0.5 s that it chases; 1, which wanted to look at 0.55 s, is repaired as that arrives at 0.6 s."""
+    """Pursuer 0 says at 0.5 s that it chases; 1, due to look at 0.55 s, is repaired as that arrives at 0.6 s."""
 
     def look(me):
         yield me.at(0.5 if me.id == 0 else 0.55)

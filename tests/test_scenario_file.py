@@ -494,15 +494,16 @@ BAD_NETWORKS = {
         "at least 9 messages",
     ),
     "link to nobody": (
-        "network.link = [{ src = 0, dst = 2 }, { src = 1, dst = 9 }]",
+        "network.link = [{ src = 0, dst = 2, loss = LOSS }, { src = 1, dst = 9, loss = LOSS }]",
         "network.link.1.dst",
         "there is no pursuer 9: they are 0 .. 3",
     ),
     "link that is no edge": (
-        'network = { graph = { kind = "ring" }, link = [{ src = 0, dst = 2 }] }',
+        'network = { graph = { kind = "ring" }, link = [{ src = 0, dst = 2, loss = { kind = "bernoulli" } }] }',
         "network.link.0",
         "no link from 0 to 2",
     ),
+    "link like all others": ("network.link = [{ src = 0, dst = 2 }]", "network.link.0", "a latency or a loss"),
     "latency of a link": (
         'network.link = [{ src = 0, dst = 2, latency = { kind = "constant", value = -2.0 } }]',
         "network.link.0.latency.value",
@@ -568,7 +569,7 @@ BAD_NETWORKS = {
 @pytest.mark.parametrize(("text", "key", "words"), BAD_NETWORKS.values(), ids=BAD_NETWORKS)
 def test_a_network_that_cannot_be_is_refused_with_file_line_and_key(tmp_path, text, key, words):
     file = tmp_path / "bad.toml"
-    file.write_text(f'name = "bad"\nteam.count = 4\n\n{text}\n')
+    file.write_text(f'name = "bad"\nteam.count = 4\n\n{text}\n'.replace("LOSS", "{ kind = 'bernoulli' }"))
     with pytest.raises(ScenarioError) as refused:
         load(file)
     (said,) = str(refused.value).splitlines()

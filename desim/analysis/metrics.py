@@ -76,7 +76,7 @@ def summary(result: Result) -> Summary:
         messages_in_flight=tally.in_flight,
         messages_lost_by=tally.lost_by,
         transmissions=tally.transmissions,
-        bytes_sent=tally.octets,
+        bytes_sent=tally.bytes_sent,
         utilisation=tally.utilisation,
         age_mean=age_mean,
         age_peak=age_peak,

@@ -73,8 +73,10 @@ class Air(Generic[Item]):
         waiting.append(item)
         if len(waiting) == 1:
             self._await_turn(channel)
-        if len(waiting) > self._medium.queue_limit:
-            self._drop(waiting.popleft())
+        own = [each for each in waiting if each.src == item.src]
+        if len(own) > self._medium.queue_limit:
+            waiting.remove(own[0])
+            self._drop(own[0])
 
     def silence(self, src: int) -> list[Item]:
         """Take back everything of a node that waits, and return it."""
@@ -102,7 +104,7 @@ class Air(Generic[Item]):
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))
         self._free_at[channel] = now + airtime
         self._busy += airtime
-        if self._medium.half_duplex:
+        if self._medium.half_duplex and not self._medium.shared:
             self._longest = max(self._longest, airtime)
             spells = self._spells[item.src]
             spells.append((now, now + airtime))

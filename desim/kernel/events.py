@@ -96,7 +96,7 @@ class Tally(NamedTuple):
     """How many were lost by each cause."""
     transmissions: int
     """How many times something was put on the air, whatever the number of receivers."""
-    octets: int
+    bytes_sent: int
     """Bytes of the messages put on the air, without what the medium adds to each."""
     utilisation: float
     """Share of the time in which the channels were busy, in [0, 1]: of the shared one, or the mean over all nodes'."""

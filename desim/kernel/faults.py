@@ -103,9 +103,9 @@ Fault = Crash | Partition | Jamming
 
 
 class Plan(Protocol):
-    """What draws faults from chance."""
+    """What draws faults: `plan(size, horizon, rng)`."""
 
-    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
         """Return the faults among `size` nodes until the horizon, s."""
         ...
 
@@ -123,7 +123,7 @@ class RandomCrashes(Value):
     memory: Truth = True
     """Whether it recovers with what it knew."""
 
-    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
         """Yield the crashes of each node until the horizon, s."""
         for node, each in enumerate(rng.spawn(size)):
             t = each.exponential(1.0 / self.rate)
@@ -159,7 +159,7 @@ class RandomPlan(Value):
             raise ValueError(f"should ascend (got {box[0]:g} and {box[1]:g})")
         return box
 
-    def faults(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
+    def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that begin before the horizon, s, in order of time."""
         t, end = 0.0, min(self.until, horizon)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - SHORTEST_FAULT:
@@ -208,5 +208,5 @@ def drawn(given: Sequence[Fault | Plan | ClockSkew], size: int, horizon: float, 
         if isinstance(each, Fault):
             faults.append(each)
         elif not isinstance(each, ClockSkew):
-            faults += each.faults(size, horizon, stream(seed, "faults", next(number)))
+            faults += each(size, horizon, stream(seed, "faults", next(number)))
     return faults

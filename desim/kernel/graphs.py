@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -17,7 +17,7 @@ Node = Annotated[int, Field(ge=0, strict=True)]
 
 
 class GraphModel(Protocol):
-    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; its edges may have attributes, see `Link`."""
+    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; its edges may have attributes, see `Edge`."""
 
     def __call__(self, size: int) -> "nx.Graph[int]": ...  # noqa: D102
 
@@ -87,19 +87,30 @@ class Grid(Value):
         return graph
 
 
-class Link(Value):
-    """One link that is not like the rest: what is given replaces what the network has."""
+class Edge(Value):
+    """An edge of a graph; what it says of latency and loss replaces what the network has."""
 
     src: Node
     """Who speaks."""
     dst: Node
     """Who hears."""
-    both_ways: Truth = False
-    """Whether it is the same from `dst` to `src`."""
     latency: Annotated[Latency, LATENCIES] | None = None
     """One-way latency, s."""
     loss: Annotated[Loss, LOSSES] | None = None
     """Which messages are lost."""
+
+
+class Link(Edge):
+    """One link of the graph that is not like the rest: what is given replaces what the network has."""
+
+    both_ways: Truth = False
+    """Whether it is the same from `dst` to `src`."""
+
+    @model_validator(mode="after")
+    def _differs(self) -> Self:
+        if self.latency is None and self.loss is None:
+            raise ValueError("should have a latency or a loss of its own")
+        return self
 
     def ways(self) -> list[tuple[int, int]]:
         """Return the hops that it is about."""
@@ -110,7 +121,7 @@ class Edges(Value):
     """Any graph: a list of edges, or a file in node-link JSON or GraphML; edges may have a latency and a loss."""
 
     kind: Literal["edges"] = "edges"
-    edges: tuple[Link, ...] = ()
+    edges: tuple[Edge, ...] = ()
     """The edges; each may have a latency and a loss of its own."""
     file: str | None = None
     """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read at once."""
@@ -130,7 +141,7 @@ class Edges(Value):
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":
-        """Return a networkx graph with nodes 0 .. n - 1 as a value; see `Link` for the attributes of its edges."""
+        """Return a networkx graph with nodes 0 .. n - 1 as a value; see `Edge` for the attributes of its edges."""
         return cls.model_validate(_fields(graph))
 
     def __call__(self, size: int) -> "nx.Graph[int]":
@@ -149,7 +160,7 @@ class Edges(Value):
                 raise ValueError(f"edge {edge.src} to {edge.dst}: the nodes should be 0 .. {size - 1}")
             own = {"latency": edge.latency, "loss": edge.loss}
             given = {name: model for name, model in own.items() if model is not None}
-            graph.add_edges_from(edge.ways(), **given)
+            graph.add_edge(edge.src, edge.dst, **given)
         return graph
 
 

@@ -3,7 +3,7 @@
 from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link
 from desim.kernel.latency import LATENCIES, Constant, Latency
@@ -21,6 +21,12 @@ class Processing(Value):
     """From the decision to send to the message's leaving, s."""
     receiver: Time = 0.0
     """From the message's coming in to its being readable, s."""
+
+
+def _completed(given: Any, table: dict[str, Any]) -> Any:
+    """Return a table with what it does not say taken from another of the same kind."""
+    alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
+    return table | given if alike else given
 
 
 class Links(Value):
@@ -67,18 +73,11 @@ class Links(Value):
     link: tuple[Link, ...] = ()
     """Links that are not like the rest."""
 
-    @field_validator("medium")
-    @classmethod
-    def _is_a_medium(cls, medium: Medium) -> Medium:
-        missing = [name for name in ("shared", "half_duplex", "queue_limit") if not hasattr(medium, name)]
-        if missing:
-            raise ValueError(f"should have attributes shared, half_duplex and queue_limit, {medium!r} lacks {missing}")
-        return medium
-
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
         preset = given.get("preset") if isinstance(given, dict) else None
-        if isinstance(preset, str) and preset in PRESETS:
-            return PRESETS[preset] | given
-        return given
+        if not isinstance(preset, str) or preset not in PRESETS:
+            return given
+        tables = {key: _completed(given[key], table) for key, table in PRESETS[preset].items() if key in given}
+        return PRESETS[preset] | given | tables

@@ -1,7 +1,7 @@
 """What it takes to put a message on the air: frozen models of the airtime that follows from its bytes."""
 
 from math import ceil, inf
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
@@ -37,14 +37,17 @@ class _Radio(Value):
     shared: Truth = False
     """Whether all nodes share one channel, on which one message is on the air at a time."""
     half_duplex: Truth = False
-    """Whether a node is deaf while it transmits."""
+    """Whether a node is deaf while it transmits; on a shared channel nobody else transmits then."""
     queue_limit: Limit = inf
-    """How many messages may wait in a transmitter; one more, and the oldest of them is dropped. inf = any number."""
+    """How many messages of a node may wait; one more, and the oldest of them is dropped. inf = any number."""
 
 
-class Unlimited(_Radio):
-    """Messages take no time on the air, whatever their size."""
+class Unlimited(Value):
+    """Messages take no time on the air, whatever their size, and need not wait."""
 
+    shared: ClassVar[bool] = False
+    half_duplex: ClassVar[bool] = False
+    queue_limit: ClassVar[float] = inf
     kind: Literal["unlimited"] = "unlimited"
 
     def __call__(self, size: int) -> float:
@@ -95,4 +98,4 @@ class LoRa(_Radio):
         return (self.preamble + 4.25 + payload) * symbol
 
 
-MEDIA = OneOf(Unlimited, Bitrate, LoRa)
+MEDIA = OneOf(Unlimited, Bitrate, LoRa, needs=("shared", "half_duplex", "queue_limit"))

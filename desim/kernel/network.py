@@ -25,7 +25,7 @@ from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
 from desim.kernel.records import Arrival, Record, Records, Table, each
 from desim.kernel.topology import Topology
-from desim.kernel.travel import TYPICAL_SIZE, Travel
+from desim.kernel.travel import Travel
 from desim.kernel.wire import size_of
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Network:
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
         self._processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
-        self._typical_airtime = nanoseconds(links.medium(TYPICAL_SIZE))
+        self._medium = links.medium
         self._air: Air[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
             self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._processing)
@@ -95,7 +95,8 @@ class Network:
         self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
         self._flights = count()
-        self._sent = self._arriving = self._transmissions = self._octets = 0
+        self._breakdowns: dict[int, list[int]] = {}
+        self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
 
     # What nodes do.
@@ -158,20 +159,24 @@ class Network:
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
 
+    def typical_latency(self, body: Any = None) -> float:
+        """Return the mean one-way latency of a message with this body, airtime included and queues left out, s."""
+        return self._typical_latency + self._medium(size_of(body))
+
     @cached_property
-    def typical_latency(self) -> float:
-        """The mean one-way latency over the links without queues, s; measured on draws of its own."""
-        return self._travel.typical_latency(self._typical_airtime)
+    def _typical_latency(self) -> float:
+        return self._travel.typical_latency()
 
     # What happens to them.
 
     def break_down(self, node: int) -> None:
-        """Let the radio of a node be down: it neither sends nor receives, and what waits in its transmitter is lost.
+        """Let the radio of a node be down: it neither sends nor receives; what waits or is half transmitted is lost.
 
         Raises:
             ValueError: if the network was made without conditions.
         """
         self.conditions.break_down(node)
+        self._breakdowns.setdefault(node, []).append(self._env.now)
         for flight in self._air.silence(node) if self._air is not None else ():
             self._lose(flight, flight.receivers, "crash")
 
@@ -201,7 +206,7 @@ class Network:
             busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # not what was lost to nobody
-        return Tally(now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._octets, busy)
+        return Tally(now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy)
 
     # How a transmission goes.
 
@@ -242,7 +247,7 @@ class Network:
         """Put a transmission on the air for so many ns."""
         now, receivers = self._env.now, flight.receivers
         self._transmissions += 1
-        self._octets += flight.size
+        self._bytes_sent += flight.size
         arrival = self._travel.arrivals(flight.src, receivers, now, airtime, flight.size)
         causes = self._losses(flight) if self._may_lose or not flight.reachable else NOTHING_LOST
         reached = receivers
@@ -260,7 +265,7 @@ class Network:
         elif isinstance(flight.content, Record):
             self._records.note(flight.content, reached, arrival)
         else:
-            for node, when in zip(reached, each(arrival), strict=False):
+            for node, when in zip(reached, each(arrival, len(reached)), strict=True):
                 self.inbox(node, flight.port).put(flight.content, when, flight.number)
 
     def _losses(self, flight: Flight) -> dict[int, Cause]:
@@ -279,16 +284,18 @@ class Network:
         """Let the fate of a transmission be settled as it arrives."""
         self._arriving += len(reached)
         landings: dict[int, list[int]] = {}
-        for node, when in zip(reached, each(arrival), strict=False):
+        for node, when in zip(reached, each(arrival, len(reached)), strict=True):
             landings.setdefault(when, []).append(node)
         for when, nodes in landings.items():
-            Instant(self._env, when, Phase.DELIVERY).callbacks.append(partial(self._land, flight, nodes, airtime))
+            Instant(self._env, when, Phase.DELIVERY).callbacks.append(
+                partial(self._land, flight, nodes, (self._env.now, self._env.now + airtime))
+            )
 
-    def _land(self, flight: Flight, nodes: list[int], airtime: int, _: "simpy.Event") -> None:
-        """Let a transmission arrive at nodes where it does."""
+    def _land(self, flight: Flight, nodes: list[int], spell: tuple[int, int], _: "simpy.Event") -> None:
+        """Let a transmission that was on the air for a spell (from, to, ns) arrive at nodes where it does."""
         self._arriving -= len(nodes)
         for node in nodes:
-            cause = self._obstacle(flight, node, airtime)
+            cause = self._obstacle(flight, node, spell)
             if cause is not None:
                 self._lose(flight, [node], cause)
             elif isinstance(flight.content, Record):
@@ -296,11 +303,11 @@ class Network:
             else:
                 self.inbox(node, flight.port).put(flight.content, self._env.now, flight.number)
 
-    def _obstacle(self, flight: Flight, node: int, airtime: int) -> Cause | None:
+    def _obstacle(self, flight: Flight, node: int, spell: tuple[int, int]) -> Cause | None:
         """Return why a message cannot be received that arrives now, if so."""
-        broken = self._conditions
+        broken, (begin, end) = self._conditions, spell
         if broken is not None:
-            if broken.down(node):
+            if broken.down(node) or any(begin <= t < end for t in self._breakdowns.get(flight.src, ())):
                 return "crash"
             if broken.cut(flight.src, node):
                 return "partition"
@@ -308,7 +315,7 @@ class Network:
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
-        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._processing, airtime)
+        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._processing, end - begin)
         return "half_duplex" if deaf else None
 
     def _lose(self, flight: Flight, nodes: list[int], cause: Cause) -> None:
@@ -321,7 +328,7 @@ class Network:
         """Record that a transmission left."""
         assert self._trace is not None
         number, src, created, size, receivers, content = flight[:6]
-        now, when = self._env.now, dict(zip(reached, each(arrival), strict=False))
+        now, when = self._env.now, dict(zip(reached, each(arrival, len(reached)), strict=True))
         fates = [when.get(node, LOST) for node in receivers]
         if isinstance(content, Record):
             alike = isinstance(arrival, int) and len(reached) == len(receivers) > 0

@@ -12,7 +12,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "medium": {"kind": "bitrate", "bitrate": 5000.0, "half_duplex": True},
     },
 } | {
-    f"lora_sf{sf}": {"medium": {"kind": "lora", "spreading_factor": sf, "shared": True, "half_duplex": True}}
+    f"lora_sf{sf}": {"medium": {"kind": "lora", "spreading_factor": sf, "shared": True, "queue_limit": 8}}
     for sf in range(7, 13)
 }
 """By name, what replaces the defaults of a network: wifi (one hop of 802.11), lte and 5g (through the cell), satellite

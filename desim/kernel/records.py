@@ -49,7 +49,7 @@ class Records:
             heappush(self._common_waiting, (arrival, record))
         else:
             waiting = self._waiting
-            for node, when in zip(receivers, each(arrival), strict=False):
+            for node, when in zip(receivers, each(arrival, len(receivers)), strict=True):
                 waiting[node].extend((when, record))
         self._noted += 1
         if self._noted % 4096 == 0:
@@ -101,9 +101,9 @@ class Records:
                 self._fold(node)
 
 
-def each(arrival: Arrival) -> Iterable[int]:
-    """Return the arrival at each receiver."""
-    return repeat(arrival) if isinstance(arrival, int) else arrival
+def each(arrival: Arrival, receivers: int) -> Iterable[int]:
+    """Return the arrival at each of so many receivers."""
+    return repeat(arrival, receivers) if isinstance(arrival, int) else arrival
 
 
 def _pairs(waiting: list[Any]) -> Iterator[Heard]:

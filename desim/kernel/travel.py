@@ -4,7 +4,6 @@ Models that draw independently of the hop are asked for a block of draws at a ti
 a list and not a call of numpy.
 """
 
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -77,11 +76,11 @@ class Travel:
         elif self._lots is not None:
             lost = self._lots.take(len(dst))
         else:
-            lost = np.broadcast_to(self._loss(self._hops(src, dst, now, size), self._loss_rng), len(dst)).tolist()
+            lost = _truths(self._loss(self._hops(src, dst, now, size), self._loss_rng), len(dst))
         for k, node in enumerate(dst if own else ()):
             if node in own:
                 lost = lost or [False] * len(dst)
-                lost[k] = bool(_alone(own[node], self._hops(src, [node], now, size), self._own_loss_rng))
+                (lost[k],) = _truths(own[node](self._hops(src, [node], now, size), self._own_loss_rng), 1)
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
@@ -98,20 +97,19 @@ class Travel:
         if self._delays is not None:
             delays = self._delays.take(len(dst))
         else:
-            delays = _checked(self._latency(self._hops(src, dst, now, size), self._latency_rng))
+            delays = _times(self._latency(self._hops(src, dst, now, size), self._latency_rng), len(dst))
         if own:
             delays = [delays] * len(dst) if isinstance(delays, int) else delays
             for k, node in enumerate(dst):
                 if node in own:
-                    (delays[k],) = _checked(
-                        [_alone(own[node], self._hops(src, [node], now, size), self._own_latency_rng)]
-                    )
+                    delay = _times(own[node](self._hops(src, [node], now, size), self._own_latency_rng), 1)
+                    delays[k] = delay if isinstance(delay, int) else delay[0]
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
-    def typical_latency(self, airtime: int) -> float:
-        """Return the mean one-way latency of a message with an airtime (ns), over all links, s.
+    def typical_latency(self) -> float:
+        """Return the mean one-way latency over the links of the first senders, without airtime, s.
 
-        It is measured on draws that the messages of the run do not share.
+        It is measured on at least a thousand draws, if there are links, that the messages of the run do not share.
         """
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = Travel(free, self._graph, self._seed, self._positions, "typical ")
@@ -119,7 +117,7 @@ class Travel:
         found: list[int] = []
         for src in list(range(size)) * rounds:
             dst = sorted(self._graph.adj[src])
-            found += islice(each(like_this.arrivals(src, dst, 0, airtime, TYPICAL_SIZE)), len(dst))
+            found += each(like_this.arrivals(src, dst, 0, 0, TYPICAL_SIZE), len(dst))
             if len(found) > 10_000:
                 break
         return sum(found) / len(found) / SECOND if found else 0.0
@@ -129,7 +127,7 @@ class Travel:
         last = self._last
         if last is None:
             return arrival
-        for node, when in zip(dst, each(arrival), strict=False):
+        for node, when in zip(dst, each(arrival, len(dst)), strict=True):
             last[src, node] = max(when, last.get((src, node), 0))
         return [last[src, node] for node in dst]
 
@@ -186,11 +184,6 @@ def _own(links: Links, graph: "nx.Graph[int]", name: str) -> Own:
     return found
 
 
-def _alone(model: Any, hops: Hops, rng: np.random.Generator) -> Any:
-    """Return what a model answers for a single hop."""
-    return np.broadcast_to(model(hops, rng), 1)[0]
-
-
 def _checked(delays: Any) -> Any:
     """Return delays in s as whole ns: one number, or a list.
 
@@ -201,3 +194,20 @@ def _checked(delays: Any) -> Any:
     if not ((given >= 0.0) & (given <= LONGEST)).all():
         raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delays}")
     return np.rint(given * SECOND).astype(np.int64).tolist()
+
+
+def _times(answer: Any, count: int) -> Arrival:
+    """Return what a latency model answers for so many hops in whole ns: one number, or a list of one per hop."""
+    times: Arrival = _checked(answer)
+    if isinstance(times, list) and len(times) != count:
+        raise ValueError(f"latencies should be one number or one for each of {count} hops, got {len(times)}")
+    return times
+
+
+def _truths(answer: Any, count: int) -> list[bool]:
+    """Return what a loss model answers for so many hops."""
+    truths = np.asarray(answer)
+    if truths.dtype != bool or truths.shape not in {(), (count,)}:
+        raise ValueError(f"losses should be one truth or one for each of {count} hops, got {answer!r}")
+    lost: list[bool] = np.broadcast_to(truths, count).tolist()
+    return lost

@@ -5,9 +5,11 @@ teammates only what the network has brought it.
 """
 
 from collections.abc import Callable, Generator, Iterable
+from copy import copy
+from dataclasses import dataclass
 from itertools import count
 from math import inf
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import simpy
@@ -70,6 +72,15 @@ Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""
 
 
+@dataclass(slots=True)
+class Said:
+    """What is remembered of a pursuer by all its processes."""
+
+    action: bool | None
+    """The action that it announced last; None if the others need not know of any."""
+    restarts: int = 0
+
+
 class Agent:
     """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
 
@@ -87,7 +98,6 @@ class Agent:
         seed: int,
         announcements: Announcements | None = None,
         *,
-        phase: Phase = Phase.DECISION,
         offset: float = 0.0,
         drift: float = 0.0,
     ):
@@ -95,11 +105,28 @@ class Agent:
         self.rng = stream(seed, "decisions", pursuer)
         self._env, self._world, self._network, self._seed = env, world, network, seed
         self._announcements = announcements or Announcements()
-        self._turn = int(phase) + pursuer  # its priority among the events of one instant
+        self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._offset, self._rate = offset, 1.0 + drift
-        self._told: bool | None = self.action if self._announcements.warm_start else None
+        self._said = Said(self.action if self._announcements.warm_start else None)
+        self._streams: dict[str, np.random.Generator] = {}
+
+    def in_phase(self, phase: Phase) -> Self:
+        """Return the same pursuer, for a process whose turn comes in another phase of an instant."""
+        other = copy(self)
+        other._turn = int(phase) + self.id
+        return other
+
+    def repaired(self, *, restarted: bool) -> None:
+        """Take note that it was broken: what it said last may not have gone out."""
+        self._said.action = None
+        self._said.restarts += restarted
 
     # What it knows.
+
+    @property
+    def restarts(self) -> int:
+        """How often it has started anew, without memory."""
+        return self._said.restarts
 
     @property
     def now(self) -> float:
@@ -157,14 +184,15 @@ class Agent:
         """Return who hears it now, or who hears a teammate, from sensed positions and the known range."""
         return self._network.neighbours(self.id if of is None else of)
 
-    @property
-    def typical_latency(self) -> float:
-        """The mean one-way latency of the network without queues, s: what a designer would know of it."""
-        return self._network.typical_latency
+    def typical_latency(self, body: Any = None) -> float:
+        """Return the mean one-way latency of a message without queues, s: what a designer would know of the network."""
+        return self._network.typical_latency(body)
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return a random stream of its own."""
-        return stream(self._seed, name, self.id)
+        """Return a random stream of its own; asked for again, also after a restart, it goes on."""
+        if name not in self._streams:
+            self._streams[name] = stream(self._seed, name, self.id)
+        return self._streams[name]
 
     def shared_stream(self, name: str) -> np.random.Generator:
         """Return a random stream that is the same for everyone who asks for it by this name."""
@@ -191,12 +219,12 @@ class Agent:
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
         trigger = self._announcements.trigger
-        if trigger == "revision" or (trigger in {"change", "both"} and self.action != self._told):
+        if trigger == "revision" or (trigger in {"change", "both"} and self.action != self._said.action):
             self.tell()
 
     def tell(self) -> None:
         """Tell the others its action, whether or not it has changed."""
-        self._told = self.action
+        self._said.action = self.action
         self._announcements.spread.tell(self, self.assignment())
 
     def presume(self) -> None:
@@ -272,7 +300,7 @@ class Agent:
         limit = self._announcements.forget_after
         if limit == "auto":
             beats, period = self._announcements.beats, self._announcements.heartbeat
-            limit = 3.0 * period + 2.0 * self.typical_latency if beats else inf
+            limit = 3.0 * period + 2.0 * self.typical_latency(self.assignment()) if beats else inf
         return limit if limit == inf else nanoseconds(limit)
 
     def _believed_time(self, record: Record) -> float:

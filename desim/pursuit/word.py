@@ -42,7 +42,7 @@ class Relayed(NamedTuple):
     """How many more hops it may take, this one included."""
 
 
-DISSEMINATIONS = OneOf(group="desim.disseminations")
+DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("tell",))
 """The ways to spread word that are installed."""
 
 

@@ -161,7 +161,7 @@ def test_of_a_full_queue_the_oldest_is_dropped(limit, dropped):
     tally = net.tally()
     assert (tally.sent, tally.delivered, tally.lost, tally.in_flight) == (5, 5 - len(dropped), len(dropped), 0)
     assert tally.lost_by == ({"queue": len(dropped)} if dropped else {})
-    assert (tally.transmissions, tally.octets) == (5 - len(dropped), 10 * (5 - len(dropped)))
+    assert (tally.transmissions, tally.bytes_sent) == (5 - len(dropped), 10 * (5 - len(dropped)))
 
 
 def test_what_is_dropped_counts_for_each_of_its_receivers():
@@ -173,12 +173,22 @@ def test_what_is_dropped_counts_for_each_of_its_receivers():
     assert [each.dst for each in trace.of(Lost)] == [1, 2, 3]
 
 
-def test_the_limit_of_a_shared_channel_is_for_all_nodes_together():
+def test_the_limit_of_a_shared_channel_is_for_each_node():
+    """Node 0 is on the air; 1, 2 and 1 again wait, and only the second word of 1 drops its first."""
     clock, net, trace = network(3, medium(shared=True, queue_limit=1))
+    for number, node in enumerate((0, 1, 2, 1)):
+        later(clock, 0.0, net.publish, node, number, size=1)
+    run_until(clock, 10.0)
+    assert [(each.src, each.body) for each in trace.of(Broadcast)] == [(0, 0), (2, 2), (1, 3)]
+
+
+def test_nobody_is_deaf_on_a_shared_channel_however_long_messages_travel():
+    """The next node transmits as soon as the channel is free, while the last message is still on its way."""
+    clock, net, _ = network(3, medium(shared=True, half_duplex=True), latency=Constant(value=0.5))
     for node in (0, 1, 2):
         later(clock, 0.0, net.publish, node, None, size=1)
     run_until(clock, 10.0)
-    assert [each.src for each in trace.of(Broadcast)] == [0, 2]
+    assert net.tally()[1:4] == (6, 6, 0)
 
 
 @pytest.mark.parametrize("limit", [0, 1, 3])
@@ -334,11 +344,11 @@ def test_octets_and_transmissions_count_what_left_and_messages_each_receiver():
     run_until(clock, 1.0)
     tally = net.tally()
     assert (tally.sent, tally.delivered, tally.in_flight) == (6, 0, 6)
-    assert (tally.transmissions, tally.octets) == (1, 3)
+    assert (tally.transmissions, tally.bytes_sent) == (1, 3)
     run_until(clock, 5.5)
     tally = net.tally()
     assert (tally.sent, tally.delivered, tally.in_flight) == (6, 6, 0)
-    assert (tally.transmissions, tally.octets) == (2, 5)
+    assert (tally.transmissions, tally.bytes_sent) == (2, 5)
 
 
 def test_the_utilisation_under_poisson_arrivals_is_the_load():

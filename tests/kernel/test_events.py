@@ -35,7 +35,7 @@ def test_times_are_written_in_seconds_and_never_is_null():
         "in_flight": 0,
         "lost_by": {"loss": 1},
         "transmissions": 1,
-        "octets": 24,
+        "bytes_sent": 24,
         "utilisation": 0.25,
     }
 

@@ -336,7 +336,7 @@ def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_
     assert drawn([given, first], 4, 10.0, 5) == [given, *alone]
     assert drawn([first, second], 4, 10.0, 5)[: len(alone)] == alone
     assert drawn([first, first], 4, 10.0, 5)[len(alone) :] != alone
-    assert drawn([first], 4, 10.0, 5) == list(first.faults(4, 10.0, stream(5, "faults", 0)))
+    assert drawn([first], 4, 10.0, 5) == list(first(4, 10.0, stream(5, "faults", 0)))
 
 
 @pytest.mark.parametrize("size", [1, 2])

@@ -139,11 +139,11 @@ def test_the_presets_are_the_ones_that_are_described():
 
 
 @pytest.mark.parametrize(("factor", "airtime"), DATA_SHEET.items())
-def test_the_lora_presets_share_one_channel_half_duplex(factor, airtime):
+def test_the_lora_presets_share_one_channel(factor, airtime):
     medium = Links(preset=f"lora_sf{factor}").medium
     assert medium(24) * 1e3 == pytest.approx(airtime, abs=0.05)
     assert medium.shared
-    assert medium.half_duplex
+    assert medium.spreading_factor == factor
 
 
 @pytest.mark.parametrize("name", PRESETS)

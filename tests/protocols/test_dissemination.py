@@ -271,7 +271,7 @@ def test_gossip_merges_by_the_newest():
 
 
 def test_gossip_tells_nobody_about_itself():
-    """Its own word comes back and is not entered; 16 + 8 bytes for the hops and 8 x 4 for each record."""
+    """Its own word comes back and is not entered; 16 + 8 bytes for the hops and 24 for each record."""
     heard = {}
 
     def protocol(me):
@@ -283,7 +283,7 @@ def test_gossip_tells_nobody_about_itself():
 
     result = play(protocol, nx.complete_graph(3), Gossip())
     assert heard == {j: {0, 1, 2} - {j} for j in range(3)}
-    assert [event.size for event in result.trace.of(Sent) if event.src == 0] == [56, 56, 120, 120, 120, 120]
+    assert [event.size for event in result.trace.of(Sent) if event.src == 0] == [48, 48, 96, 96, 96, 96]
 
 
 # Loss.

@@ -83,7 +83,7 @@ def test_no_two_neighbours_are_inside_at_once(latency):
     graph, inside, entered = Grid(columns=3)(7), set(), []
 
     def protocol(me):
-        section = Section(me, 10, max(2.5 * me.typical_latency, 0.001))
+        section = Section(me, 10, max(2.5 * me.typical_latency(), 0.001))
         for _ in range(5):
             yield from section.idle(me.now + me.rng.exponential(0.05))
             yield from section.enter()
@@ -136,7 +136,7 @@ def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
     """Up to what contention adds: less than a third, from idle to saturated sections."""
 
     class Member:
-        team_size, typical_latency = 7, latency
+        team_size, typical_latency = 7, staticmethod(lambda: latency)
 
         def neighbours(self):
             return list(range(1, 7))
