@@ -131,7 +131,7 @@ class OneOf:
     def _accept(self, value: Any, validate: Callable[[Any], Any]) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
-        if isinstance(value, dict) and ":" in str(value.get("kind", "")):
+        if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = _imported(value)
         if not callable(value):
             return validate(value)

@@ -12,9 +12,9 @@ BENCHMARKS = Path(__file__).parent / "benchmarks"
 
 @pytest.fixture(autouse=True)
 def _conserved(request):
-    """Let every trace that is made during a test be watched, unless it takes long or its trace is made by hand."""
+    """Let every trace that is made in the process of a test be watched, unless it is made by hand."""
     item = request.node
-    if item.get_closest_marker("slow") or item.get_closest_marker("own_trace") or BENCHMARKS in item.path.parents:
+    if item.get_closest_marker("own_trace") or BENCHMARKS in item.path.parents:
         yield
         return
     begin = Trace.__init__
