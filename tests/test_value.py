@@ -75,7 +75,19 @@ NO_TIMES = [inf, -inf, nan, *NO_NUMBERS]
         (Extent, [1e-300, 3, inf], [0, -1, -inf, nan, *NO_NUMBERS]),
         (Truth, [True, False], [0, 1, 1.0, "true", "yes", None]),
     ],
-    ids="Positive Coordinate Length Speed Time Horizon Period Rate Probability Extent Truth".split(),
+    ids=[
+        "Positive",
+        "Coordinate",
+        "Length",
+        "Speed",
+        "Time",
+        "Horizon",
+        "Period",
+        "Rate",
+        "Probability",
+        "Extent",
+        "Truth",
+    ],
 )
 def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, bad):
     adapter = TypeAdapter(kind)
