@@ -37,7 +37,7 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     from desim.analysis import plots
 
     result = run(load(FILE))
-    with plots.styled(figsize=(8.4, 4.3)) as figure:
+    with plots.styled(figsize=(8.4, 4.8)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
         plots.draw_trajectory(left, result)
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)

@@ -817,3 +817,78 @@ def test_keys_without_a_table_lists_all_of_them():
 def test_keys_of_a_table_that_does_not_exist_are_refused():
     (said,) = refused("keys", "netwrok")
     assert said.startswith("there is no table 'netwrok'; allowed: name, seed, ")
+
+
+ODD = """\
+name = "odd"
+horizon = 5.0
+team.count = 4
+
+[motion]
+step = 0.05
+
+[protocol]
+kind = "sap"
+schedule = { kind = "periodic", period = 0.2, jitter = 0.0 }
+
+[announce]
+trigger = "never"
+spread = { kind = "gossip" }
+
+[network]
+preset = "wifi"
+latency = { kind = "constant", value = 0.1 }
+reach = { kind = "log_distance" }
+
+[[fault]]
+kind = "crash"
+node = 0
+at = 1.0
+
+[[fault]]
+kind = "crash"
+node = 1
+at = 6.0
+"""
+
+
+def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
+    """A preset, a range, word, a timer and a fault that do not do what they seem to; the scenario is valid."""
+    path = file(ODD)
+    result = accepted("check", path)
+    said = [re.match(r"warning: (.*): ([\w.]+): (.*)", line).groups() for line in result.stderr.splitlines()]
+    assert {key: (where, why) for where, key, why in said} == {
+        "network.latency": (f"{path}:18", "it is given, and is not that of the preset 'wifi'"),
+        "network.reach": (f"{path}:19", "it has no effect while the range is inf"),
+        "announce.spread": (f"{path}:14", "it has no effect, for nothing is ever announced"),
+        "fault.1.at": (f"{path}:29", "it would begin after the horizon"),
+        "protocol.schedule.jitter": (
+            f"{path}:10",
+            "a strictly periodic timer of 4 motion steps, an even number, keeps step with the evader's chatter between"
+            " two pursuers, and for seconds nobody may be active: give it some jitter",
+        ),
+    }
+    assert len(said) == 5
+    assert "warning" not in result.stdout
+
+
+@pytest.mark.parametrize("count", [6, 200])
+def test_heartbeats_that_a_channel_cannot_carry_are_told_with_the_line_of_their_period(file, count):
+    """48 bytes take 97.5 ms at SF 7: of 6 pursuers every 0.5 s that is 1.2 times all the time there is."""
+    path = file(f'team.count = {count}\n\n[network]\npreset = "lora_sf7"\n\n[announce]\nheartbeat = 0.5\n')
+    (said,) = accepted("check", path).stderr.splitlines()
+    assert said == (
+        f"warning: {path}:7: announce.heartbeat: heartbeats of 48 bytes alone would keep the channel busy"
+        f" {count * 0.195:.1f} times over, so that messages wait for longer and longer, or are dropped"
+    )
+
+
+def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_is_warned_of():
+    """One may wait, on LoRa at SF 7 and a shared channel as before."""
+    (lora,) = (path for path in SCENARIOS if path.stem == "lora")
+    override = "network.medium.queue_limit=1"
+    before, after = load(lora).network.medium, load(lora, [override]).network.medium
+    assert (before.queue_limit, after) == (8, before.model_copy(update={"queue_limit": 1.0}))
+    (said,) = accepted("check", lora, "--set", override).stderr.splitlines()
+    assert said.startswith(f"warning: --set {override}: network.medium: it is given, and is not that of the preset")
+    assert accepted("check", lora).stderr == ""

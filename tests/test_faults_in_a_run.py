@@ -12,6 +12,7 @@ from desim.kernel.events import Broadcast, Tally
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Halted, Sampled
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
@@ -438,3 +439,104 @@ def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
     seen = {}
     play(look, Crash(node=1, at=0.2, until=0.6), network=Links(latency=Constant(value=0.1)))
     assert seen[1] == (0.6, [0])
+
+
+# What a pursuer that was broken has said, and what it draws.
+
+
+def saying_at(*decisions):
+    """Return a protocol by which pursuer 1 decides (t, active), s, and announces it if it is time to."""
+
+    def protocol(me):
+        for t, active in decisions if me.id == 1 else ():
+            if t >= me.now:
+                yield me.at(t)
+                me.assign(active)
+                me.announce()
+
+    return protocol
+
+
+def told(result, pursuer=1):
+    """Return what a pursuer said, as {time in s: active}."""
+    return {b.t / 1e9: b.body.active for b in result.trace.of(Broadcast) if b.src == pursuer}
+
+
+@pytest.mark.parametrize("memory", [True, False])
+@pytest.mark.parametrize("announce", [Announcements(heartbeat=2.0), Announcements(trigger="change")])
+def test_who_was_stopped_by_a_breakdown_announces_that_it_chases_again(announce, memory):
+    """Active from 1 s on, stopped at 1.1 s without a word, repaired at 1.2 s: its decision at 2 s is told at 2 s.
+
+    Whether a heartbeat comes between depends on the seed. The control: without the breakdown nothing changed.
+    """
+    changes = {"announce": announce, "motion": Motion(frozen=True)}
+    protocol = saying_at((1.0, True), (2.0, True))
+    for seed in range(6):
+        crash = Crash(node=1, at=1.1, until=1.2, memory=memory)
+        result = play(protocol, crash, seed=seed, **changes)
+        assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(Halted)] == [(1.1, 1)]
+        assert told(result)[1.0] is told(result)[2.0] is True
+        assert 2.0 not in told(play(protocol, seed=seed, **changes))
+
+
+@pytest.mark.parametrize("scope", ["radio", "robot"])
+def test_an_action_that_nobody_could_hear_of_is_announced_at_the_next_revision(scope):
+    """Inactive from 1.2 s on while its radio is down from 1.1 to 1.5 s; told at 2 s though it is the same, not at 3 s.
+
+    A robot that is down decides nothing meanwhile, is inactive all the same, and tells that once.
+    """
+    protocol = saying_at((1.0, True), (1.2, False), (2.0, False), (3.0, False))
+    crash = Crash(node=1, at=1.1, until=1.5, scope=scope)
+    changes = {"announce": Announcements(trigger="change"), "motion": Motion(frozen=True)}
+    result = play(protocol, crash, **changes)
+    late = {2.0: False} if scope == "radio" else {1.5: False}
+    assert told(result) == {1.0: True} | late
+    assert told(play(protocol, **changes)) == {1.0: True, 1.2: False}
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_chance_goes_on_after_a_repair(memory):
+    """Broken down from 1.05 to 2 s it draws on from where it was: the first numbers of its streams, each once."""
+    drawn, mine = [], []
+
+    def protocol(me):
+        while me.id == 1:
+            drawn.append(me.stream("dice").random())
+            mine.append(me.rng.random())
+            yield me.sleep(0.1)
+
+    play(protocol, Crash(node=1, at=1.05, until=2.0, memory=memory))
+    assert 25 < len(drawn) < 35
+    assert drawn == stream(0, "dice", 1).random(len(drawn)).tolist()
+    assert mine == stream(0, "decisions", 1).random(len(mine)).tolist()
+
+
+def test_who_starts_anew_waits_for_new_poisson_times():
+    """Waits are the draws of its stream: those before the breakdown, one that it cut short, and then the next."""
+    protocol = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
+    crash = Crash(node=1, at=1.0, until=2.0, memory=False)
+    still = {"motion": Motion(frozen=True), "announce": Announcements(trigger="never")}
+    made = np.array(decided(play(protocol, crash, horizon=8.0, **still), 1))
+    waits = stream(0, "poisson", 1).exponential(0.2, size=200)
+    before = (np.cumsum(waits) < 1.0).sum()
+    after = 2.0 + np.cumsum(waits[before + 1 :])
+    assert before > 1
+    assert made == pytest.approx([*np.cumsum(waits)[:before], *after[after < 8.0]], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scope", "memory", "restarts"),
+    [("robot", False, [0, 1, 2]), ("robot", True, [0]), ("radio", False, [0]), ("radio", True, [0])],
+)
+def test_restarts_count_how_often_a_protocol_began_anew(scope, memory, restarts):
+    begun, last = [], []
+
+    def protocol(me):
+        if me.id == 1:
+            begun.append(me.restarts)
+            yield me.at(3.5)
+            last.append(me.restarts)
+
+    play(protocol, *(Crash(node=1, at=t, until=t + 0.5, scope=scope, memory=memory) for t in (1.0, 2.0)))
+    assert begun == restarts
+    assert last == [restarts[-1]]

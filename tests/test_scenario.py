@@ -3,6 +3,7 @@
 import json
 from math import inf
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -243,3 +244,113 @@ def test_functions_do_what_they_say_in_a_run(own):
 def test_what_is_neither_a_model_nor_callable_is_refused(wrong):
     with pytest.raises(ValidationError):
         Scenario(**wrong)
+
+
+class Called:
+    """Something that can be called, and has these attributes and no others."""
+
+    def __init__(self, **attributes):
+        vars(self).update(attributes)
+
+    def __call__(self, *given):
+        return 0.0
+
+    def __repr__(self):
+        return "<mine>"
+
+
+@pytest.mark.parametrize(
+    ("make", "place", "says"),
+    [
+        (lambda: Announcements(spread=Called()), "spread", "should have tell; <mine> lacks tell"),
+        (lambda: SpatialAdaptivePlay(schedule=Called()), "schedule", "should have mean_slot; <mine> lacks mean_slot"),
+        (
+            lambda: Links(medium=Called(half_duplex=False, queue_limit=inf)),
+            "medium",
+            "should have shared, half_duplex, queue_limit; <mine> lacks shared",
+        ),
+        (lambda: Links(medium=Called()), "medium", "<mine> lacks shared, half_duplex, queue_limit"),
+    ],
+    ids=["dissemination", "schedule", "medium without shared", "medium without anything"],
+)
+def test_a_model_of_one_s_own_that_lacks_an_attribute_is_refused_at_once_with_its_name(make, place, says):
+    with pytest.raises(ValidationError) as refused:
+        make()
+    (error,) = refused.value.errors()
+    assert error["loc"] == (place,)
+    assert error["msg"].endswith(says)
+
+
+def test_a_model_of_one_s_own_that_has_all_it_needs_is_taken():
+    spread, schedule = Called(tell=print), Called(mean_slot=print)
+    medium = Called(shared=False, half_duplex=False, queue_limit=inf)
+    assert Announcements(spread=spread).spread is spread
+    assert SpatialAdaptivePlay(schedule=schedule).schedule is schedule
+    assert Links(medium=medium).medium is medium
+
+
+@pytest.mark.parametrize(
+    ("graph", "says"),
+    [
+        (lambda size: nx.complete_graph(size + 1), "simple graph of 3 nodes, got Graph with 4 nodes"),
+        (lambda size: nx.complete_graph(size - 1), "simple graph of 3 nodes, got Graph with 2 nodes"),
+        (lambda size: None, "NoneType"),
+        (lambda size: [0, 1, 2], "list"),
+        (lambda size: nx.MultiGraph(nx.complete_graph(size)), "simple graph of 3 nodes, got MultiGraph"),
+        (lambda size: nx.path_graph(["a", "b", "c"]), "0 .. 2"),
+    ],
+    ids=["too large", "too small", "none", "list", "multigraph", "names"],
+)
+def test_a_graph_of_one_s_own_that_does_not_fit_the_team_is_refused(graph, says):
+    with pytest.raises(ValidationError) as refused:
+        Scenario(team=Team(count=3), network=Links(graph=graph))
+    (error,) = refused.value.errors()
+    assert error["msg"].startswith("network.graph: ")
+    assert says in error["msg"]
+
+
+NO_RANGE = {"network": {"reach": {"kind": "log_distance"}}}
+FLOODING = {"spread": {"kind": "flooding"}}
+SLOW = {"kind": "bitrate", "bitrate": 3840.0}  # 48 bytes take 0.1 s
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "says"),
+    [
+        (NO_RANGE, "network.reach", "it has no effect while the range is inf"),
+        ({"network": NO_RANGE["network"] | {"range": 5.0}}, None, ""),
+        ({"announce": {"trigger": "never"} | FLOODING}, "announce.spread", "nothing is ever announced"),
+        ({"announce": {"trigger": "change"} | FLOODING}, None, ""),
+        ({"announce": {"trigger": "never"}}, None, ""),
+        ({"fault": [{"kind": "crash", "node": 0, "at": 30.0}]}, "fault.0.at", "it would begin after the horizon"),
+        ({"fault": [{"kind": "crash", "node": 0, "at": 29.0}, {"kind": "random"}]}, None, ""),
+        ({"network": {"preset": "wifi"}}, None, ""),
+        (
+            {"network": {"preset": "wifi", "latency": {"kind": "constant"}}},
+            "network.latency",
+            "it is given, and is not that of the preset 'wifi'",
+        ),
+        (
+            {"network": {"medium": SLOW}, "announce": {"heartbeat": 0.08}},
+            "announce.heartbeat",
+            "heartbeats of 48 bytes alone would keep the channel busy 1.2 times over",
+        ),
+        ({"network": {"medium": SLOW}, "announce": {"heartbeat": 0.1}}, None, ""),
+        ({"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 2.0}}, None, ""),
+        (
+            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0}},
+            "announce.heartbeat",
+            "busy 2.0 times over",
+        ),
+        (
+            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0, "trigger": "change"}},
+            None,
+            "",
+        ),
+    ],
+)
+def test_what_has_no_effect_and_what_no_channel_carries_is_warned_of(given, key, says):
+    """Of 20 pursuers; nothing else is warned of."""
+    found = dict(Scenario(**given).warnings())
+    assert list(found) == [key] * (key is not None)
+    assert says in found.get(key, "")

@@ -1,6 +1,8 @@
 """Scenario files: where each key stands, overrides, and the way there and back."""
 
+import importlib
 import re
+import sys
 import tomllib
 from math import inf
 from pathlib import Path
@@ -592,3 +594,112 @@ def test_files_are_found_beside_the_scenario_and_kept_in_it(tmp_path):
     scenario = load(tmp_path / "good.toml")
     assert scenario.network.latency.values == (0.1, 0.2, 0.3)
     assert load(tmp_path / "good.toml", ["team.count=3"]).network == scenario.network
+
+
+# Models of one's own that a file names.
+
+OWN = """
+from typing import Literal
+
+from desim.value import Positive, Value
+
+
+def slow(hops, rng):
+    return 0.5
+
+
+class Steady(Value):
+    kind: Literal["own_models:Steady"] = "own_models:Steady"
+    rate: Positive
+
+    def mean_slot(self, me):
+        return 1.0
+
+    def __call__(self, me, revise):
+        yield from ()
+
+
+class Doubled(Value):
+    value: Positive = 1.0
+
+    def __call__(self, hops, rng):
+        return 2 * self.value
+
+
+class Plain:
+    def __init__(self, value=1.0):
+        self.value = value
+
+    def __call__(self, hops, rng):
+        return self.value
+
+
+number = 3
+"""
+
+
+@pytest.fixture
+def own_models(tmp_path, monkeypatch):
+    """Return a module that only this test can import."""
+    (tmp_path / "own_models.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_models", raising=False)
+    yield importlib.import_module("own_models")
+    sys.modules.pop("own_models", None)
+
+
+def test_a_file_may_name_a_function_or_a_model_of_one_s_own(own_models, written):
+    scenario = load(
+        written(
+            """
+            protocol = { kind = "sap", schedule = { kind = "own_models:Steady", rate = 2.0 } }
+
+            [network]
+            latency = { kind = "own_models:slow" }
+            link = [{ src = 0, dst = 1, latency = { kind = "own_models:Doubled", value = 0.25 } }]
+            """
+        ),
+        ["network.link.0.latency.value=0.125"],
+    )
+    assert scenario.network.latency is own_models.slow
+    assert scenario.protocol.schedule == own_models.Steady(rate=2.0)
+    assert scenario.network.link[0].latency == own_models.Doubled(value=0.125)
+
+
+def test_a_scenario_with_models_of_one_s_own_is_dumped_and_loaded_as_the_same(own_models, shelf):
+    scenario = Scenario(
+        protocol=SpatialAdaptivePlay(schedule=own_models.Steady(rate=3.0)),
+        network=Links(latency=own_models.slow, link=[{"src": 0, "dst": 1, "latency": own_models.Doubled(value=0.5)}]),
+    )
+    shelf.write_text(dump(scenario), encoding="utf-8")
+    assert load(shelf) == scenario
+    assert dump(load(shelf)) == dump(scenario)
+
+
+BAD_MODELS = {
+    "no such module": ('{ kind = "own_modelz:slow" }', ["'own_modelz:slow' cannot be imported", "own_modelz"]),
+    "no such name": ('{ kind = "own_models:fast" }', ["'own_models:fast' cannot be imported", "fast"]),
+    "no module": ('{ kind = ":slow" }', ["':slow' cannot be imported"]),
+    "no name": ('{ kind = "own_models:" }', ["'own_models:' cannot be imported"]),
+    "bad parameter": ('{ kind = "own_models:Doubled", value = -1.0 }', ["'own_models:Doubled': value: ", "than 0"]),
+    "unknown parameter": ('{ kind = "own_models:Doubled", valu = 1.0 }', ["'own_models:Doubled': valu: "]),
+    "unknown parameter of a class": ('{ kind = "own_models:Plain", valu = 1.0 }', ["'own_models:Plain': ", "valu"]),
+    "parameter of a function": ('{ kind = "own_models:slow", value = 1.0 }', ["takes no parameters, got value"]),
+    "no callable": ('{ kind = "own_models:number" }', []),
+}
+
+
+@pytest.mark.parametrize(("table", "words"), BAD_MODELS.values(), ids=BAD_MODELS)
+def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(own_models, written, table, words):
+    file = written(f'name = "bad"\n\n[network]\nlatency = {table}\n')
+    with pytest.raises(ScenarioError) as refused:
+        load(file)
+    (said,) = str(refused.value).splitlines()
+    assert said.startswith(f"{file}:4: network.latency: ")
+    assert not [word for word in words if word not in said], said
+
+
+def test_a_model_of_one_s_own_that_lacks_what_it_needs_is_refused_in_a_file_too(own_models, written):
+    file = written('name = "bad"\n\n[announce]\nspread = { kind = "own_models:slow" }\n')
+    with pytest.raises(ScenarioError, match=r":4: announce\.spread: should have tell; .* lacks tell"):
+        load(file)

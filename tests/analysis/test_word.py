@@ -1,5 +1,7 @@
 """Ages of information and beliefs: by hand, by brute force, by theory, and against what the pursuers really heard."""
 
+import importlib
+import pkgutil
 from collections import defaultdict
 from math import isnan, nan
 
@@ -9,7 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import protocols
 from desim.analysis.knowledge import knowledge
+from desim.analysis.metrics import summary
 from desim.analysis.word import (
     age_at_decision,
     age_mean,
@@ -33,6 +37,9 @@ from desim.pursuit.word import Announcements, Assignment, Relayed
 from desim.scenario import Motion, Recording, Scenario, Team
 from desim.simulation import Result, run
 from protocols.dissemination import Flooding, Gossip, OneHop
+from protocols.mutex import LocalMutex
+from protocols.schedules import Poisson
+from protocols.token import TokenRing, TokenWalk
 
 pytestmark = pytest.mark.own_trace
 ACTIVE, INACTIVE = Assignment(True), Assignment(False)
@@ -531,3 +538,66 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
             assert warm or set(page) == set(heard)
     assert next(pages, None) is None
     assert len(diary.pages) > 100
+
+
+# Word that a protocol passes on.
+
+
+def negotiating(schedule, spread=None, **links):
+    """Return a run in which pursuers toss coins by a schedule and announce them only if there is a way to spread it."""
+
+    def protocol(me):
+        yield from schedule(me, lambda: me.assign(me.rng.random() < 0.5))
+
+    trigger = {"trigger": "revision", "spread": spread} if spread else {"trigger": "never"}
+    scenario = Scenario(
+        horizon=6.0,
+        team=Team(count=4),
+        motion=Motion(frozen=True),
+        network=Links(latency=Uniform(low=0.0, high=0.1), **links),
+        announce=Announcements(**trigger),
+        record=Recording(messages=True),
+        protocol=protocol,
+    )
+    return run(scenario, 3)
+
+
+@pytest.mark.parametrize("schedule", [LocalMutex(), TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
+def test_word_that_only_the_messages_of_a_schedule_carry_has_an_age_and_corrects_beliefs(schedule):
+    """Everybody hears of everybody though nothing is announced; the control, who never talks, is wrong half the time.
+
+    Word is at most some rounds old, and belief errs as long as it travels.
+    """
+    result = negotiating(schedule)
+    found = summary(result)
+    assert not result.trace.of(Broadcast)
+    assert not np.isnan(ages(result).mean[~np.eye(4, dtype=bool)]).any()
+    assert 0.05 < found.age_mean < 1.5
+    assert found.age_mean < found.age_peak < 3.0
+    assert found.age_at_decision is not None
+    assert found.belief_error < 0.3
+    silent = summary(negotiating(Poisson()))
+    assert silent.age_mean is silent.age_at_decision is None
+    assert silent.belief_error > 0.4
+
+
+def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
+    """Every class of message is sent here; a record anywhere in one of them is in a tuple of that name, or unseen."""
+
+    def carries(each):
+        return isinstance(each, Record) or (isinstance(each, tuple) and any(map(carries, each)))
+
+    known = {Relayed}
+    for module in pkgutil.iter_modules(protocols.__path__, "protocols."):
+        for each in vars(importlib.import_module(module.name)).values():
+            if isinstance(each, type) and issubclass(each, tuple) and each.__module__ == module.name:
+                known.add(each)
+    ways = [(LocalMutex(rate=50.0), None), (TokenRing(), None), (Poisson(), Flooding()), (Poisson(), Gossip())]
+    said = {
+        type(sent.body): sent.body for way in ways for sent in negotiating(*way, loss=Bernoulli(p=0.2)).trace.of(Sent)
+    }
+    assert set(said) == known
+    carriers = {kind.__name__: {name for name in kind._fields if carries(getattr(said[kind], name))} for kind in said}
+    assert carriers == {kind.__name__: set() for kind in known} | {
+        name: {"records"} for name in ("Relayed", "Reply", "Token")
+    }

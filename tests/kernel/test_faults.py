@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace
@@ -16,6 +17,7 @@ from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCr
 from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
+from desim.scenario import Team
 
 PERIOD = SECOND // 10
 
@@ -420,3 +422,27 @@ def test_faults_happen_at_the_nanosecond_they_name():
     inject([Crash(node=0, at=0.7, until=0.700000002)], clock, network, trace)
     clock.run()
     assert [event.t for event in trace] == [nanoseconds(0.7), nanoseconds(0.7) + 2]
+
+
+def test_a_function_is_a_plan():
+    """It is called once with the team's size, the horizon and a stream of its own, and what it answers happens."""
+    asked = []
+
+    def plan(size, horizon, rng):
+        asked.append((size, horizon, rng.random()))
+        return [Crash(node=2, at=1.0, until=1.5), Partition(at=0.5, groups=((0,),))]
+
+    scenario = Scenario(horizon=2.0, team=Team(count=4), fault=(Crash(node=0, at=0.2), plan, RandomCrashes(), plan))
+    result = run(scenario, 6)
+    assert asked == [(4, 2.0, stream(6, "faults", k).random()) for k in (0, 2)]
+    began = Counter((began.t / SECOND, began.fault.kind) for began in result.trace.of(Began))
+    assert [began[each] for each in ((0.2, "crash"), (1.0, "crash"), (0.5, "partition"))] == [1, 2, 2]
+
+
+def test_a_plan_that_cannot_be_called_is_refused():
+    class Old:
+        def faults(self, size, horizon, rng):
+            return []
+
+    with pytest.raises(ValidationError, match="fault"):
+        Scenario(fault=(Old(),))

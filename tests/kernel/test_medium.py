@@ -173,3 +173,20 @@ def test_the_means_of_the_presets_are_those_of_their_kind():
         error = deviation / 100_000**0.5
         assert abs(draws.mean() - mean) < 5 * error
         assert abs(draws.mean() - 1.03 * mean) > 5 * error
+
+
+@pytest.mark.parametrize("given", [{"kind": "lora", "queue_limit": 1}, {"queue_limit": 1}], ids=["kind", "no kind"])
+def test_a_table_that_a_preset_has_too_is_completed_from_it(given):
+    """What is given counts, what is not is the preset's: one may wait, and it stays SF 12 on a shared channel."""
+    medium = Links(preset="lora_sf12", medium=given).medium
+    assert medium == LoRa(spreading_factor=12, shared=True, queue_limit=1)
+    assert Links(preset="lora_sf12").medium == LoRa(spreading_factor=12, shared=True, queue_limit=8)
+
+
+def test_a_table_of_another_kind_than_the_preset_s_is_not_mixed_with_it():
+    medium = Links(preset="lora_sf12", medium={"kind": "bitrate", "bitrate": 100.0}).medium
+    assert medium == Bitrate(bitrate=100.0)
+    mine = LoRa(spreading_factor=9)
+    assert Links(preset="lora_sf12", medium=mine).medium == mine
+    links = Links(preset="acoustic", latency={"kind": "propagation", "speed": 1400.0})
+    assert (links.latency, links.medium) == (Propagation(speed=1400.0), Links(preset="acoustic").medium)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
 from desim.kernel.hops import Hops
 from desim.kernel.latency import Constant
@@ -380,3 +381,17 @@ def test_a_broadcast_to_nobody_is_recorded_as_such():
     trace = Trace()
     Network(Clock(), nx.empty_graph(2), trace=trace).publish(0, "x")
     assert trace.of(Broadcast) == [Broadcast(0, 0, 0, 1, (), (), 0, 17, "x")]
+
+
+@pytest.mark.parametrize("conditions", [None, Conditions()], ids=["noted at sending", "settled on arrival"])
+@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("speak", [lambda net: net.publish(0, "x"), lambda net: net.send(0, None, "x")])
+def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, conditions):
+    """A transmission to 3 whose model answers for 1, 2 or 4 is refused as it leaves; nothing of it arrives."""
+    clock = Clock()
+    links = Links(latency=lambda hops, rng: [0.5] * count)
+    network = Network(clock, nx.complete_graph(4), links, conditions=conditions)
+    with pytest.raises(ValueError, match=f"each of 3 hops, got {count}"):
+        speak(network)
+    clock.run(until=SECOND)
+    assert not any(network.heard(node) or network.inbox(node).drain() for node in range(4))

@@ -308,3 +308,62 @@ def test_the_loss_of_a_link_of_its_own_does_not_change_its_latencies():
 def test_a_link_that_is_not_in_the_graph_is_refused():
     with pytest.raises(ValueError, match="no link from 0 to 2 in the graph"):
         travel(Links(link=(Link(src=0, dst=2, loss=Bernoulli(p=0.5)),)), graph=nx.path_graph(3))
+
+
+# Answers of models of one's own.
+
+
+def answering(answer):
+    """Return a model that always answers this."""
+    return lambda hops, rng: answer
+
+
+@pytest.mark.parametrize("answer", [0.5, np.float64(0.5), np.array(0.5), [0.5] * 3, (0.5,) * 3, np.full(3, 0.5)])
+def test_a_latency_model_may_answer_with_one_number_or_one_per_hop(answer):
+    arrival = travel(Links(latency=answering(answer))).arrivals(0, [1, 2, 3], 0, 0, 24)
+    assert np.broadcast_to(arrival, 3).tolist() == [SECOND // 2] * 3
+
+
+@pytest.mark.parametrize("order", ["fifo", "overtaking"])
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
+def test_a_latency_model_that_answers_for_another_number_of_hops_is_refused_with_both_numbers(count, order):
+    trip = travel(Links(latency=answering([0.5] * count), order=order))
+    with pytest.raises(ValueError, match=f"one number or one for each of 3 hops, got {count}"):
+        trip.arrivals(0, [1, 2, 3], 0, 0, 24)
+
+
+@pytest.mark.parametrize("answer", [True, np.True_, [True] * 3, np.full(3, True)])
+def test_a_loss_model_may_answer_with_one_truth_or_one_per_hop(answer):
+    assert travel(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24) == [True] * 3
+
+
+NO_TRUTHS = [None, 0.0, 1, [0.0, 1.0, 0.0], [0, 1, 0], [None] * 3, "yes", [], [True], [True] * 2, [True] * 4]
+
+
+@pytest.mark.parametrize("answer", NO_TRUTHS, ids=repr)
+def test_a_loss_model_that_answers_with_anything_but_one_truth_or_one_per_hop_is_refused(answer):
+    with pytest.raises(ValueError, match=r"one truth or one for each of 3 hops, got (None|'yes'|[\d.\[])"):
+        travel(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24)
+
+
+@pytest.mark.parametrize("as_attribute", [True, False], ids=["edge", "link"])
+def test_a_link_of_its_own_answers_for_a_single_hop(as_attribute):
+    """One number, or a list of one; two of them, or none, are refused, and so is a loss that is no truth."""
+
+    def trip(**model):
+        graph = nx.complete_graph(4)
+        if as_attribute:
+            graph.edges[0, 2].update(model)
+            return travel(Links(), graph=graph)
+        return travel(Links(link=(Link(src=0, dst=2, **model),)))
+
+    for answer in (0.5, [0.5]):
+        assert trip(latency=answering(answer)).arrivals(0, [1, 2, 3], 0, 0, 24) == [0, SECOND // 2, 0]
+    for count in (0, 2):
+        with pytest.raises(ValueError, match=f"each of 1 hops, got {count}"):
+            trip(latency=answering([0.5] * count)).arrivals(0, [1, 2, 3], 0, 0, 24)
+    for answer in (True, [True]):
+        assert trip(loss=answering(answer)).losses(0, [1, 2, 3], 0, 24) == [False, True, False]
+    for answer in (None, 1.0, [1.0], [], [True, True]):
+        with pytest.raises(ValueError, match="one truth or one for each of 1 hops"):
+            trip(loss=answering(answer)).losses(0, [1, 2, 3], 0, 24)

@@ -331,3 +331,50 @@ def test_no_message_appears_or_disappears_while_word_is_passed_on(spread, seed):
     tally = result.trace.of(Tally)[0]
     assert tally.sent == tally.delivered + tally.lost + tally.in_flight > 100
     assert min(tally.lost_by["loss"], tally.lost_by["crash"], tally.delivered) > 0
+
+
+# Word that comes by a detour first.
+
+
+def transmissions(edges, hops):
+    """Return who heard what 0 says at 1 s, and how often each said it, over (i, j, latency in s)."""
+    graph = nx.Graph()
+    graph.add_nodes_from(range(1 + max(max(edge[:2]) for edge in edges)))
+    for i, j, latency in edges:
+        graph.add_edge(i, j, latency=latency)
+    when, result = arrivals(graph, Flooding(hops=hops, jitter=0.0), network=Links(graph=Edges.of(graph)))
+    said = {(sent.src, sent.flight) for sent in result.trace.of(Sent)}
+    return when, Counter(src for src, _ in said)
+
+
+def test_a_duplicate_that_may_travel_farther_is_passed_on():
+    """0 - 1 - 2 takes 0.5 s, 0 - 2 takes 2 s; 2 hears by 1 with no hop left, then from 0 with one: so 3 hears."""
+    when, said = transmissions([(0, 1, 0.25), (1, 2, 0.25), (0, 2, 2.0), (2, 3, 0.25)], hops=2)
+    assert when == {1: 1.25, 2: 1.5, 3: 3.25}
+    assert said == {0: 1, 1: 1, 2: 1}
+
+
+def test_word_that_was_passed_on_is_passed_on_again_only_with_more_hops_left():
+    """With 3 hops 2 passes on what it hears by 1, with one hop left, and again what it hears from 0: so 4 hears.
+
+    What the others hear twice may not travel farther than before.
+    """
+    path = [(2, 3, 0.25), (3, 4, 0.25)]
+    when, said = transmissions([(0, 1, 0.25), (1, 2, 0.25), (0, 2, 2.0), *path], hops=3)
+    assert when == {1: 1.25, 2: 1.5, 3: 1.75, 4: 3.5}
+    assert said == {0: 1, 1: 1, 2: 2, 3: 1}
+
+
+@pytest.mark.parametrize(
+    "edges",
+    [
+        [(0, 1, 0.25), (0, 2, 0.25), (1, 3, 0.25), (2, 3, 1.0), (3, 4, 0.25)],
+        [(0, 3, 0.25), (0, 1, 1.0), (1, 2, 1.0), (2, 3, 1.0), (3, 4, 0.25)],
+    ],
+    ids=["equal", "fewer"],
+)
+@pytest.mark.parametrize("hops", [3, 4, FAR])
+def test_a_duplicate_with_as_many_hops_left_or_fewer_is_not_passed_on(edges, hops):
+    when, said = transmissions(edges, hops)
+    assert sorted(when) == [1, 2, 3, 4]
+    assert set(said.values()) == {1}

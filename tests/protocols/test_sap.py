@@ -5,6 +5,7 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
+from desim.kernel.faults import ClockSkew
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -14,6 +15,7 @@ from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
+from protocols.temperature import PaperTau
 
 
 def final_profile(result):
@@ -73,3 +75,28 @@ def test_a_team_that_cannot_capture_stays_and_says_so():
     numbers = summary(result)
     assert (numbers.captured, numbers.active_time, numbers.idle_time) == (False, 0.0, 2.0)
     assert numbers.messages_sent == 2 * numbers.decisions > 0
+
+
+def test_a_clock_that_is_behind_does_not_count_slots_below_zero():
+    """Clocks 3 s slow show -3 s to 3 s: as long as they are below 0 the temperature is that of 0, and chance decides.
+
+    (-3)^2 would be as cold as 3^2.
+    """
+    seen = []
+
+    class Spied:
+        def __call__(self, eta):
+            seen.append(eta)
+            return PaperTau()(eta)
+
+    skews = tuple(ClockSkew(node=node, offset=-3.0) for node in range(8))
+    scenario = frozen(Links()).model_copy(update={"horizon": 6.0, "fault": skews})
+    play = SpatialAdaptivePlay(schedule=Poisson(rate=20.0), tau=Spied())
+    decisions = run(scenario.model_copy(update={"protocol": play}), 0)
+    slots = len(seen)
+    early = sum(eta == 0.0 for eta in seen)
+    assert decisions.trace.of(Decided)
+    assert seen == sorted(seen)
+    assert abs(early - slots / 2) < 5 * np.sqrt(slots) / 2
+    assert seen[0] == 0.0
+    assert 0.9 * 3.0 * 8 * 20.0 < seen[-1] <= 3.0 * 8 * 20.0

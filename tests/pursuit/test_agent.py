@@ -3,12 +3,14 @@
 import pytest
 
 from desim import Scenario, run
+from desim.kernel.events import Broadcast
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.seeds import stream
 from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Team
+from desim.scenario import Evader, Recording, Team
 
 
 def play(protocol, latency=0.0, **changes):
@@ -132,3 +134,71 @@ def test_a_protocol_that_fails_fails_the_run_with_its_own_error():
 
     with pytest.raises(KeyError, match="mine"):
         play(protocol)
+
+
+@pytest.mark.parametrize(("between", "said"), [(True, [0.1, 2.0]), (False, [0.1])])
+def test_what_a_heartbeat_has_said_counts_as_said(between, said):
+    """Active and so announced at 0.1 s; inactive from 0.2 to 2 s, of which only a heartbeat tells; active again at 2 s.
+
+    That is a change to who heard the heartbeat, and none if there was no heartbeat between.
+    """
+
+    def protocol(me):
+        for t, active in ((0.1, True), (0.2, False), (2.0, True)):
+            yield me.at(t)
+            me.assign(active)
+            if active:
+                me.announce()
+
+    team = Team(positions=[(9.0, 0.0)] * 2, speeds=1.0, active_at_start=0.0)
+    announce = Announcements(trigger="both", heartbeat=2.0) if between else Announcements(trigger="change")
+    for seed in range(8):
+        record = Recording(trajectory=0.0, messages=True)
+        result = play(protocol, team=team, announce=announce, record=record, seed=seed)
+        told = {b.t / 1e9: b.body.active for b in result.trace.of(Broadcast) if b.src == 0}
+        quiet = {t: active for t, active in told.items() if 0.2 < t < 2.0}
+        assert not any(quiet.values())
+        assert bool(quiet) <= between
+        if bool(quiet) == between:
+            assert [t for t in told if t in {0.1, 2.0}] == said
+
+
+def test_a_stream_that_is_asked_for_again_goes_on():
+    """And so do all processes of a pursuer with one stream: what it draws is never drawn twice."""
+    drawn = {}
+
+    def protocol(me):
+        mine = drawn.setdefault(me.id, [])
+        for _ in range(5):
+            mine.append(me.stream("x").random())
+            yield me.sleep(0.1)
+
+    play(protocol)
+    assert drawn == {pursuer: stream(0, "x", pursuer).random(5).tolist() for pursuer in range(3)}
+
+
+class Dicing:
+    """A way to spread word that draws from the generator of a pursuer's decisions, every 0.1 s."""
+
+    def __init__(self, drawn):
+        self._drawn = drawn
+
+    def tell(self, me, news):
+        """Say nothing."""
+
+    def __call__(self, me):
+        while True:
+            self._drawn.setdefault(me.id, []).append(me.rng.random())
+            yield me.sleep(0.1)
+
+
+def test_the_way_word_spreads_and_the_protocol_share_one_generator():
+    """Each draws ten times in turns; together they draw what the stream gives, each number once."""
+    drawn = {}
+
+    def protocol(me):
+        yield me.sleep(0.05)
+        yield from Dicing(drawn)(me)
+
+    play(protocol, announce=Announcements(spread=Dicing(drawn), trigger="never"), horizon=0.98)
+    assert drawn == {pursuer: stream(0, "decisions", pursuer).random(20).tolist() for pursuer in range(3)}
