@@ -107,16 +107,17 @@ class _Crew:
 
     def recovered(self, crash: Crash) -> None:
         """Let a pursuer go on, once nothing of it is broken any more."""
-        node, robot = crash.node, crash.scope == "robot"
-        self._agents[node].repaired(restarted=robot and not crash.memory)
-        if robot:
+        node, remembers = crash.node, True
+        if crash.scope == "robot":
             self._open[node].remove(crash)
             if not crash.memory:
                 self._forgetful.add(node)
             if not self._open[node]:
-                self._world.repair(node)
-                self._repaired[node].succeed(node not in self._forgetful)
+                remembers = node not in self._forgetful
                 self._forgetful.discard(node)
+                self._world.repair(node)
+                self._repaired[node].succeed(remembers)
+        self._agents[node].repaired(restarted=not remembers)
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
         """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made.

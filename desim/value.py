@@ -133,6 +133,8 @@ class OneOf:
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = _imported(value)
+            if not callable(value):
+                raise ValueError(f"{kind!r} is nothing that can be called, but {value!r}")
         if not callable(value):
             return validate(value)
         if missing := [name for name in self.needs if not hasattr(value, name)]:

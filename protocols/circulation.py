@@ -32,6 +32,8 @@ from protocols.token_messages import (
 PORT = "token"
 """Where all that concerns the token comes in."""
 
+BACKOFF = 1.5
+"""How much longer messages are expected to be on the air at each time-out than at the one before."""
 Waiting = Generator[Any, Any, bool]
 """A part of a process that finds out whether something is so."""
 Choice = Callable[[Agent, Token], int | None]
@@ -52,10 +54,15 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
             yield from station.hand_on(station.token, choose)
 
 
+def full_token(me: Agent) -> Token:
+    """Return a token that is as long as one that knows of everyone."""
+    records = (Record(me.id, 0, 0, me.assignment()),) * me.team_size
+    return Token(UNHEARD, 0, (0,) * me.team_size, (), records)
+
+
 def hop_time(me: Agent) -> float:
     """Return how long a token that knows of everyone typically travels, its airtime included, s."""
-    records = (Record(me.id, 0, 0, me.assignment()),) * me.team_size
-    return me.typical_latency(Token(UNHEARD, 0, (0,) * me.team_size, (), records))
+    return me.latency + me.airtime(full_token(me))
 
 
 class Station:
@@ -75,7 +82,10 @@ class Station:
         self._answered: set[int] = set()  # who has, since the last token left or a new epoch began
         self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
         self._hop_time = hop_time(me)
-        self._resend = max(1.25 * (self._hop_time + me.typical_latency(Receipt(UNHEARD, 0))), hold)
+        # There and back, with what may wait in front of the token and of its receipt.
+        self._on_air = 1.25 * (me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)))
+        self._resend = max(2.5 * me.latency + self._on_air, hold)
+        self._greeting = 0.0  # not before this time, on the own clock, is anybody greeted
         self._deadline = me.now + self.patience
 
     @property
@@ -86,7 +96,11 @@ class Station:
         claim of one is heard before others make theirs.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
-        return hops * (self._hop_time + self._hold) + self._attempts * self._resend
+        return hops * (self._hop_time + self._hold) + sum(map(self._time_out, range(self._attempts)))
+
+    def _time_out(self, attempt: int) -> float:
+        """Return how long a receipt is awaited, s; longer each time, if the channel may be busy."""
+        return self._resend + self._on_air * (BACKOFF**attempt - 1.0)
 
     # What it does while the token is elsewhere, and while it is here.
 
@@ -120,9 +134,9 @@ class Station:
     def _deliver(self, token: Token, dst: int) -> Process:
         """Send the token until its receipt is confirmed, or superseded, or as often as is reasonable."""
         self._next = dst
-        for _ in range(self._attempts):
+        for attempt in range(self._attempts):
             self._me.send(dst, token, PORT)
-            until = self._me.now + self._resend
+            until = self._me.now + self._time_out(attempt)
             while self.token is token and not (yield from self._wait(until)):
                 pass
             if self.token is not token:
@@ -243,7 +257,8 @@ class Station:
     def _greeted(self, token: Token) -> Token:
         """Return the token after it was tried whether one of the absent answers again: each once in N hops."""
         dst = longest_absent(token, self._me.neighbours())
-        if dst is None:
+        if dst is None or self._me.now < self._greeting:
             return token
+        self._greeting = self._me.now + self._resend
         self._me.send(dst, Sign(token.epoch, token.hop, asks=True), PORT)
         return token._replace(visits=marked(token, dst))

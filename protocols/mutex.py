@@ -6,8 +6,9 @@ Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Com
 Parameters: rate (wishes to decide per second), attempts (before a neighbour is left out).
 Assumes: that neighbours hear each other; that a neighbour which does not answer `attempts` times has broken down or is
     out of reach. Only neighbours exclude each other and are known as they are.
-Messages: 2 d_i per decision among d_i neighbours, and at least 2 L; more if it takes longer than 2.5 L, for requests
+Messages: 2 d_i per decision among d_i neighbours, and at least 2 L; more if it takes longer than expected, for requests
     are repeated then, and who makes others wait says so.
+Stable while the channel can carry 2 d_i messages per decision.
 Robust to loss: yes. Requests are repeated until they are answered; the oldest waits for nobody but the silent, whom
     it leaves out, so nobody waits for ever. Who was silent is still asked but not waited for until it replies again.
 """
@@ -61,16 +62,16 @@ class LocalMutex(Value):
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """How often a neighbour that does not answer is asked before it is left out."""
     floor: Period = 0.001
-    """Least time after which a request is repeated, s; it is 2.5 L if that is longer."""
+    """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s."""
-        latency, neighbours = me.typical_latency(), len(me.neighbours())
-        return max(1.0 / self.rate + 2.0 * latency, (neighbours + 1) * latency) / me.team_size
+        neighbours = len(me.neighbours())
+        return max(1.0 / self.rate + 2.0 * me.latency + on_air(me), (neighbours + 1) * me.latency) / me.team_size
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
-        section = Section(me, self.attempts, max(2.5 * me.typical_latency(), self.floor))
+        section = Section(me, self.attempts, self.floor)
         rng = me.stream("mutex")
         while True:
             yield from section.idle(me.now + rng.exponential(1.0 / self.rate))
@@ -80,11 +81,23 @@ class LocalMutex(Value):
             section.leave()
 
 
+BACKOFF = 1.5
+"""How much longer messages are expected to be on the air at each time-out than at the one before."""
+
+
+def on_air(me: Agent) -> float:
+    """Return how long one channel is busy with requests to all neighbours and their replies, s."""
+    stamp, record = (0, 0), Record(me.id, 0, 0, me.assignment())
+    return len(me.neighbours()) * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
+
+
 class Section:
     """One pursuer's part in the exclusion: it is inside from `enter` to `leave`."""
 
-    def __init__(self, me: Agent, attempts: int, resend: float):
-        self._me, self._attempts, self._resend = me, attempts, resend
+    def __init__(self, me: Agent, attempts: int, floor: float):
+        self._me, self._attempts = me, attempts
+        self._on_air = 1.25 * on_air(me)
+        self._resend = max(2.5 * me.latency + self._on_air, floor)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request
         self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain
@@ -99,8 +112,10 @@ class Section:
     def enter(self) -> Process:
         """Ask all neighbours, and wait until those that are not silent have replied."""
         self._ask()
+        time_out, on_air = self._resend, self._on_air
         while self._missing:
-            until = self._me.now + self._resend
+            until = self._me.now + time_out
+            time_out, on_air = time_out + (BACKOFF - 1.0) * on_air, BACKOFF * on_air
             while self._missing:
                 if (yield from self._wait(until)):
                     self._ask_again()

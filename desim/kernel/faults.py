@@ -208,5 +208,8 @@ def drawn(given: Sequence[Fault | Plan | ClockSkew], size: int, horizon: float, 
         if isinstance(each, Fault):
             faults.append(each)
         elif not isinstance(each, ClockSkew):
-            faults += each(size, horizon, stream(seed, "faults", next(number)))
+            found = each(size, horizon, stream(seed, "faults", next(number)))
+            if found is None:
+                raise ValueError(f"the plan {each!r} should return or yield faults, got None")
+            faults += found
     return faults

@@ -159,12 +159,13 @@ class Network:
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
 
-    def typical_latency(self, body: Any = None) -> float:
-        """Return the mean one-way latency of a message with this body, airtime included and queues left out, s."""
-        return self._typical_latency + self._medium(size_of(body))
+    def airtime(self, body: Any) -> float:
+        """Return how long a message with this body is on the air, s."""
+        return self._medium(size_of(body))
 
     @cached_property
-    def _typical_latency(self) -> float:
+    def typical_latency(self) -> float:
+        """The mean one-way latency over the links of the first senders, airtime and queues left out, s."""
         return self._travel.typical_latency()
 
     # What happens to them.

@@ -198,9 +198,11 @@ def _checked(delays: Any) -> Any:
 
 def _times(answer: Any, count: int) -> Arrival:
     """Return what a latency model answers for so many hops in whole ns: one number, or a list of one per hop."""
+    shape = np.shape(answer)
+    if shape not in {(), (count,)}:
+        got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
+        raise ValueError(f"latencies should be one number or one for each of {count} hops, got {got}")
     times: Arrival = _checked(answer)
-    if isinstance(times, list) and len(times) != count:
-        raise ValueError(f"latencies should be one number or one for each of {count} hops, got {len(times)}")
     return times
 
 

@@ -184,9 +184,14 @@ class Agent:
         """Return who hears it now, or who hears a teammate, from sensed positions and the known range."""
         return self._network.neighbours(self.id if of is None else of)
 
-    def typical_latency(self, body: Any = None) -> float:
-        """Return the mean one-way latency of a message without queues, s: what a designer would know of the network."""
-        return self._network.typical_latency(body)
+    @property
+    def latency(self) -> float:
+        """The mean one-way latency of the network, airtime and queues left out, s: what its designer would know."""
+        return self._network.typical_latency
+
+    def airtime(self, body: Any) -> float:
+        """Return how long a message keeps the transmitter busy, s."""
+        return self._network.airtime(body)
 
     def stream(self, name: str) -> np.random.Generator:
         """Return a random stream of its own; asked for again, also after a restart, it goes on."""
@@ -300,7 +305,7 @@ class Agent:
         limit = self._announcements.forget_after
         if limit == "auto":
             beats, period = self._announcements.beats, self._announcements.heartbeat
-            limit = 3.0 * period + 2.0 * self.typical_latency(self.assignment()) if beats else inf
+            limit = 3.0 * period + 2.0 * (self.latency + self.airtime(self.assignment())) if beats else inf
         return limit if limit == inf else nanoseconds(limit)
 
     def _believed_time(self, record: Record) -> float:
