@@ -505,7 +505,11 @@ BAD_NETWORKS = {
         "network.link.0",
         "no link from 0 to 2",
     ),
-    "link like all others": ("network.link = [{ src = 0, dst = 2 }]", "network.link.0", "a latency or a loss"),
+    "link like all others": (
+        "network.link = [{ src = 0, dst = 2 }]",
+        "network.link.0",
+        "a latency, a loss or an order",
+    ),
     "latency of a link": (
         'network.link = [{ src = 0, dst = 2, latency = { kind = "constant", value = -2.0 } }]',
         "network.link.0.latency.value",

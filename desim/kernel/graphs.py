@@ -98,6 +98,8 @@ class Edge(Value):
     """One-way latency, s."""
     loss: Annotated[Loss, LOSSES] | None = None
     """Which messages are lost."""
+    order: Literal["overtaking", "fifo"] | None = None
+    """Whether a message may overtake an earlier one, or waits for it."""
 
 
 class Link(Edge):
@@ -108,8 +110,8 @@ class Link(Edge):
 
     @model_validator(mode="after")
     def _differs(self) -> Self:
-        if self.latency is None and self.loss is None:
-            raise ValueError("should have a latency or a loss of its own")
+        if self.latency is None and self.loss is None and self.order is None:
+            raise ValueError("should have a latency, a loss or an order of its own")
         return self
 
     def ways(self) -> list[tuple[int, int]]:
@@ -158,7 +160,7 @@ class Edges(Value):
         for edge in self.edges:
             if max(edge.src, edge.dst) >= size:
                 raise ValueError(f"edge {edge.src} to {edge.dst}: the nodes should be 0 .. {size - 1}")
-            own = {"latency": edge.latency, "loss": edge.loss}
+            own = {"latency": edge.latency, "loss": edge.loss, "order": edge.order}
             given = {name: model for name, model in own.items() if model is not None}
             graph.add_edge(edge.src, edge.dst, **given)
         return graph
@@ -185,7 +187,7 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
         raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
     edges = [
         {"src": int(src), "dst": int(dst)}
-        | {name: as_model(name, own[name]) for name in ("latency", "loss") if name in own}
+        | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
         for src, dst, own in graph.edges(data=True)
     ]
     return {"edges": edges, "nodes": size, "directed": graph.is_directed()}

@@ -59,13 +59,14 @@ class Travel:
         self._delays = _stock(self._latency, self._latency_rng, _checked)
         self._lots = _stock(self._loss, self._loss_rng, np.ndarray.tolist)
         self._own_latency, self._own_loss = _own(links, graph, "latency"), _own(links, graph, "loss")
-        self._last: dict[tuple[int, int], int] | None = {} if links.order == "fifo" else None
+        self._order, self._own_order = links.order, _own(links, graph, "order")
+        self._last: dict[tuple[int, int], int] = {}  # when the last message of each link that keeps its order arrives
         self._lossless = isinstance(links.loss, Bernoulli) and links.loss.p == 0.0
         self.lossless = self._lossless and not self._own_loss
         """Whether the links never lose anything."""
         # Latencies that are always the same need no models asked, and nothing overtakes.
         self._constant = None
-        if isinstance(links.latency, Constant) and not self._own_latency and self._last is None:
+        if isinstance(links.latency, Constant) and not self._own_latency:
             self._constant = nanoseconds(links.latency.value)
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
@@ -123,13 +124,15 @@ class Travel:
         return sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
-        """Let no message that is not lost arrive before an earlier one of its link, if they keep their order."""
-        last = self._last
-        if last is None:
+        """Let no message that is not lost arrive before an earlier one of its link, if the link keeps their order."""
+        own = self._own_order.get(src)
+        if self._constant is not None or (self._order == "overtaking" and not own):
             return arrival
-        for node, when in zip(dst, each(arrival, len(dst)), strict=True):
-            last[src, node] = max(when, last.get((src, node), 0))
-        return [last[src, node] for node in dst]
+        last, arrivals = self._last, list(each(arrival, len(dst)))
+        for k, node in enumerate(dst):
+            if (own.get(node, self._order) if own else self._order) == "fifo":
+                arrivals[k] = last[src, node] = max(arrivals[k], last.get((src, node), 0))
+        return arrivals
 
     def _hops(self, src: int, dst: list[int], now: int, size: int) -> Hops:
         return Hops(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)

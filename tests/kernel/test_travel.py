@@ -367,3 +367,18 @@ def test_a_link_of_its_own_answers_for_a_single_hop(as_attribute):
     for answer in (None, 1.0, [1.0], [], [True, True]):
         with pytest.raises(ValueError, match="one truth or one for each of 1 hops"):
             trip(loss=answering(answer)).losses(0, [1, 2, 3], 0, 24)
+
+
+@pytest.mark.parametrize("order", ["fifo", "overtaking"])
+@pytest.mark.parametrize("by_edge", [True, False])
+def test_a_link_may_keep_an_order_of_its_own(order, by_edge):
+    """Links 0 to 1 and 0 to 2 fare alike but for the order of the first; the control is the second."""
+    other = {"fifo": "overtaking", "overtaking": "fifo"}[order]
+    graph = nx.complete_graph(3)
+    if by_edge:
+        graph.edges[0, 1]["order"] = order
+    own = () if by_edge else (Link(src=0, dst=1, order=order),)
+    trip = travel(Links(latency=Uniform(high=1.0), order=other, link=own), graph=graph)
+    found = np.array([arrivals_in_order(trip, 0, [1, 2], k * SECOND // 100) for k in range(100)])
+    kept = (np.diff(found, axis=0) >= 0).all(axis=0)
+    assert kept.tolist() == [order == "fifo", other == "fifo"]
