@@ -15,7 +15,6 @@ from desim.kernel.presets import PRESETS
 from desim.kernel.reach import Disk
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
-from desim.kernel.travel import TYPICAL_SIZE
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
 from desim.pursuit.word import Announcements
@@ -252,10 +251,10 @@ class Scenario(Value):
         for k, fault in enumerate(self.fault):
             if getattr(fault, "at", 0.0) >= self.horizon:
                 yield f"fault.{k}.at", "it would begin after the horizon"
-        load = network.medium(TYPICAL_SIZE) / announce.heartbeat * (self.team.count if network.medium.shared else 1)
+        load = network.medium(announce.size) / announce.heartbeat * (self.team.count if network.medium.shared else 1)
         if announce.beats and load > 1.0:
             yield (
                 "announce.heartbeat",
-                f"heartbeats of {TYPICAL_SIZE} bytes alone would keep the channel busy {load:.1f} times over, so that"
+                f"heartbeats of {announce.size} bytes alone would keep the channel busy {load:.1f} times over, so that"
                 " messages wait for longer and longer, or are dropped",
             )

@@ -39,7 +39,7 @@ ALLOWED = {
     "desim.pursuit.events": set(),
     "desim.pursuit.motion": {"desim.pursuit.state"},
     "desim.pursuit.evasion": {"desim.pursuit.state", "desim.value"},
-    "desim.pursuit.word": {"desim.kernel.records", "desim.value"},
+    "desim.pursuit.word": {"desim.kernel.records", "desim.kernel.wire", "desim.value"},
     "desim.pursuit.surroundings": set(),
     "desim.pursuit.agent": {
         "desim.kernel",

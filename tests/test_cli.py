@@ -875,7 +875,9 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
 @pytest.mark.parametrize("count", [6, 200])
 def test_heartbeats_that_a_channel_cannot_carry_are_told_with_the_line_of_their_period(file, count):
     """48 bytes take 97.5 ms at SF 7: of 6 pursuers every 0.5 s that is 1.2 times all the time there is."""
-    path = file(f'team.count = {count}\n\n[network]\npreset = "lora_sf7"\n\n[announce]\nheartbeat = 0.5\n')
+    path = file(
+        f'team.count = {count}\n\n[network]\npreset = "lora_sf7"\n\n[announce]\nheartbeat = 0.5\npayload = "state"\n'
+    )
     (said,) = accepted("check", path).stderr.splitlines()
     assert said == (
         f"warning: {path}:7: announce.heartbeat: heartbeats of 48 bytes alone would keep the channel busy"

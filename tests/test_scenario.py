@@ -331,14 +331,14 @@ SLOW = {"kind": "bitrate", "bitrate": 3840.0}  # 48 bytes take 0.1 s
             "it is given, and is not that of the preset 'wifi'",
         ),
         (
-            {"network": {"medium": SLOW}, "announce": {"heartbeat": 0.08}},
+            {"network": {"medium": SLOW}, "announce": {"heartbeat": 0.08, "payload": "state"}},
             "announce.heartbeat",
             "heartbeats of 48 bytes alone would keep the channel busy 1.2 times over",
         ),
         ({"network": {"medium": SLOW}, "announce": {"heartbeat": 0.1}}, None, ""),
         ({"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 2.0}}, None, ""),
         (
-            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0}},
+            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0, "payload": "state"}},
             "announce.heartbeat",
             "busy 2.0 times over",
         ),

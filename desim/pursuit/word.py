@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from desim.kernel.records import Record
+from desim.kernel.wire import size_of
 from desim.value import Extent, OneOf, Period, Truth, Value
 
 
@@ -78,6 +79,16 @@ class Announcements(Value):
     """Whether everyone knows at first who is active; if not, nobody has heard of anybody."""
     spread: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How word spreads beyond those who hear it first."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of an announcement."""
+        said = {
+            "action": Assignment(True),
+            "time": TimedAssignment(True, 0.0),
+            "state": LocatedAssignment(True, 0, 0, 0),
+        }
+        return size_of(said[self.payload])
 
     @property
     def beats(self) -> bool:
