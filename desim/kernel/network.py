@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     import simpy
 
 
-NOTHING_LOST: dict[int, Cause] = {}
-
-
 class Flight(NamedTuple):
     """One transmission: a record or a message, and whom it is for."""
 
@@ -250,7 +247,7 @@ class Network:
         self._transmissions += 1
         self._bytes_sent += flight.size
         arrival = self._travel.arrivals(flight.src, receivers, now, airtime, flight.size)
-        causes = self._losses(flight) if self._may_lose or not flight.reachable else NOTHING_LOST
+        causes = self._losses(flight) if self._may_lose or not flight.reachable else {}
         reached = receivers
         if causes:
             reached = [node for node in receivers if node not in causes]
