@@ -3,10 +3,15 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from desim.kernel.events import Trace
 from desim.kernel.invariants import Conservation
 
+# The same cases every time, however slow the machine; new ones with --hypothesis-profile=explore.
+settings.register_profile("steady", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
+settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"
 
 
