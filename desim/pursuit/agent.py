@@ -7,6 +7,7 @@ teammates only what the network has brought it.
 from collections.abc import Callable, Generator, Iterable
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from math import inf
 from typing import Any, Self
@@ -119,7 +120,7 @@ class Agent:
 
         Whose last word arrived longer ago than `forget_after` is not believed active.
         """
-        table, oldest = self.heard(), self._env.now - self._memory()
+        table, oldest = self.heard(), self._env.now - self._memory
         trusted = {j: record for j, (arrival, record) in table.items() if arrival >= oldest and record.body.active}
         if self._announcements.payload == "action":
             phi = self._world.capture_times()
@@ -239,7 +240,7 @@ class Agent:
         def happen(_: simpy.Event) -> None:
             act()
 
-        Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn).callbacks.append(happen)
+        self.sleep(duration).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
         """Return an event at this very instant, when everybody has decided who decides at it."""
@@ -255,8 +256,9 @@ class Agent:
         """Return the time on its own clock, ns."""
         return nanoseconds(self.now)
 
+    @cached_property
     def _memory(self) -> float:
-        """Return how long it believes what it has heard, ns."""
+        """How long it believes what it has heard, ns."""
         limit = self._announcements.forget_after
         if limit == "auto":
             beats, period = self._announcements.beats, self._announcements.heartbeat
