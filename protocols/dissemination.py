@@ -48,7 +48,7 @@ class OneHop(Value):
 class Flooding(Value):
     """Whoever hears something new says it once more, up to a number of hops; duplicates are dropped.
 
-    A duplicate is not one that may travel farther than the first.
+    A copy that may travel farther than the first is no duplicate.
     Robust to loss: where there are several paths. Messages: up to one transmission per pursuer and announcement.
     """
 

@@ -22,39 +22,34 @@ from desim.value import Period, Value
 from protocols.circulation import circulate, hop_time
 from protocols.token_messages import Token, present
 
-Attempts = Annotated[int, Field(ge=1, strict=True)]
 
+class _WithToken(Value):
+    """What both schedules share."""
 
-class TokenRing(Value):
-    """The token goes to the neighbour that it has not visited for longest: on a complete graph, round by ids."""
-
-    kind: Literal["token_ring"] = "token_ring"
     hold: Period = 0.01
     """How long a pursuer has the token; it revises at the end of that time, s."""
-    attempts: Attempts = 5
+    attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """How often the token is sent to a neighbour that does not answer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return hold + L, s."""
+        """Return hold + L, s; a pursuer that keeps the token is faster by L."""
         return self.hold + hop_time(me)
+
+
+class TokenRing(_WithToken):
+    """The token goes to the neighbour that it has not visited for longest: on a complete graph, round by ids."""
+
+    kind: Literal["token_ring"] = "token_ring"
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""
         return circulate(me, revise, self.hold, self.attempts, least_recent)
 
 
-class TokenWalk(Value):
+class TokenWalk(_WithToken):
     """The token walks at random so that in the long run everybody has it equally often (Metropolis and Hastings)."""
 
     kind: Literal["token_walk"] = "token_walk"
-    hold: Period = 0.01
-    """How long a pursuer has the token; it revises at the end of that time, s."""
-    attempts: Attempts = 5
-    """How often the token is sent to a neighbour that does not answer."""
-
-    def mean_slot(self, me: Agent) -> float:
-        """Return hold + L, s; who keeps the token is faster by L."""
-        return self.hold + hop_time(me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""
