@@ -13,7 +13,7 @@ from desim.analysis.knowledge import ended, knowledge
 from desim.analysis.word import ages, belief_error, over_pairs
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.events import Cause, Tally
-from desim.pursuit.events import Decided, Ended, Halted, Started
+from desim.pursuit.events import Decided, Halted, Started
 from desim.simulation import Result
 
 
@@ -55,7 +55,7 @@ class Summary:
 
 def summary(result: Result) -> Summary:
     """Return the numbers of one run."""
-    end, tally = ending(result), messages(result)
+    end, tally = ended(result), messages(result)
     captured = end.reason == "captured"
     age_mean, age_peak, age_at_decision, error = _word(result)
     return Summary(
@@ -95,11 +95,6 @@ def _word(result: Result) -> tuple[float | None, ...]:
     return tuple(None if isnan(each) else each for each in (*pairs, belief_error(result, known)))
 
 
-def ending(result: Result) -> Ended:
-    """Return how the run ended."""
-    return ended(result)
-
-
 def messages(result: Result) -> Tally:
     """Return how many messages there were, each receiver of a broadcast counted as one."""
     return result.trace.of(Tally)[0]
@@ -112,7 +107,7 @@ def activity(result: Result) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     for change in changes(result):
         times.append(change.t)
         counts.append(counts[-1] + (1 if _chases(change) else -1))
-    times.append(ending(result).t)
+    times.append(ended(result).t)
     return np.diff(times) / SECOND, np.array(counts)
 
 

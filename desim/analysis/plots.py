@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from desim.analysis.metrics import ending
+from desim.analysis.knowledge import ended
 from desim.kernel.clock import seconds
 from desim.pursuit.events import Sampled
 from desim.simulation import Result
@@ -69,7 +69,7 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     samples = result.trace.of(Sampled)
     if not samples:
         raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
-    end = ending(result)
+    end = ended(result)
     evader = np.array([sample.evader for sample in samples])
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
     others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]

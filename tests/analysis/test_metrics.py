@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from desim.analysis.knowledge import ended
 from desim.analysis.metrics import (
     active_time,
     activity,
     changes,
     crowded_time,
-    ending,
     excess_time,
     idle_time,
     messages,
@@ -192,7 +192,7 @@ def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
 
 
 def test_ending_and_messages_are_the_last_words_of_a_trace(relay):
-    assert ending(relay) == Ended(4 * SECOND, "captured", 2)
+    assert ended(relay) == Ended(4 * SECOND, "captured", 2)
     assert messages(relay) == Tally(4 * SECOND, 12, 7, 3, 2, {"loss": 3}, 6, 144, 0.25)
 
 
