@@ -136,6 +136,7 @@ def protocols() -> None:
 def _scenario(file: Path, overrides: tuple[str, ...]) -> "Scenario":
     """Return the scenario of a file, warn of what is hardly meant, and end the program if it is wrong."""
     from desim.scenario_file import ScenarioError, read, validate
+    from desim.warnings import warnings
 
     try:
         source = read(file, overrides)
@@ -144,7 +145,7 @@ def _scenario(file: Path, overrides: tuple[str, ...]) -> "Scenario":
         _refuse(str(error))
     except OSError as error:
         _refuse(f"{file}: cannot be read: {error.strerror}")
-    for key, why in scenario.warnings():
+    for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
         click.echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
     return scenario

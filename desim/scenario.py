@@ -1,7 +1,6 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
 from collections.abc import Iterator
-from math import inf
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -11,8 +10,6 @@ from pydantic_core import PydanticCustomError
 
 from desim.kernel.faults import FAULTS
 from desim.kernel.links import Links
-from desim.kernel.presets import PRESETS
-from desim.kernel.reach import Disk
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
@@ -168,6 +165,9 @@ class Scenario(Value):
     """Seed of every random stream of the run."""
     horizon: Horizon = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
+    prune: Literal["none", "inf", "infeasible"] = "inf"
+    """Who has no choice but to stay, whatever the protocol: nobody; who can never capture (phi = inf); or also who
+    would be late (phi >= r)."""
     team: Team = Team()
     evader: Evader = Evader()
     capture: Capture = Capture()
@@ -213,48 +213,3 @@ class Scenario(Value):
                 yield ("fault", k, "node"), nobody.format(node)
             for node in (node for group in getattr(fault, "groups", ()) for node in group if node >= count):
                 yield ("fault", k, "groups"), nobody.format(node)
-
-    def warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield what is legal but probably unintended: the key it concerns, and why."""
-        fastest = max(self.team.all_speeds())
-        if fastest <= self.evader.speed:
-            yield (
-                "team.speeds",
-                f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
-                f" {self.evader.speed} m/s, so every time of capture is inf and nobody will chase",
-            )
-        yield from self._warnings_of_network()
-        if hasattr(self.protocol, "warnings"):
-            yield from ((f"protocol.{key}", why) for key, why in self.protocol.warnings(self.motion.step))
-        if self.motion.step > self.horizon:
-            yield "motion.step", f"the step of {self.motion.step:g} s is longer than the horizon of {self.horizon:g} s"
-        stride = self.motion.step * max(fastest, self.evader.speed)
-        if self.capture.test == "sample" and stride > 2 * self.capture.radius:
-            yield (
-                "motion.step",
-                f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
-                f" than 2 x radius = {2 * self.capture.radius:g} m",
-            )
-
-    def _warnings_of_network(self) -> Iterator[tuple[str, str]]:
-        """Yield what has no effect, and what a channel cannot carry."""
-        network, announce = self.network, self.announce
-        if network.preset is not None:
-            preset = Links(preset=network.preset)
-            for key in PRESETS[network.preset]:
-                if getattr(network, key) != getattr(preset, key):
-                    yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
-        if network.range == inf and network.reach != Disk():
-            yield "network.reach", "it has no effect while the range is inf"
-        if announce.trigger == "never" and getattr(announce.spread, "kind", "one_hop") != "one_hop":
-            yield "announce.spread", "it has no effect, for nothing is ever announced"
-        for k, fault in enumerate(self.fault):
-            if getattr(fault, "at", 0.0) >= self.horizon:
-                yield f"fault.{k}.at", "it would begin after the horizon"
-        load = network.medium(announce.size) / announce.heartbeat * (self.team.count if network.medium.shared else 1)
-        if announce.beats and load > 1.0:
-            yield (
-                "announce.heartbeat",
-                f"heartbeats of {announce.size} bytes alone would keep the channel busy {load:.1f} times over, so that"
-                " messages wait for longer and longer, or are dropped",
-            )

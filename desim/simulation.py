@@ -77,7 +77,7 @@ class _Crew:
             for pursuer, (offset, drift) in enumerate(clock_errors(scenario.fault, world.size, seed))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
-        self._processes: dict[int, simpy.Process] = {}
+        self._processes: dict[int, list[simpy.Process]] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
         self._forgetful: set[int] = set()
@@ -90,8 +90,9 @@ class _Crew:
             agent = self._agents[pursuer]
             if announce.warm_start:
                 agent.presume()
-            self._processes[pursuer] = env.process(self._live(agent, protocol))
-            env.process(announce.spread(agent.in_phase(Phase.RELAY)))
+            relay = env.process(self._live(agent.in_phase(Phase.RELAY), announce.spread))
+            process = env.process(self._live(agent, protocol))
+            self._processes[pursuer] = [relay, process] if self._embodied else [relay]
             if speaks and announce.beats:
                 env.process(heartbeats(agent.in_phase(Phase.HEARTBEAT), announce.heartbeat))
 
@@ -102,8 +103,9 @@ class _Crew:
             if len(self._open[crash.node]) == 1:
                 self._world.halt(crash.node)
                 self._repaired[crash.node] = self._env.event()
-                if self._embodied and self._processes[crash.node].is_alive:
-                    self._processes[crash.node].interrupt(self._repaired[crash.node])
+                for process in self._processes[crash.node]:
+                    if process.is_alive:
+                        process.interrupt(self._repaired[crash.node])
 
     def recovered(self, crash: Crash) -> None:
         """Let a pursuer go on, once nothing of it is broken any more."""
@@ -120,24 +122,29 @@ class _Crew:
         self._agents[node].repaired(restarted=not remembers)
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
-        """Run a protocol from time 0 on, in the order of ids whatever the order in which processes were made.
+        """Run a process of a pursuer from time 0 on, in order of ids whatever the order in which they were made.
 
-        When the robot breaks down, its protocol stands still; repaired, it goes on with what it waited for, or starts
+        When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts
         anew if it has lost its memory.
         """
         behaviour: Process | None = None
         awaited: simpy.Event | None = agent.at(agent.now)
+        missed: simpy.Event | None = None  # what it waited for, if that happened while it was broken
         while awaited is not None:
             try:
                 value = yield awaited
             except simpy.Interrupt as crash:
                 remembers = yield cast("simpy.Event", crash.cause)
-                if not remembers and behaviour is not None:
+                if remembers:
+                    missed = awaited if missed is None and awaited.processed else missed
+                elif behaviour is not None:
                     behaviour.close()
-                    behaviour = None
+                    behaviour = missed = None
                 if behaviour is None or awaited.processed:
                     awaited = agent.at(agent.now)  # it goes on in its turn, after what arrives at this instant
                 continue
+            if missed is not None:
+                value, missed = missed.value, None
             if behaviour is None:
                 behaviour = protocol(agent)
                 awaited = next(behaviour, None)

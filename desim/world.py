@@ -12,8 +12,8 @@ import simpy
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
+from desim.pursuit.capture import RadialTime
 from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
-from desim.pursuit.game import RadialTime
 from desim.pursuit.motion import SMALLEST, first_contact, toward, within
 from desim.pursuit.state import Points, State, complex_points, coordinates
 from desim.scenario import Scenario
@@ -39,6 +39,7 @@ class World:
         self._speeds = np.array(scenario.team.all_speeds())
         self._radial_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
         self._slow: list[bool] = self._radial_time.slow.tolist()
+        self._prune = scenario.prune
         self._closing_bound = float(self._speeds.max()) + self._evader_speed
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
@@ -56,8 +57,8 @@ class World:
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
         self._active = scenario.team.start_profile(seed)
         self._state = State(0, self._origins, self._active)
-        self._capture_times: list[float] | None = None
-        self._active &= np.isfinite(self.capture_times())
+        self._capture_times: tuple[float, ...] | None = None
+        self._active = self._active & [self.may_chase(pursuer) for pursuer in range(self.size)]
         self._paces = self._speeds * self._active
 
     def begin(self) -> None:
@@ -81,26 +82,39 @@ class World:
             self._enter(State(now, self._origins + self._velocities * elapsed, self._active))
         return self._state
 
-    def capture_times(self) -> list[float]:
+    def capture_times(self) -> tuple[float, ...]:
         """Return every pursuer's time of capture now, s."""
         state = self.state()
         if self._capture_times is None:
-            self._capture_times = list(self._radial_time(state.distances).tolist())
+            self._capture_times = tuple(self._radial_time(state.distances).tolist())
         return self._capture_times
 
-    def time_left(self) -> float:
-        """Return the time left to the horizon, r, s; in a frozen game it does not run."""
-        return seconds(self._horizon if self._motion.frozen else self._horizon - self._env.now)
+    def time_left(self, now: int) -> float:
+        """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
+        return seconds(self._horizon if self._motion.frozen else self._horizon - now)
+
+    def may_chase(self, pursuer: int) -> bool:
+        """Return whether a pursuer has the choice to chase (`Scenario.prune`)."""
+        if self._prune == "infeasible":
+            return self.capture_times()[pursuer] < self.time_left(self._env.now)
+        return self._prune == "none" or not self._slow[pursuer]
 
     def capture_time_from(self, pursuer: int, position: complex) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
-        distances = self.state().distances.copy()
-        distances[pursuer] = abs(self.state().evader - position)
-        return float(self._radial_time(distances)[pursuer])
+        return self._radial_time.of(pursuer, abs(self.state().evader - position))
 
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
         return complex(self.state().players[pursuer])
+
+    def evader(self) -> complex:
+        """Return the position of the evader, m."""
+        return self.state().evader
+
+    @property
+    def radius(self) -> float:
+        """Return the distance at which the evader is captured, m."""
+        return self._capture.radius
 
     def speed(self, pursuer: int) -> float:
         """Return how fast a pursuer moves if it does, m/s."""
@@ -154,14 +168,14 @@ class World:
     # What changes it.
 
     def order(self, pursuer: int, active: bool) -> None:
-        """Let a pursuer chase or stay from this very instant on; one that is too slow to capture stays.
+        """Let a pursuer chase or stay from this very instant on; one that may not chase stays.
 
         Raises:
             ValueError: if there is no such pursuer.
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
-        active = bool(active) and not self._slow[pursuer] and not self._broken[pursuer]
+        active = bool(active) and not self._broken[pursuer] and self.may_chase(pursuer)
         self._trace.append(Decided(self._env.now, pursuer, active))
         self._set(pursuer, active)
 

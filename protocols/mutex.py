@@ -65,9 +65,12 @@ class LocalMutex(Value):
     """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s."""
-        neighbours = len(me.neighbours())
-        return max(1.0 / self.rate + 2.0 * me.latency + on_air(me), (neighbours + 1) * me.latency) / me.team_size
+        """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s.
+
+        d is the mean number of neighbours in the team, so that all agree.
+        """
+        degree, latency = me.mean_degree, me.latency
+        return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
@@ -85,10 +88,10 @@ BACKOFF = 1.5
 """How much longer messages are expected to be on the air at each time-out than at the one before."""
 
 
-def on_air(me: Agent) -> float:
-    """Return how long one channel is busy with requests to all neighbours and their replies, s."""
+def on_air(me: Agent, neighbours: float) -> float:
+    """Return how long one channel is busy with requests to so many neighbours and their replies, s."""
     stamp, record = (0, 0), Record(me.id, 0, 0, me.assignment())
-    return len(me.neighbours()) * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
+    return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
 
 
 class Section:
@@ -96,7 +99,7 @@ class Section:
 
     def __init__(self, me: Agent, attempts: int, floor: float):
         self._me, self._attempts = me, attempts
-        self._on_air = 1.25 * on_air(me)
+        self._on_air = 1.25 * on_air(me, len(me.neighbours()))
         self._resend = max(2.5 * me.latency + self._on_air, floor)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request

@@ -1,8 +1,8 @@
-"""Spatial Adaptive Play: one at a time, each pursuer draws its action from the logit of its gain.
+"""Spatial Adaptive Play: one at a time, each pursuer draws its action from the logit of what it is worth.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithms 1 and 2; the rule is log-linear learning (Blume 1993; Young 1998).
-Parameters: tau (temperature), schedule (who revises when).
+Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: revisions one at a time and news that travels at once, for the Gibbs law and the paper's results; on a complete
     graph neither is needed for convergence as tau -> 0.
 Messages: announcements as the scenario's `announce` says, one broadcast per change of action and heartbeat by default;
@@ -11,39 +11,45 @@ Robust to loss: yes, with heartbeats.
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from desim.pursuit.agent import Agent, Process
-from desim.pursuit.game import activation_probability
-from desim.value import OneOf, Value
-from protocols.mutex import LocalMutex
-from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
-from protocols.temperature import ConstantTau, PaperTau, Temperature
-from protocols.token import TokenRing, TokenWalk
+import numpy as np
 
-SCHEDULES = OneOf(SharedSeed, Poisson, Rounds, Periodic, TokenRing, TokenWalk, LocalMutex, needs=("mean_slot",))
+from desim.pursuit.agent import Agent
+from desim.pursuit.game import logit
+from protocols.rule import LearningRule
+from protocols.temperature import TEMPERATURES, PaperTau, Temperature, slots_seen
 
 
-class SpatialAdaptivePlay(Value):
-    """Each pursuer in its turn chooses to chase with probability expit(gain / tau), and says so."""
+class LogLinear(LearningRule):
+    """What the rules of the log-linear family share: a temperature that fades."""
+
+    assumes: ClassVar[tuple[str, ...]] = (*LearningRule.assumes, "one_at_a_time")
+    tau: Annotated[Temperature, TEMPERATURES] = PaperTau()
+    """Temperature, s."""
+
+    def inverse_temperatures(self, me: Agent) -> Iterator[float]:
+        """Yield 1/tau at each turn, 1/s."""
+        for eta in slots_seen(self.tau, me, self.schedule.mean_slot(me)):
+            yield self.tau(eta)
+
+
+class SpatialAdaptivePlay(LogLinear):
+    """Each pursuer in its turn draws its action with probability proportional to exp(utility / tau)."""
 
     kind: Literal["sap"] = "sap"
-    tau: Annotated[Temperature, OneOf(PaperTau, ConstantTau)] = PaperTau()
-    """Temperature, s."""
-    schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
-    """When each pursuer revises."""
 
-    def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer."""
-        slot = self.schedule.mean_slot(me)
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield a draw from the logit at each turn."""
+        for inverse_tau in self.inverse_temperatures(me):
+            yield drawn(logit(self.utilities(me), inverse_tau), me.rng)
 
-        def revise() -> None:
-            inverse_tau = self.tau(max(me.now, 0.0) / slot)
-            me.assign(me.rng.random() < activation_probability(me.gain(), inverse_tau))
 
-        yield from self.schedule(me, revise)
-
-    def warnings(self, step: float) -> Iterator[tuple[str, str]]:
-        """Yield what is legal but hardly meant with a motion step (s): the key it concerns, and why."""
-        if isinstance(self.schedule, Periodic):
-            yield from ((f"schedule.{key}", why) for key, why in self.schedule.warnings(step))
+def drawn(chances: list[float], rng: np.random.Generator) -> int:
+    """Return an action drawn with the given probabilities, by one number of `rng`."""
+    luck = rng.random()
+    for action in range(len(chances) - 1, 0, -1):
+        if luck < chances[action]:
+            return action
+        luck -= chances[action]
+    return 0

@@ -7,7 +7,7 @@ revisions in the whole team.
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -32,6 +32,7 @@ class SharedSeed(Value):
     Exactly the order of Lee & Bakolas, Algorithm 2, without a message. Assumes equal clocks.
     """
 
+    assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     kind: Literal["shared_seed"] = "shared_seed"
     slot: Period = 0.01
     """Length of a slot delta, s."""
@@ -75,6 +76,9 @@ class Rounds(Value):
     No Gibbs law, but on the relay game the fastest to settle: a round takes the time that others need for one revision.
     """
 
+    assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
+    at_once: ClassVar[bool] = True
+    """Several may revise at the same instant."""
     kind: Literal["rounds"] = "rounds"
     period: Period = 0.1
     """Time between two rounds, s."""

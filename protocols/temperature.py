@@ -4,9 +4,14 @@ A temperature is called with eta = t / delta, the number of slots that have pass
 temperature 1/tau in 1/s: an infinite temperature is then an ordinary number.
 """
 
-from typing import Literal, Protocol
+from collections.abc import Iterator
+from math import exp, log
+from typing import Annotated, Literal, Protocol
 
-from desim.value import Positive, Value
+from pydantic import Field
+
+from desim.pursuit.agent import Agent
+from desim.value import OneOf, Positive, Value
 
 
 class Temperature(Protocol):
@@ -37,3 +42,79 @@ class ConstantTau(Value):
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
         return 1.0 / self.value
+
+
+class LogarithmicTau(Value):
+    """tau = scale / ln(eta + offset): so slow that in a fixed game the best profile is found with probability 1."""
+
+    kind: Literal["logarithmic"] = "logarithmic"
+    scale: Positive = 1.0
+    """c, s; Hajek 1988, "Cooling Schedules for Optimal Annealing", tells how great it must be for that."""
+    offset: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 2.0
+    """k0 > 1, slots."""
+
+    def __call__(self, eta: float) -> float:
+        """Return 1/tau, 1/s."""
+        return log(eta + self.offset) / self.scale
+
+
+class GeometricTau(Value):
+    """tau falls by the same factor in every slot, down to a floor (Kirkpatrick, Gelatt & Vecchi 1983)."""
+
+    kind: Literal["geometric"] = "geometric"
+    first: Positive = 1.0
+    """Temperature of slot 0, s."""
+    ratio: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.97
+    """Factor from one slot to the next, in (0, 1)."""
+    floor: Positive = 0.001
+    """Least temperature, s."""
+
+    def __call__(self, eta: float) -> float:
+        """Return 1/tau, 1/s."""
+        coldest = log(self.first / self.floor)
+        return exp(min(-eta * log(self.ratio), coldest)) / self.first
+
+
+Surprise = Literal["neighbour", "silence", "order"]
+
+
+class AdaptiveTau(Value):
+    """Cools as another temperature does, but begins anew whenever a pursuer is surprised; each for itself."""
+
+    kind: Literal["adaptive"] = "adaptive"
+    cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau)] = GeometricTau()
+    """How it cools between two surprises."""
+    surprises: tuple[Surprise, ...] = ("neighbour", "silence", "order")
+    """What surprises: a teammate is heard that was not; one falls silent (`announce.forget_after`); another pursuer
+    than before has the least time of capture of those that are heard, itself included."""
+
+    def __call__(self, eta: float) -> float:
+        """Return 1/tau, eta slots after the last surprise, 1/s."""
+        return self.cooling(eta)
+
+    def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
+        """Yield at each turn how many slots have passed since the last surprise."""
+        since, heard, first = 0.0, None, me.id
+        while True:
+            beliefs = me.beliefs()
+            times = {me.id: me.capture_time()} | {j: each.capture_time for j, each in beliefs.items()}
+            ahead = min(times, key=lambda j: (times[j], j))
+            surprised = heard is not None and (
+                ("neighbour" in self.surprises and bool(beliefs.keys() - heard))
+                or ("silence" in self.surprises and bool(heard - beliefs.keys()))
+                or ("order" in self.surprises and ahead != first)
+            )
+            since = me.now if surprised else since
+            heard, first = beliefs.keys(), ahead
+            yield max(me.now - since, 0.0) / slot
+
+
+TEMPERATURES = OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau)
+
+
+def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
+    """Yield eta at each turn: the number of slots (s) that have passed, since the last surprise if that matters."""
+    if isinstance(tau, AdaptiveTau):
+        yield from tau.slots_since(me, slot)
+    while True:
+        yield max(me.now, 0.0) / slot

@@ -15,8 +15,9 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import capture_time, relay_profile
+from desim.pursuit.game import relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.dissemination import Flooding, OneHop

@@ -14,7 +14,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.game import activation_probability, gibbs, profiles
+from desim.pursuit.game import gibbs, logit, profiles
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
@@ -249,7 +249,7 @@ def test_when_everybody_decides_at_once_the_law_is_another(tau, relay):
     def all_at_once(me):
         for k in range(1, 25_000):
             yield me.at(k * 0.001)
-            me.assign(me.rng.random() < activation_probability(me.gain(), 1.0 / tau))
+            me.assign(me.rng.random() < logit([0.0, me.gain()], 1.0 / tau)[1])
             me.announce()
 
     late = Links(latency=Constant(value=0.0005))

@@ -17,6 +17,7 @@ from desim.pursuit.events import Decided, Ended
 from desim.pursuit.word import Announcements
 from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Recording, Scenario, Speeds, Team
 from desim.simulation import run
+from desim.warnings import warnings
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
@@ -34,7 +35,7 @@ def test_the_default_is_the_scenario_of_the_paper():
     assert (scenario.horizon, scenario.evader.speed, scenario.capture.radius) == (30.0, 0.9, 0.1)
     assert scenario.protocol == SpatialAdaptivePlay(tau=PaperTau(scale=10.0), schedule=SharedSeed(slot=0.01))
     assert scenario.network == Links(range=inf, latency=ConstantLatency(value=0.0), loss=Bernoulli(p=0.0))
-    assert list(scenario.warnings()) == []
+    assert list(warnings(scenario)) == []
 
 
 @pytest.mark.parametrize("part", [(), ("team",), ("team", "speeds"), ("evader", "strategy"), ("protocol", "tau")])
@@ -146,7 +147,7 @@ def test_nobody_is_active_at_share_0_and_everybody_at_share_1(share):
 )
 def test_a_team_none_of_which_is_faster_than_the_evader_is_warned_of(fastest, evader, warned):
     scenario = Scenario(team=Team(count=2, speeds=(0.0, fastest)), evader=Evader(speed=evader))
-    found = list(scenario.warnings())
+    found = list(warnings(scenario))
     assert [key for key, _ in found] == ["team.speeds"] * warned
     assert all(f"{fastest} m/s" in why and f"{evader} m/s" in why for _, why in found)
 
@@ -158,7 +159,7 @@ def test_a_team_none_of_which_is_faster_than_the_evader_is_warned_of(fastest, ev
 def test_a_step_across_the_capture_disc_is_warned_of(test, step, warned):
     """At 2 m/s a step of 0.5 s is 1 m, just the 2 x 0.5 m of the disc."""
     scenario = Scenario(motion=Motion(step=step), capture=Capture(test=test, radius=0.5))
-    assert [key for key, _ in scenario.warnings()] == ["motion.step"] * warned
+    assert [key for key, _ in warnings(scenario)] == ["motion.step"] * warned
 
 
 def test_plain_is_strict_json_of_which_the_same_scenario_can_be_made():
@@ -351,6 +352,6 @@ SLOW = {"kind": "bitrate", "bitrate": 3840.0}  # 48 bytes take 0.1 s
 )
 def test_what_has_no_effect_and_what_no_channel_carries_is_warned_of(given, key, says):
     """Of 20 pursuers; nothing else is warned of."""
-    found = dict(Scenario(**given).warnings())
+    found = dict(warnings(Scenario(**given)))
     assert list(found) == [key] * (key is not None)
     assert says in found.get(key, "")

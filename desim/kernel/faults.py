@@ -56,7 +56,7 @@ class Crash(_Window):
     scope: Literal["radio", "robot"] = "robot"
     """radio: it neither sends nor receives; robot: it does not move or decide either."""
     memory: Truth = True
-    """Whether it recovers with what it knew; if not, it starts anew and has heard of nobody."""
+    """Whether it recovers with what it knew; if not, it has heard of nobody, and a robot starts anew."""
 
 
 class Partition(_Window):

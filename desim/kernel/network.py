@@ -126,10 +126,12 @@ class Network:
         A message to a node that is out of reach when it is sent is lost.
 
         Raises:
-            ValueError: if there is no such node.
+            ValueError: if there is no such node, or it is the sender.
         """
         if dst is not None and not 0 <= dst < self.topology.size:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
+        if dst == src:
+            raise ValueError(f"node {src} should not send messages to itself")
         self._hand_over(src, dst, Message(src, self._env.now, body), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
@@ -155,6 +157,21 @@ class Network:
         """Return the nodes that hear `node` now, ascending; see `Topology.neighbours`."""
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
+
+    def component(self, node: int) -> set[int]:
+        """Return the nodes that hear `node` now over any number of hops, itself included; O(nodes + links)."""
+        reached, ahead = {node}, [node]
+        while ahead:
+            new = set(self.neighbours(ahead.pop())) - reached
+            reached |= new
+            ahead += new
+        return reached
+
+    @cached_property
+    def mean_degree(self) -> float:
+        """How many nodes hear a node, averaged over all as of the first time that somebody asks."""
+        size = self.topology.size
+        return sum(len(self.topology.neighbours(node)) for node in range(size)) / size
 
     def airtime(self, body: Any) -> float:
         """Return how long a message with this body is on the air, s."""

@@ -4,13 +4,13 @@ It senses positions (its own and its teammates', and the evader's), knows the ru
 teammates only what the network has brought it.
 """
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Collection, Generator, Iterable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from math import inf
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import simpy
@@ -20,21 +20,33 @@ from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
-from desim.pursuit import game
 from desim.pursuit.surroundings import Surroundings
+from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
 
 Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""
+PAPER = Mean()
+"""The utility of the paper."""
 
 
 @dataclass(slots=True)
 class Said:
     """What is remembered of a pursuer by all its processes."""
 
-    action: bool | None
-    """The action that it announced last; None if the others need not know of any."""
+    news: Any
+    """What was new about its last announcement; None if the others need not know of any."""
+    claim: Any = None
+    """What its protocol announces in place of the payload."""
     restarts: int = 0
+
+
+class Belief(NamedTuple):
+    """What a pursuer believes of a teammate that it has heard of and not forgotten."""
+
+    active: bool
+    capture_time: float
+    """s"""
 
 
 class Agent:
@@ -64,6 +76,7 @@ class Agent:
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._offset, self._rate = offset, 1.0 + drift
         self._said = Said(self.action if self._announcements.warm_start else None)
+        self._senses_others = self._announcements.payload == "action"
         self._streams: dict[str, np.random.Generator] = {}
 
     def in_phase(self, phase: Phase) -> Self:
@@ -74,8 +87,10 @@ class Agent:
 
     def repaired(self, *, restarted: bool) -> None:
         """Take note that it was broken: what it said last may not have gone out."""
-        self._said.action = None
-        self._said.restarts += restarted
+        self._said.news = None
+        if restarted:
+            self._said.claim = None
+            self._said.restarts += 1
 
     # What it knows.
 
@@ -103,13 +118,31 @@ class Agent:
         """Return its own time of capture phi_i, s."""
         return self._world.capture_times()[self.id]
 
-    def capture_times(self) -> list[float]:
-        """Return everyone's time of capture, from sensed positions, s."""
-        return self._world.capture_times()
-
     def time_left(self) -> float:
-        """Return the time left to the horizon, r, s."""
-        return self._world.time_left()
+        """Return the time left to the horizon by its own clock, r, s."""
+        return self._world.time_left(self._stamp())
+
+    def may_chase(self) -> bool:
+        """Return whether it has the choice to chase (`Scenario.prune`)."""
+        return self._world.may_chase(self.id)
+
+    def place(self) -> complex:
+        """Return its own position, m."""
+        return self._world.place(self.id)
+
+    @property
+    def speed(self) -> float:
+        """How fast it moves if it does, m/s."""
+        return self._world.speed(self.id)
+
+    def evader(self) -> complex:
+        """Return the position of the evader, m."""
+        return self._world.evader()
+
+    @property
+    def radius(self) -> float:
+        """The distance eps at which the evader is captured, m."""
+        return self._world.radius
 
     def heard(self) -> Table:
         """Return the newest announcement that has arrived from each teammate."""
@@ -120,9 +153,9 @@ class Agent:
 
         Whose last word arrived longer ago than `forget_after` is not believed active.
         """
-        table, oldest = self.heard(), self._env.now - self._memory
-        trusted = {j: record for j, (arrival, record) in table.items() if arrival >= oldest and record.body.active}
-        if self._announcements.payload == "action":
+        oldest = self._env.now - self._memory
+        trusted = {j: word for j, (arrival, word) in self.heard().items() if arrival >= oldest and word.body.active}
+        if self._senses_others:
             phi = self._world.capture_times()
             return {j: phi[j] for j in trusted}
         return {j: self._believed_time(record) for j, record in trusted.items()}
@@ -131,14 +164,39 @@ class Agent:
         """Return the teammates that it believes active; see `believed`."""
         return list(self.believed())
 
-    def gain(self) -> float:
-        """Return what it gains by being active, given whom it believes active; see `desim.pursuit.game.gain`, s."""
-        others = [phi for phi in self.believed().values() if phi < inf]
-        return game.gain(self.capture_time(), others, self._world.time_left())
+    def beliefs(self) -> dict[int, Belief]:
+        """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`."""
+        return {j: Belief(word.body.active, self._believed_time(word)) for j, word in self.trusted().items()}
+
+    def trusted(self) -> dict[int, Record]:
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""
+        oldest = self._env.now - self._memory
+        return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
+
+    def gain(self, utility: Utility = PAPER) -> float:
+        """Return what it gains by being active, given whom it believes active, s; see `desim.pursuit.game.gain`."""
+        believed = self.believed()
+        if utility.scope != "heard":
+            circle = self.circle(utility.scope)
+            believed = {j: phi for j, phi in believed.items() if j in circle}
+        others = [phi for phi in believed.values() if phi < inf]
+        return utility(self.capture_time(), others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return who hears it now, or who hears a teammate, from sensed positions and the known range."""
         return self._network.neighbours(self.id if of is None else of)
+
+    @property
+    def mean_degree(self) -> float:
+        """How many hear a pursuer, averaged over the team as of the first time that somebody asks."""
+        return self._network.mean_degree
+
+    def circle(self, scope: Scope) -> Collection[int]:
+        """Return the teammates whose actions count, from sensed positions and the known range."""
+        if scope == "neighbours":
+            return self.neighbours()
+        everyone = range(self.team_size)
+        return everyone if scope == "heard" else self._network.component(self.id)
 
     @property
     def latency(self) -> float:
@@ -165,6 +223,10 @@ class Agent:
         """Chase or stay from now on; who cannot capture (phi = inf) stays whatever it wants."""
         self._world.order(self.id, active)
 
+    def capture_times(self) -> tuple[float, ...]:
+        """Return everyone's time of capture as it is, past the network: for omniscient benchmarks only, s."""
+        return self._world.capture_times()
+
     def command(self, pursuer: int, active: bool) -> None:
         """Let another pursuer chase or stay, at once and past the network: for omniscient benchmarks only."""
         self._world.order(pursuer, active)
@@ -180,27 +242,36 @@ class Agent:
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
         trigger = self._announcements.trigger
-        if trigger == "revision" or (trigger in {"change", "both"} and self.action != self._said.action):
+        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._said.news):
             self.tell()
 
     def tell(self) -> None:
         """Tell the others its action, whether or not it has changed."""
-        self._said.action = self.action
+        self._said.news = self._news()
         self._announcements.spread.tell(self, self.assignment())
+
+    def claim(self, body: Any) -> None:
+        """From now on announce this in place of the payload.
+
+        Its attribute `active` is to be the action, its attribute `news` what must change for it to be told at once.
+        """
+        self._said.claim = body
 
     def presume(self) -> None:
         """Let everyone know its action from the start."""
         self._network.presume(self.id, self.assignment(), self._stamp())
 
-    def assignment(self) -> Assignment | TimedAssignment | LocatedAssignment:
+    def assignment(self) -> Any:
         """Return what it would announce now."""
         payload = self._announcements.payload
+        if self._said.claim is not None:
+            return self._said.claim
         if payload == "action":
             return Assignment(self.action)
         if payload == "time":
             return TimedAssignment(self.action, self.capture_time())
         place = self._world.place(self.id)
-        return LocatedAssignment(self.action, place.real, place.imag, self._world.speed(self.id))
+        return LocatedAssignment(self.action, place.real, place.imag, self.speed)
 
     def record(self, body: Any) -> Record:
         """Return the next record of its own, for who spreads it by other means than `publish`."""
@@ -216,7 +287,11 @@ class Agent:
             self._network.enter(self.id, record)
 
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
-        """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart."""
+        """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart.
+
+        Raises:
+            ValueError: if it is for itself, or there is no such teammate.
+        """
         self._network.send(self.id, dst, body, port=port)
 
     def mail(self, port: str = "") -> list[Message]:
@@ -226,7 +301,7 @@ class Agent:
     # What it waits for.
 
     def at(self, time: float) -> simpy.Event:
-        """Return an event at a time on its own clock, s; now, if that has passed."""
+        """Return an event at a time on its own clock, s, to the nearest nanosecond; now, if that has passed."""
         when = nanoseconds((time - self._offset) / self._rate)
         return Instant(self._env, max(when, self._env.now), self._turn)
 
@@ -235,10 +310,12 @@ class Agent:
         return Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn)
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
-        """Do something a duration from now, by its own clock, s, without waiting for it."""
+        """Do something a duration from now, by its own clock, s, without waiting for it, unless it starts anew."""
+        life = self.restarts
 
         def happen(_: simpy.Event) -> None:
-            act()
+            if self.restarts == life:
+                act()
 
         self.sleep(duration).callbacks.append(happen)
 
@@ -256,23 +333,31 @@ class Agent:
         """Return the time on its own clock, ns."""
         return nanoseconds(self.now)
 
+    def _news(self) -> Any:
+        """Return what must change for an announcement to be made at once."""
+        return self.action if self._said.claim is None else self._said.claim.news
+
     @cached_property
     def _memory(self) -> float:
-        """How long it believes what it has heard, ns."""
+        """How long it believes what it has heard, true ns."""
         limit = self._announcements.forget_after
         if limit == "auto":
             beats, period = self._announcements.beats, self._announcements.heartbeat
             limit = 3.0 * period + 2.0 * (self.latency + self.airtime(self.assignment())) if beats else inf
-        return limit if limit == inf else nanoseconds(limit)
+        return limit if limit == inf else nanoseconds(limit / self._rate)
 
     def _believed_time(self, record: Record) -> float:
-        """Return the time of capture of an active teammate, from its record, s."""
+        """Return the time of capture of a teammate, from its record as far as that tells it, s."""
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time
-        age = max(self._stamp() - record.sent, 0)
-        exact = self._announcements.reckoning == "exact"
-        place = self._world.reckoned(complex(body.x, body.y), body.speed, age, exact=exact)
+        if not isinstance(body, LocatedAssignment):
+            return self._world.capture_times()[record.src]
+        place = complex(body.x, body.y)
+        if body.active:
+            age = max(self._stamp() - record.sent, 0)
+            exact = self._announcements.reckoning == "exact"
+            place = self._world.reckoned(place, body.speed, age, exact=exact)
         return self._world.capture_time_from(record.src, place)
 
 

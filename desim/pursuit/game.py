@@ -1,4 +1,4 @@
-"""The pursuit game of Lee & Bakolas: times of capture, utilities, equilibria and the Gibbs law.
+"""The pursuit game of Lee & Bakolas: utilities, equilibria and the Gibbs law.
 
 N pursuers each choose to chase (active) or to stay. With S the set of active pursuers, phi_i the time pursuer i would
 need to capture the evader and r the time that is left, the global utility is
@@ -10,103 +10,16 @@ Each pursuer maximises its wonderful-life utility U_i = U_E(S) - U_E(S without i
 with phi_i = inf can only stay; it is never part of S.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from itertools import product
 from math import exp, inf
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from desim.pursuit.state import Floats
 
 Profile = tuple[bool, ...]
 """Who is active, one truth per pursuer."""
-
-
-def capture_time(
-    evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, evader_speed: float, radius: float
-) -> Floats:
-    """Return the (N,) time each pursuer needs to capture an evader that flees straight from it, s.
-
-    phi_i = (d_i - eps) / (v_i - v_e), the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the capture
-    ball, inf for a pursuer no faster than the evader.
-
-    Args:
-        evader: (2,) position, m.
-        pursuers: (N, 2) positions, m.
-        speeds: (N,) speeds of the pursuers, m/s.
-        evader_speed: m/s.
-        radius: of capture, eps, m.
-
-    Raises:
-        ValueError: if shapes disagree or radius <= 0.
-    """
-    offsets, v = _checked(evader, pursuers, speeds, radius)
-    return RadialTime(v, evader_speed, radius)(np.hypot(offsets[:, 0], offsets[:, 1]))
-
-
-NO_SPEED = 1e-12
-"""A difference of speeds up to this is rounding, m/s."""
-
-
-class RadialTime:
-    """The (N,) times of capture of one team as a function of its (N,) distances alone; see `capture_time`."""
-
-    def __init__(self, speeds: Floats, evader_speed: float, radius: float):
-        closing = speeds - evader_speed
-        self._radius = radius
-        self.slow = closing <= NO_SPEED  # (N,) who can never capture
-        self._some_slow = bool(self.slow.any())
-        self._closing = np.where(self.slow, 1.0, closing)
-
-    def __call__(self, distances: Floats) -> Floats:
-        """Return the times of capture, s, given distances, m."""
-        gap = np.maximum(distances - self._radius, 0.0)
-        time = gap / self._closing
-        if self._some_slow:
-            time[self.slow & (gap > 0.0)] = inf
-        return time
-
-
-def intercept_time(
-    evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
-) -> Floats:
-    """Return the (N,) shortest time in which each pursuer can capture an evader of constant velocity, s.
-
-    The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
-    there is none. Written so that it is stable whatever the sign of |w| - v_i.
-
-    Args:
-        evader: (2,) position, m.
-        evader_velocity: (2,) velocity w, m/s.
-        pursuers: (N, 2) positions, m.
-        speeds: (N,) speeds of the pursuers, m/s.
-        radius: of capture, eps, m.
-
-    Raises:
-        ValueError: if shapes disagree or radius <= 0.
-    """
-    offsets, v = _checked(evader, pursuers, speeds, radius)
-    w = np.asarray(evader_velocity, dtype=float)
-    a = w @ w - v**2
-    b = offsets @ w - radius * v
-    c = (offsets**2).sum(axis=1) - radius**2
-    discriminant = b**2 - a * c
-    denominator = np.sqrt(np.maximum(discriminant, 0.0)) - b
-    meets = (discriminant >= 0.0) & (denominator > 0.0)
-    time = np.full(c.shape, inf)
-    np.divide(c, denominator, out=time, where=meets)
-    time[c <= 0.0] = 0.0
-    return time
-
-
-def _checked(evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float) -> tuple[Floats, Floats]:
-    e, p, v = (np.asarray(each, dtype=float) for each in (evader, pursuers, speeds))
-    if e.shape != (2,) or p.shape != (len(p), 2) or v.shape != (len(p),):
-        raise ValueError(f"shapes should be (2,), (N, 2) and (N,), got {e.shape}, {p.shape} and {v.shape}")
-    if not radius > 0.0:
-        raise ValueError(f"the capture radius should be greater than 0 m, got {radius}")
-    return e - p, v
 
 
 def potential(phi: Sequence[float], active: Sequence[bool], reward: float) -> float:
@@ -138,19 +51,40 @@ def best_response(own: float, others: Sequence[float], reward: float) -> bool:
     return gain(own, others, reward) > 0.0
 
 
-def is_equilibrium(phi: Sequence[float], active: Sequence[bool], reward: float) -> bool:
-    """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium)."""
+Gain = Callable[[float, Sequence[float], float], float]
+"""What a pursuer gains by being active, as a function of its own time of capture, those of others and the reward."""
+Hearing = Sequence[Collection[int]]
+"""For each pursuer, whose actions count for it."""
+
+
+def is_equilibrium(
+    phi: Sequence[float],
+    active: Sequence[bool],
+    reward: float,
+    gain: Gain = gain,
+    hearing: Hearing | None = None,
+) -> bool:
+    """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
+
+    Args:
+        phi: the times of capture, s; who has inf can only stay, and does not count for the others.
+        active: who chases.
+        reward: the time that is left, r, s.
+        gain: the utility of being active; `desim.pursuit.utility` has others than the paper's.
+        hearing: whose actions count for whom; everyone's for everyone if None.
+    """
     for i, own in enumerate(phi):
-        others = [phi_j for j, phi_j in enumerate(phi) if active[j] and j != i and phi_j < inf]
-        advantage = gain(own, others, reward)
+        heard = range(len(phi)) if hearing is None else hearing[i]
+        others = [phi[j] for j in heard if active[j] and j != i and phi[j] < inf]
+        advantage = gain(own, others, reward) if own < inf else -inf
         if advantage < 0.0 if active[i] else advantage > 0.0:
             return False
     return True
 
 
-def equilibria(phi: Sequence[float], reward: float) -> list[Profile]:
-    """Return all pure Nash equilibria by enumeration of the 2^N profiles; for small N."""
-    return [profile for profile in profiles(len(phi)) if is_equilibrium(phi, profile, reward)]
+def equilibria(phi: Sequence[float], reward: float, gain: Gain = gain, hearing: Hearing | None = None) -> list[Profile]:
+    """Return all pure Nash equilibria by enumeration of the 2^N profiles, for small N; see `is_equilibrium`."""
+    return [profile for profile in profiles(len(phi)) if is_equilibrium(phi, profile, reward, gain, hearing)]
 
 
 def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
@@ -189,16 +123,23 @@ def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
     return np.asarray(weight / weight.sum())
 
 
-def activation_probability(advantage: float, inverse_temperature: float) -> float:
-    """Return the probability with which Spatial Adaptive Play chooses to be active, given its gain (s).
+def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]:
+    """Return the probability of each action under log-linear learning, given what the actions are worth (s).
 
-    The logistic function of gain / tau (Lee & Bakolas, Algorithm 1), written so that it cannot overflow. A gain of
-    -inf means that there is no choice: 0, even at infinite temperature.
+    Proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), written so that it cannot overflow; uniform at
+    infinite temperature (0 1/s), whatever the actions are worth.
     """
-    if advantage == -inf:
-        return 0.0
-    x = advantage * inverse_temperature
-    if x >= 0.0:
-        return 1.0 / (1.0 + exp(-x))
-    e = exp(x)
-    return e / (1.0 + e)
+    if inverse_temperature == 0.0:
+        return [1.0 / len(utilities)] * len(utilities)
+    most = max(utilities)
+    weights = [exp((each - most) * inverse_temperature) for each in utilities]
+    total = sum(weights)
+    return [weight / total for weight in weights]
+
+
+def greedy_maximal_independent_set(phi: Sequence[float], reward: float, hearing: Hearing) -> Profile:
+    """Return who chases if, in order of (phi, index), each does that would be in time and hears nobody who does."""
+    active = [False] * len(phi)
+    for i in sorted(range(len(phi)), key=phi.__getitem__):
+        active[i] = phi[i] < reward and not any(active[j] for j in hearing[i])
+    return tuple(active)

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 class State:
-    """Where everyone is at one instant; its arrays are not to be changed.
+    """Where everyone is at one instant; its arrays are read-only.
 
     Attributes:
         t: the instant, ns.
@@ -32,6 +32,8 @@ class State:
         self.distances: Floats = np.abs(self.offsets)
         self.nearest = int(self.distances.argmin())
         self.active = active
+        for array in (players, active, self.offsets, self.distances):
+            array.setflags(write=False)
 
     @property
     def pursuers(self) -> Points:

@@ -15,7 +15,7 @@ class Surroundings(Protocol):
         """Return what a pursuer is doing."""
         ...
 
-    def capture_times(self) -> list[float]:
+    def capture_times(self) -> tuple[float, ...]:
         """Return every pursuer's time of capture now, s."""
         ...
 
@@ -23,8 +23,21 @@ class Surroundings(Protocol):
         """Return the time of capture of a pursuer if it were at a position (m), s."""
         ...
 
+    def may_chase(self, pursuer: int) -> bool:
+        """Return whether a pursuer has the choice to chase."""
+        ...
+
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
+        ...
+
+    def evader(self) -> complex:
+        """Return the position of the evader, m."""
+        ...
+
+    @property
+    def radius(self) -> float:
+        """The distance at which the evader is captured, m."""
         ...
 
     def obeys(self, pursuer: int) -> bool:
@@ -39,8 +52,8 @@ class Surroundings(Protocol):
         """Return how fast a pursuer moves if it does, m/s."""
         ...
 
-    def time_left(self) -> float:
-        """Return the time left to the horizon, r, s."""
+    def time_left(self, now: int) -> float:
+        """Return the time from an instant (ns) to the horizon, r, s."""
         ...
 
     def order(self, pursuer: int, active: bool) -> None:

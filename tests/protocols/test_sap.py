@@ -9,8 +9,9 @@ from desim.kernel.faults import ClockSkew
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import capture_time, relay_profile
+from desim.pursuit.game import relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay

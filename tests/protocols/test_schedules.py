@@ -12,9 +12,11 @@ from scipy.stats import kstest
 from desim import Scenario, run
 from desim.cli import main
 from desim.kernel.seeds import stream
+from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import best_response, capture_time
+from desim.pursuit.game import best_response
 from desim.scenario import Motion, Team
+from desim.warnings import warnings
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed, owned_slots
 from protocols.temperature import ConstantTau
@@ -230,7 +232,7 @@ def test_timers_begin_at_random_phases():
 )
 def test_a_strict_timer_of_an_even_number_of_steps_is_warned_of(period, jitter, step, warned):
     protocol = SpatialAdaptivePlay(schedule=Periodic(period=period, jitter=jitter))
-    found = dict(Scenario(protocol=protocol, motion=Motion(step=step)).warnings())
+    found = dict(warnings(Scenario(protocol=protocol, motion=Motion(step=step))))
     assert [*found] == (["protocol.schedule.jitter"] if warned else [])
     if warned:
         assert f"{round(period / step)} motion steps" in found["protocol.schedule.jitter"]

@@ -19,8 +19,9 @@ from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate
+from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import best_response, capture_time, relay_profile
+from desim.pursuit.game import best_response, relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Team
 from protocols.circulation import Station, circulate

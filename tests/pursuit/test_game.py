@@ -8,14 +8,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from desim.pursuit.capture import capture_time, intercept_time
 from desim.pursuit.game import (
-    activation_probability,
     best_response,
-    capture_time,
     equilibria,
     gain,
     gibbs,
-    intercept_time,
+    logit,
     potential,
     profiles,
     relay_profile,
@@ -84,7 +83,6 @@ def test_a_pursuer_that_cannot_capture_never_gains_and_never_counts():
     assert gain(inf, [], 5.0) == gain(inf, [1.0], 5.0) == -inf
     assert not best_response(inf, [], 5.0)
     assert potential([inf, 2.0], [True, True], 5.0) == potential([inf, 2.0], [False, True], 5.0) == 3.0
-    assert activation_probability(-inf, 0.0) == 0.0
 
 
 def test_a_lone_pursuer_chases_if_it_can_be_in_time():
@@ -107,10 +105,11 @@ def test_gibbs_law_gives_the_known_probability_of_the_relay_profile(tau, relay):
 
 
 def test_the_logit_neither_overflows_nor_divides():
-    assert activation_probability(1e6, 1e6) == 1.0
-    assert activation_probability(-1e6, 1e6) == 0.0
-    assert activation_probability(3.0, 0.0) == 0.5
-    assert activation_probability(1.0, 2.0) == pytest.approx(1 / (1 + exp(-2.0)), rel=1e-15)
+    assert logit([0.0, 1e6], 1e6) == [0.0, 1.0]
+    assert logit([0.0, -1e6], 1e6) == [1.0, 0.0]
+    assert logit([0.0, 3.0, -inf], 0.0) == [1 / 3, 1 / 3, 1 / 3]
+    assert logit([0.0, 1.0], 2.0)[1] == pytest.approx(1 / (1 + exp(-2.0)), rel=1e-15)
+    assert logit([0.0, 1.0, 3.0], 0.5) == pytest.approx(np.exp([0, 0.5, 1.5]) / np.exp([0, 0.5, 1.5]).sum(), rel=1e-15)
 
 
 coordinates = st.floats(-20.0, 20.0)

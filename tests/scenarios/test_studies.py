@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from desim import load, run, summary
 from desim.pursuit.state import complex_points
+from desim.warnings import warnings
 from scenarios import find_table1, first_picture, table1, two_clocks
 from scenarios.study import SCENARIOS
 
@@ -24,7 +25,7 @@ def call(command, *words):
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_every_scenario_file_runs_without_a_warning(file):
     scenario = load(file)
-    assert not list(scenario.warnings())
+    assert not list(warnings(scenario))
     numbers = summary(run(scenario))
     assert numbers.messages_sent == numbers.messages_delivered + numbers.messages_lost + numbers.messages_in_flight > 0
 

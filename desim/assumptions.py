@@ -1,0 +1,137 @@
+"""What a protocol may assume of a scenario, and whether the scenario keeps to it.
+
+A protocol, its schedule or its utility names its assumptions in `assumes`. Each is a function of the scenario that
+returns why it does not hold, or None. A broken assumption is worth a warning, not an error: what a protocol does where
+its theorem does not hold is what the simulator is there to show.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import networkx as nx
+
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomPlan
+from desim.kernel.loss import Bernoulli
+from desim.kernel.topology import Topology
+
+if TYPE_CHECKING:
+    from desim.scenario import Scenario
+
+Assumption = Callable[["Scenario"], str | None]
+
+
+def connected(scenario: "Scenario") -> str | None:
+    """Everybody is linked to everybody, over any number of hops."""
+    if any(isinstance(fault, Partition) for fault in scenario.fault):
+        return "a partition cuts the team in parts"
+    if not nx.is_strongly_connected(_who_hears_whom(scenario)):
+        return "as it begins the network has several components"
+    return None
+
+
+def everyone_heard(scenario: "Scenario") -> str | None:
+    """Everybody hears everybody, at once or as word is passed on."""
+    if getattr(scenario.announce.spread, "kind", "one_hop") != "one_hop":
+        return connected(scenario)
+    graph, size = _who_hears_whom(scenario), scenario.team.count
+    if graph.number_of_edges() < size * (size - 1):
+        return "as it begins not everybody hears everybody, and word is not passed on (`announce.spread`)"
+    return None
+
+
+def component_heard(scenario: "Scenario") -> str | None:
+    """Everybody hears whoever can reach it over any number of hops."""
+    graph = _who_hears_whom(scenario)
+    if getattr(scenario.announce.spread, "kind", "one_hop") == "one_hop" and any(
+        len(part) > 1 + min(graph.degree(node) // 2 for node in part) for part in nx.weakly_connected_components(graph)
+    ):
+        return "as it begins some are linked over several hops only, and word is not passed on (`announce.spread`)"
+    return None
+
+
+def word_gets_through(scenario: "Scenario") -> str | None:
+    """What is lost is said again, so that everybody learns of it in the end."""
+    network, trigger = scenario.network, scenario.announce.trigger
+    if trigger not in {"change", "never"}:
+        return None
+    if trigger == "never":
+        return "nothing is ever announced"
+    ideal = Bernoulli()
+    if network.loss != ideal or scenario.fault or any((link.loss or ideal) != ideal for link in network.link):
+        return "what is lost is never said again (`announce.trigger`)"
+    return None
+
+
+def one_at_a_time(scenario: "Scenario") -> str | None:
+    """No two pursuers decide at the same instant."""
+    schedule = getattr(scenario.protocol, "schedule", None)
+    return "everybody decides at once" if getattr(schedule, "at_once", False) and scenario.team.count > 1 else None
+
+
+def no_crashes(scenario: "Scenario") -> str | None:
+    """Nobody breaks down."""
+    if any(isinstance(fault, Crash | RandomCrashes | RandomPlan) for fault in scenario.fault):
+        return "pursuers break down"
+    return None
+
+
+def equal_clocks(scenario: "Scenario") -> str | None:
+    """All clocks show the same time."""
+    return "clocks differ" if any(isinstance(fault, ClockSkew) for fault in scenario.fault) else None
+
+
+def equal_speeds(scenario: "Scenario") -> str | None:
+    """All pursuers are equally fast."""
+    speeds = set(scenario.team.all_speeds())
+    return f"speeds are {min(speeds):g} to {max(speeds):g} m/s" if len(speeds) > 1 else None
+
+
+ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
+    {
+        each.__name__: each
+        for each in (
+            connected,
+            everyone_heard,
+            component_heard,
+            word_gets_through,
+            one_at_a_time,
+            no_crashes,
+            equal_clocks,
+            equal_speeds,
+        )
+    }
+)
+"""By the name under which a protocol names it."""
+
+
+def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
+    """Yield the assumptions of the protocol, its schedule and its utility that a scenario breaks: the key, and why.
+
+    Raises:
+        ValueError: if there is no assumption of that name.
+    """
+    protocol = scenario.protocol
+    for key in ("", "schedule", "utility"):
+        part = getattr(protocol, key, None) if key else protocol
+        kind = getattr(part, "kind", key or "the protocol")
+        for name in getattr(part, "assumes", ()):
+            if name not in ASSUMPTIONS:
+                raise ValueError(f"{kind} assumes {name!r}, which nobody knows; there are {', '.join(ASSUMPTIONS)}")
+            why = ASSUMPTIONS[name](scenario)
+            if why is not None:
+                yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
+
+
+def _who_hears_whom(scenario: "Scenario") -> "nx.DiGraph[int]":
+    """Return who hears whom as the run with the seed of the scenario begins."""
+    network, start = scenario.network, scenario.team.start(scenario.seed)
+    topology = Topology(
+        network.graph(scenario.team.count),
+        network.range,
+        lambda: start,
+        network.reach,
+        frozen=network.fading == "frozen",
+        seed=scenario.seed,
+    )
+    return topology.graph()

@@ -1,0 +1,103 @@
+"""How long a pursuer needs to capture the evader, by the flight that is assumed of it.
+
+Lee & Bakolas, "Time-of-Capture": phi_i for an evader that flees straight from pursuer i, and for one that keeps its
+velocity. A pursuer with phi_i = inf can never capture.
+"""
+
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from desim.pursuit.state import Floats
+
+
+def capture_time(
+    evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, evader_speed: float, radius: float
+) -> Floats:
+    """Return the (N,) time each pursuer needs to capture an evader that flees straight from it, s.
+
+    phi_i = (d_i - eps) / (v_i - v_e), the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the capture
+    ball, inf for a pursuer no faster than the evader.
+
+    Args:
+        evader: (2,) position, m.
+        pursuers: (N, 2) positions, m.
+        speeds: (N,) speeds of the pursuers, m/s.
+        evader_speed: m/s.
+        radius: of capture, eps, m.
+
+    Raises:
+        ValueError: if shapes disagree or radius <= 0.
+    """
+    offsets, v = _checked(evader, pursuers, speeds, radius)
+    return RadialTime(v, evader_speed, radius)(np.hypot(offsets[:, 0], offsets[:, 1]))
+
+
+NO_SPEED = 1e-12
+"""A difference of speeds up to this is rounding, m/s."""
+
+
+class RadialTime:
+    """The (N,) times of capture of one team as a function of its (N,) distances alone; see `capture_time`."""
+
+    def __init__(self, speeds: Floats, evader_speed: float, radius: float):
+        closing = speeds - evader_speed
+        self._radius = radius
+        self.slow = closing <= NO_SPEED  # (N,) who can never capture
+        self._some_slow = bool(self.slow.any())
+        self._closing = np.where(self.slow, 1.0, closing)
+
+    def __call__(self, distances: Floats) -> Floats:
+        """Return the times of capture, s, given distances, m."""
+        gap = np.maximum(distances - self._radius, 0.0)
+        time = gap / self._closing
+        if self._some_slow:
+            time[self.slow & (gap > 0.0)] = inf
+        return time
+
+    def of(self, pursuer: int, distance: float) -> float:
+        """Return the time of capture of one pursuer, s, given its distance, m."""
+        gap = max(distance - self._radius, 0.0)
+        return inf if gap and self.slow[pursuer] else float(gap / self._closing[pursuer])
+
+
+def intercept_time(
+    evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
+) -> Floats:
+    """Return the (N,) shortest time in which each pursuer can capture an evader of constant velocity, s.
+
+    The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
+    there is none. Written so that it is stable whatever the sign of |w| - v_i.
+
+    Args:
+        evader: (2,) position, m.
+        evader_velocity: (2,) velocity w, m/s.
+        pursuers: (N, 2) positions, m.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: of capture, eps, m.
+
+    Raises:
+        ValueError: if shapes disagree or radius <= 0.
+    """
+    offsets, v = _checked(evader, pursuers, speeds, radius)
+    w = np.asarray(evader_velocity, dtype=float)
+    a = w @ w - v**2
+    b = offsets @ w - radius * v
+    c = (offsets**2).sum(axis=1) - radius**2
+    discriminant = b**2 - a * c
+    denominator = np.sqrt(np.maximum(discriminant, 0.0)) - b
+    meets = (discriminant >= 0.0) & (denominator > 0.0)
+    time = np.full(c.shape, inf)
+    np.divide(c, denominator, out=time, where=meets)
+    time[c <= 0.0] = 0.0
+    return time
+
+
+def _checked(evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float) -> tuple[Floats, Floats]:
+    e, p, v = (np.asarray(each, dtype=float) for each in (evader, pursuers, speeds))
+    if e.shape != (2,) or p.shape != (len(p), 2) or v.shape != (len(p),):
+        raise ValueError(f"shapes should be (2,), (N, 2) and (N,), got {e.shape}, {p.shape} and {v.shape}")
+    if not radius > 0.0:
+        raise ValueError(f"the capture radius should be greater than 0 m, got {radius}")
+    return e - p, v

@@ -1,0 +1,143 @@
+"""Utilities: what it is worth to a pursuer to be active, given the others that it believes active.
+
+A utility is called with the pursuer's own time of capture, those of the other active pursuers that count, and the time
+that is left, and answers with what the pursuer gains by chasing, U_i(active) - U_i(inactive). `scope` says who counts.
+`expected` is the same for others that are active by chance, independently of each other.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import inf
+from typing import Annotated, ClassVar, Literal, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from desim.pursuit import game
+from desim.pursuit.state import Floats
+from desim.value import OneOf, Value
+
+Scope = Literal["heard", "neighbours", "component"]
+"""Who counts: everyone heard of, who can be heard now, or who can be reached now over any number of hops."""
+
+
+class Utility(Protocol):
+    """What being active is worth, s: `utility(own, others, reward)` as in `desim.pursuit.game.gain`."""
+
+    @property
+    def scope(self) -> Scope:
+        """Whose actions count."""
+        ...
+
+    def __call__(self, own: float, others: Sequence[float], reward: float) -> float: ...  # noqa: D102
+
+
+class Mean(Value):
+    """r less the mean time of capture of the active (Lee & Bakolas): U_E is an exact potential if everyone is heard."""
+
+    assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
+    kind: Literal["mean"] = "mean"
+    scope: ClassVar[Scope] = "heard"
+
+    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+        """Return the gain, s."""
+        return game.gain(own, others, reward)
+
+    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+        """Return the mean gain over all sets of active others, s; O(n^2).
+
+        With n the number of active others and n_j that of those beside j,
+
+            r P(n = 0) - phi_i E[1/(1 + n)] + sum_j phi_j q_j (E[1/(1 + n_j)] - E[1/(2 + n_j)]).
+
+        E[1/(k + n)] is the integral of s^(k-1) E[s^n] over [0, 1], and E[s^n] the product of 1 - q_j + q_j s: a
+        polynomial, so that Gauss and Legendre's quadrature is exact.
+
+        Args:
+            own: phi_i, s.
+            others: (n,) phi_j, finite, s.
+            chances: (n,) q_j, that j is active, in [0, 1].
+            reward: r, s.
+        """
+        if own == inf:
+            return -inf
+        phi, q = np.asarray(others, dtype=float), np.asarray(chances, dtype=float)
+        s, weight = _nodes(len(q) // 2 + 1)
+        factors = 1.0 - q[:, None] * (1.0 - s)  # (n, nodes)
+        before = np.cumprod(np.vstack([np.ones_like(s), factors]), axis=0)
+        after = np.cumprod(np.vstack([np.ones_like(s), factors[::-1]]), axis=0)[::-1]
+        beside = (before[:-1] * after[1:]) @ (weight * (1.0 - s))  # (n,), each without its own factor
+        return float(reward * np.prod(1.0 - q) - own * (before[-1] @ weight) + (phi * q) @ beside)
+
+
+class LocalMean(Mean):
+    """The mean over who can be heard now: no potential game, and on a path of three it may have no equilibrium."""
+
+    assumes: ClassVar[tuple[str, ...]] = ()
+    kind: Literal["local_mean"] = "local_mean"  # type: ignore[assignment]
+    scope: ClassVar[Scope] = "neighbours"
+
+
+class Component(Mean):
+    """The mean over who can be reached over any number of hops: the paper's game in each component of the network."""
+
+    assumes: ClassVar[tuple[str, ...]] = ("component_heard",)
+    kind: Literal["component"] = "component"  # type: ignore[assignment]
+    scope: ClassVar[Scope] = "component"
+
+
+class Minimum(Value):
+    """r less the least time of capture of the active: who is not ahead of them all gains nothing, and loses nothing.
+
+    U_E(S) = r - min phi over S is an exact potential if everyone is heard. At tau > 0 the slower are indifferent, so
+    half of them chase; ties are for staying only with greedy rules.
+    """
+
+    assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
+    kind: Literal["minimum"] = "minimum"
+    scope: ClassVar[Scope] = "heard"
+
+    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+        """Return the gain, s."""
+        return max(min(others) - own, 0.0) if others else reward - own
+
+    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+        """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
+        if own == inf:
+            return -inf
+        total, nobody = 0.0, 1.0  # the chance that nobody before in order of phi is active
+        for phi, q in sorted(zip(others, chances, strict=True)):
+            total += nobody * q * max(phi - own, 0.0)
+            nobody *= 1.0 - q
+        return total + nobody * (reward - own)
+
+
+class EdgePenalty(Value):
+    """r - phi_i, less a penalty for each active neighbour.
+
+    With C > r the sum of a_i (r - phi_i) less C for each pair of active neighbours is an exact potential, and its
+    equilibria are the maximal independent sets of those who would be in time.
+    """
+
+    kind: Literal["edge_penalty"] = "edge_penalty"
+    scope: ClassVar[Scope] = "neighbours"
+    factor: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 1.1
+    """The penalty C in units of the time that is left, C / r."""
+
+    def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
+        """Return the gain, s."""
+        return reward - own - self.factor * reward * len(others)
+
+    def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
+        """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
+        return reward - own - self.factor * reward * sum(chances)
+
+
+UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scope",))
+
+
+@lru_cache(maxsize=256)
+def _nodes(count: int) -> tuple[Floats, Floats]:
+    """Return the nodes and weights of Gauss and Legendre's quadrature over [0, 1]."""
+    x, weight = np.polynomial.legendre.leggauss(count)
+    return (x + 1.0) / 2.0, weight / 2.0

@@ -1,0 +1,63 @@
+"""What is legal but probably unintended: keys of a scenario that have no effect, and what breaks a theorem."""
+
+from collections.abc import Iterator
+from math import inf
+from typing import Any
+
+from desim.assumptions import broken
+from desim.kernel.links import Links
+from desim.kernel.presets import PRESETS
+from desim.kernel.reach import Disk
+from desim.scenario import Scenario
+
+
+def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what is legal but probably unintended: the key it concerns, and why."""
+    fastest = max(scenario.team.all_speeds())
+    if fastest <= scenario.evader.speed:
+        yield (
+            "team.speeds",
+            f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
+            f" {scenario.evader.speed} m/s, so every time of capture is inf and nobody will chase",
+        )
+    yield from _of_network(scenario)
+    yield from broken(scenario)
+    schedule: Any = getattr(scenario.protocol, "schedule", None)
+    if hasattr(schedule, "warnings"):
+        yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
+    if scenario.motion.step > scenario.horizon:
+        yield (
+            "motion.step",
+            f"the step of {scenario.motion.step:g} s is longer than the horizon of {scenario.horizon:g} s",
+        )
+    stride = scenario.motion.step * max(fastest, scenario.evader.speed)
+    if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
+        yield (
+            "motion.step",
+            f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+            f" than 2 x radius = {2 * scenario.capture.radius:g} m",
+        )
+
+
+def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what has no effect, and what a channel cannot carry."""
+    network, announce = scenario.network, scenario.announce
+    if network.preset is not None:
+        preset = Links(preset=network.preset)
+        for key in PRESETS[network.preset]:
+            if getattr(network, key) != getattr(preset, key):
+                yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
+    if network.range == inf and network.reach != Disk():
+        yield "network.reach", "it has no effect while the range is inf"
+    if announce.trigger == "never" and getattr(announce.spread, "kind", "one_hop") != "one_hop":
+        yield "announce.spread", "it has no effect, for nothing is ever announced"
+    for k, fault in enumerate(scenario.fault):
+        if getattr(fault, "at", 0.0) >= scenario.horizon:
+            yield f"fault.{k}.at", "it would begin after the horizon"
+    load = network.medium(announce.size) / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
+    if announce.beats and load > 1.0:
+        yield (
+            "announce.heartbeat",
+            f"heartbeats of {announce.size} bytes alone would keep the channel busy {load:.1f} times over, so that"
+            " messages wait for longer and longer, or are dropped",
+        )

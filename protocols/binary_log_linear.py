@@ -1,0 +1,50 @@
+"""Log-linear learning with two actions in hand: the present one, and one that is tried.
+
+Paper: BinaryLogLinear: Marden & Shamma 2012, "Revisiting Log-Linear Learning". SelectiveSAP: binary restrictive
+    Spatial Adaptive Play, Marden 2007, "Learning in Large-Scale Games and Cooperative Control", 6.3.3; Selective SAP of
+    Lee & Bakolas.
+Parameters: tau (temperature), schedule (who revises when), utility.
+Assumes: as Spatial Adaptive Play; then it has the same Gibbs law. With two actions the binary rule *is* SAP, and the
+    selective one is SAP that does nothing at every second turn.
+Messages: as Spatial Adaptive Play; its pursuers compare two actions at a turn, however many there are.
+Robust to loss: yes, with heartbeats.
+"""
+
+from collections.abc import Iterator
+from typing import Literal
+
+from desim.pursuit.agent import Agent
+from desim.pursuit.game import logit
+from protocols.sap import LogLinear, drawn
+
+
+class BinaryLogLinear(LogLinear):
+    """Each pursuer in its turn tries one of its other actions, and keeps it or not by the logit of the two."""
+
+    kind: Literal["binary_log_linear"] = "binary_log_linear"
+
+    def trial(self, me: Agent, actions: int) -> int:
+        """Return the action that is tried, of so many: each of the others with equal chances."""
+        return (int(me.action) + int(me.rng.integers(1, actions))) % actions
+
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield the present action or the one that is tried."""
+        for inverse_tau in self.inverse_temperatures(me):
+            worth = self.utilities(me)
+            present, trial = int(me.action), self.trial(me, len(worth))
+            tried = drawn(logit([worth[present], worth[trial]], inverse_tau), me.rng)
+            yield trial if tried else present
+
+
+class SelectiveSAP(BinaryLogLinear):
+    """As the binary rule, but the action that is tried is drawn from all, and may be the present one again.
+
+    Each action of the restricted set R_i but the present one is tried with probability 1 / max |R_i|. Here all sets
+    are alike: to stay and to chase.
+    """
+
+    kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]
+
+    def trial(self, me: Agent, actions: int) -> int:
+        """Return the action that is tried, of so many: each with equal chances."""
+        return int(me.rng.integers(actions))
