@@ -32,7 +32,7 @@ def connected(scenario: "Scenario") -> str | None:
 
 def everyone_heard(scenario: "Scenario") -> str | None:
     """Everybody hears everybody, at once or as word is passed on."""
-    if getattr(scenario.announce.spread, "kind", "one_hop") != "one_hop":
+    if _is_passed_on(scenario):
         return connected(scenario)
     graph, size = _who_hears_whom(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
@@ -43,9 +43,8 @@ def everyone_heard(scenario: "Scenario") -> str | None:
 def component_heard(scenario: "Scenario") -> str | None:
     """Everybody hears whoever can reach it over any number of hops."""
     graph = _who_hears_whom(scenario)
-    if getattr(scenario.announce.spread, "kind", "one_hop") == "one_hop" and any(
-        len(part) > 1 + min(graph.degree(node) // 2 for node in part) for part in nx.weakly_connected_components(graph)
-    ):
+    parts = nx.weakly_connected_components(graph)
+    if not _is_passed_on(scenario) and any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
         return "as it begins some are linked over several hops only, and word is not passed on (`announce.spread`)"
     return None
 
@@ -53,7 +52,7 @@ def component_heard(scenario: "Scenario") -> str | None:
 def word_gets_through(scenario: "Scenario") -> str | None:
     """What is lost is said again, so that everybody learns of it in the end."""
     network, trigger = scenario.network, scenario.announce.trigger
-    if trigger not in {"change", "never"}:
+    if trigger not in {"change", "never"} or _spread_by_schedule(scenario):
         return None
     if trigger == "never":
         return "nothing is ever announced"
@@ -121,6 +120,17 @@ def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
             why = ASSUMPTIONS[name](scenario)
             if why is not None:
                 yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
+
+
+def _spread_by_schedule(scenario: "Scenario") -> str | None:
+    """Return to whom the messages of the schedule carry what pursuers do, and repeat it: all, neighbours or nobody."""
+    return getattr(getattr(scenario.protocol, "schedule", None), "spreads_to", None)
+
+
+def _is_passed_on(scenario: "Scenario") -> bool:
+    """Return whether word travels over several hops."""
+    one_hop = getattr(scenario.announce.spread, "kind", "one_hop") == "one_hop"
+    return not one_hop or _spread_by_schedule(scenario) == "all"
 
 
 def _who_hears_whom(scenario: "Scenario") -> "nx.DiGraph[int]":

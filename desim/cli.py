@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from desim.scenario import Scenario
 
 WRONG_INPUT = 2
@@ -129,8 +131,9 @@ def protocols() -> None:
     from desim.scenario import PROTOCOLS
     from desim.value import described
 
+    known: set[type[BaseModel]] = set()  # what several may hold is described once
     for kind, protocol in PROTOCOLS.choices().items():
-        click.echo("\n".join(described(protocol, kind)) + "\n")
+        click.echo("\n".join(described(protocol, kind, known=known)) + "\n")
 
 
 def _scenario(file: Path, overrides: tuple[str, ...]) -> "Scenario":

@@ -178,7 +178,11 @@ def described(
         inner = indent + "    "
         yield f"{inner}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
         for choice in choices_of(field):
-            for kind, chosen in choice.choices().items():
+            choices = choice.choices()
+            if known.issuperset(choices.values()):
+                yield f"{inner}    {', '.join(choices)}: as above"
+                continue
+            for kind, chosen in choices.items():
                 yield from described(chosen, kind, inner + "    ", known)
         for plain in models_in(field.annotation):
             yield from list(described(plain, name, inner, known))[1:]

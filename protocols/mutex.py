@@ -14,7 +14,7 @@ Robust to loss: yes. Requests are repeated until they are answered; the oldest w
 """
 
 from collections.abc import Callable, Generator
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -56,6 +56,8 @@ class Later(NamedTuple):
 class LocalMutex(Value):
     """Who wants to decide, after exponential waits, asks all neighbours first (Ricart and Agrawala)."""
 
+    spreads_to: ClassVar[Literal["neighbours"]] = "neighbours"
+    """Replies carry what the replier does, and are asked for until they come."""
     kind: Literal["local_mutex"] = "local_mutex"
     rate: Rate = 5.0
     """Wishes to decide per second of each pursuer that has none, 1/s."""

@@ -12,7 +12,7 @@ Robust to loss: yes; see `protocols.circulation`. Without faults every decision 
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,6 +26,8 @@ from protocols.token_messages import Token, present
 class _WithToken(Value):
     """What both schedules share."""
 
+    spreads_to: ClassVar[Literal["all"]] = "all"
+    """The token carries what everyone does."""
     hold: Period = 0.01
     """How long a pursuer has the token; it revises at the end of that time, s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5

@@ -386,7 +386,8 @@ def observe(make, graph, links, acts, seed, **options):
         if what == "publish":
             network.publish(node, number)
         elif what in ("send", "send to all"):
-            network.send(node, None if what == "send to all" else other, number, port=("", "bell")[number % 2])
+            dst = None if what == "send to all" or other == node else other
+            network.send(node, dst, number, port=("", "bell")[number % 2])
         elif what == "read":
             seen.append((clock.now, node, network.heard(node)))
         elif what == "drain":

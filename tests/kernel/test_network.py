@@ -372,6 +372,11 @@ def test_a_message_to_a_node_that_does_not_exist_is_refused(dst):
         Network(Clock(), nx.complete_graph(3)).send(0, dst, "x")
 
 
+def test_a_message_to_oneself_is_refused():
+    with pytest.raises(ValueError, match="node 1 should not send messages to itself"):
+        Network(Clock(), nx.complete_graph(3)).send(1, 1, "x")
+
+
 def test_nobody_speaks_who_does_not_exist():
     with pytest.raises(IndexError):
         Network(Clock(), nx.complete_graph(3)).publish(-1, "x")
