@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.analysis.reading import ended, messages, remembered, started
 from desim.kernel.clock import SECOND
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally
+from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, Over, clock_errors
 from desim.kernel.records import Record
-from desim.pursuit.events import Ended, Started
 from desim.simulation import Result
 
 Integers = NDArray[np.int64]
@@ -39,6 +39,7 @@ FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 """Places before and after all others."""
 
 
+@remembered
 def knowledge(result: Result) -> Pieces:
     """Return what each pursuer knew of each other, from when until when; O(n log n) in the records received.
 
@@ -64,16 +65,6 @@ def knowledge(result: Result) -> Pieces:
             life = _Life(reader, begin, until, before, profile if warm else np.zeros_like(profile), 0 if warm else -1)
             lives.append(life.pieces(said, mine.between(*span)))
     return np.concatenate(lives)
-
-
-def started(result: Result) -> Started:
-    """Return how the run began."""
-    return result.trace.of(Started)[0]
-
-
-def ended(result: Result) -> Ended:
-    """Return how the run ended."""
-    return result.trace.of(Ended)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +169,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
                 arrival += when if len(when) == len(to) else when * len(to)
         elif isinstance(event, Lost):
             lost.append(event.flight * size + event.dst)
-    if not recorded and result.trace.of(Tally)[0].sent:
+    if not recorded and messages(result).sent:
         raise ValueError("messages were sent, but not recorded: set record.messages = true")
     receivers, *columns = np.array(carried, np.int64).reshape(-1, 5).T
     flight, place_of, first, count = (np.repeat(column, receivers) for column in columns)

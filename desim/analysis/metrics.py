@@ -1,156 +1,187 @@
-"""Metrics: functions from the result of a run to a number, computed from its trace alone.
+"""Metrics: functions from the result of a run to a number, computed from its trace alone; and the summary of them all.
 
-n(t) is the number of active pursuers; integrals run from 0 to the end of the run.
+A metric is a function in one of the modules imported here and an entry in `Summary`: its name, the function, its
+unit and what the table of a run says beside it. Tables, JSON and batches follow from the entry.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from math import isnan
+from types import MappingProxyType
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from desim.analysis.knowledge import ended, knowledge
-from desim.analysis.word import ages, belief_error, over_pairs
-from desim.kernel.clock import SECOND, seconds
-from desim.kernel.events import Cause, Tally
-from desim.pursuit.events import Decided, Halted, Started
+from desim.analysis.activity import (
+    active_time,
+    activity,
+    changes,
+    crowded_time,
+    decisions,
+    energy,
+    excess_time,
+    handovers,
+    idle_time,
+    ping_pongs,
+    switches,
+)
+from desim.analysis.course import positions_known
+from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
+from desim.analysis.reading import ended, messages, reading
+from desim.analysis.word import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
+from desim.kernel.clock import seconds
+from desim.kernel.events import Cause
 from desim.simulation import Result
+
+__all__ = [
+    "METRICS",
+    "Metric",
+    "Summary",
+    "active_time",
+    "activity",
+    "age_at_decision",
+    "age_mean",
+    "age_peak",
+    "belief_error",
+    "believed_leaders",
+    "capture_time",
+    "captured",
+    "changes",
+    "crowded_time",
+    "energy",
+    "excess_time",
+    "handovers",
+    "idle_time",
+    "messages",
+    "misassigned_time",
+    "network_regret",
+    "ping_pongs",
+    "potential_gap",
+    "regret",
+    "summary",
+    "switches",
+    "time_to_relay",
+]
+
+
+def captured(result: Result) -> bool:
+    """Return whether the evader was captured."""
+    return ended(result).reason == "captured"
+
+
+def capture_time(result: Result) -> float | None:
+    """Return when the evader was captured, s; None if it was not."""
+    return end_time(result) if captured(result) else None
+
+
+def end_time(result: Result) -> float:
+    """Return when the run ended, s: at the capture, the horizon, or when a watcher asked for it."""
+    return seconds(ended(result).t)
+
+
+def messages_recorded(result: Result) -> bool:
+    """Return whether the messages of a run were to be recorded."""
+    return result.scenario.record.messages
+
+
+@dataclass(frozen=True)
+class Metric:
+    """An entry of a summary: what it is and how tables show it."""
+
+    of: Callable[[Result], Any]
+    unit: str = ""
+    note: "str | Callable[[Summary], str] | None" = None
+    """What the table of one run says beside it; None if it has no row there."""
+    given: Callable[[Result], bool] | None = None
+    """Whether what it needs was recorded, if it needs more than actions; if not, the summary has None."""
+    label: str | None = None
+    """What its row in the table of one run is called, if not like the metric."""
+    in_tables: bool = True
+    """Whether it has a row in the table of several runs."""
+    silent_at_0: bool = False
+    """Whether tables leave it out if it is 0."""
+
+    def __call__(self, result: Result) -> Any:
+        """Return the number; None if there is nothing to measure or nothing was found."""
+        value = self.of(result) if self.given is None or self.given(result) else None
+        return None if isinstance(value, float) and isnan(value) else value
+
+
+def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown: Any) -> Any:
+    """Return a field of a summary; see `Metric`."""
+    return field(metadata={"metric": Metric(of, unit, note, **shown)})
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The numbers of one run that a table shows; times in s."""
+    """The numbers of one run, in the order of tables; None for what did not happen or was not measured."""
 
-    seed: int
-    captured: bool
-    capture_time: float | None
-    """None if the evader was not captured."""
-    capturer: int | None
-    end_time: float
-    active_time: float
-    idle_time: float
-    crowded_time: float
-    excess_time: float
-    decisions: int
-    switches: int
-    messages_sent: int
-    messages_delivered: int
-    messages_lost: int
-    messages_in_flight: int
-    messages_lost_by: dict[Cause, int]
-    transmissions: int
+    seed: int = entry(lambda result: result.seed, in_tables=False)
+    captured: bool = entry(captured, in_tables=False)
+    capture_time: float | None = entry(capture_time, "s")
+    capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False)
+    end_time: float = entry(end_time, "s")
+    active_time: float = entry(active_time, "s", "summed over the pursuers")
+    idle_time: float = entry(idle_time, "s", "nobody active")
+    crowded_time: float = entry(crowded_time, "s", "more than one active")
+    excess_time: float = entry(excess_time, "s")
+    misassigned_time: float | None = entry(
+        misassigned_time, "s", "not just the relay pursuer active", given=positions_known
+    )
+    time_to_relay: float | None = entry(
+        time_to_relay, "s", "until just the relay pursuer was, for a while", given=positions_known
+    )
+    potential_gap: float | None = entry(
+        potential_gap, "s^2", "below the greatest potential, over time", given=positions_known
+    )
+    regret: float | None = entry(regret, "s", "against each one's better fixed action, averaged", given=positions_known)
+    energy: float = entry(energy, "m^2/s", "v^2 summed over the active, over time")
+    decisions: int = entry(
+        lambda result: len(decisions(result)), note=lambda run: f"{run.switches:,} of them changed an action"
+    )
+    switches: int = entry(switches)
+    handovers: int = entry(handovers, note=lambda run: f"{run.ping_pongs:,} of them ping-pong", label="hand-overs")
+    ping_pongs: int = entry(ping_pongs)
+    messages_sent: int = entry(lambda result: messages(result).sent, note="each receiver of a broadcast counts as one")
+    messages_delivered: int = entry(lambda result: messages(result).delivered, note="", label="  delivered")
+    messages_lost: int = entry(
+        lambda result: messages(result).lost,
+        note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run.messages_lost_by.items())),
+        label="  lost",
+    )
+    messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by)
+    messages_in_flight: int = entry(
+        lambda result: messages(result).in_flight, note="when the run ended", label="  in flight"
+    )
+    transmissions: int = entry(lambda result: messages(result).transmissions)
     """How many times something was put on the air, whatever the number of receivers."""
-    bytes_sent: int
-    """Put on the air."""
-    utilisation: float
-    """Share of the time in which the channels were busy, in [0, 1]."""
-    age_mean: float | None
-    """Age of information, averaged over time and pairs; None, like the rest, if not measured."""
-    age_peak: float | None
-    """Just before something newer came."""
-    age_at_decision: float | None
-    belief_error: float | None
-    """Share of pairs of which one has last heard what the other is not doing, in [0, 1]."""
+    bytes_sent: int = entry(
+        lambda result: messages(result).bytes_sent, note=lambda run: f"in {run.transmissions:,} transmissions"
+    )
+    utilisation: float = entry(
+        lambda result: messages(result).utilisation,
+        note="share of the time in which the channels were busy",
+        silent_at_0=True,
+    )
+    age_mean: float | None = entry(age_mean, "s", "averaged over time and pairs", given=messages_recorded)
+    age_peak: float | None = entry(age_peak, "s", "just before newer word came", given=messages_recorded)
+    age_at_decision: float | None = entry(age_at_decision, "s", "when the reader decided", given=messages_recorded)
+    belief_error: float | None = entry(
+        belief_error, note="share of pairs with wrong word of the action", given=messages_recorded
+    )
+    believed_leaders: float | None = entry(
+        believed_leaders, note="active, and heard of nobody else who is", given=messages_recorded
+    )
+
+
+METRICS: Mapping[str, Metric] = MappingProxyType({each.name: each.metadata["metric"] for each in fields(Summary)})
+"""The entries of a summary."""
 
 
 def summary(result: Result) -> Summary:
     """Return the numbers of one run."""
-    end, tally = ended(result), messages(result)
-    captured = end.reason == "captured"
-    age_mean, age_peak, age_at_decision, error = _word(result)
-    return Summary(
-        seed=result.seed,
-        captured=captured,
-        capture_time=seconds(end.t) if captured else None,
-        capturer=end.capturer,
-        end_time=seconds(end.t),
-        active_time=active_time(result),
-        idle_time=idle_time(result),
-        crowded_time=crowded_time(result),
-        excess_time=excess_time(result),
-        decisions=len(result.trace.of(Decided)),
-        switches=switches(result),
-        messages_sent=tally.sent,
-        messages_delivered=tally.delivered,
-        messages_lost=tally.lost,
-        messages_in_flight=tally.in_flight,
-        messages_lost_by=tally.lost_by,
-        transmissions=tally.transmissions,
-        bytes_sent=tally.bytes_sent,
-        utilisation=tally.utilisation,
-        age_mean=age_mean,
-        age_peak=age_peak,
-        age_at_decision=age_at_decision,
-        belief_error=error,
-    )
+    read = reading(result)
+    return Summary(**{name: metric(read) for name, metric in METRICS.items()})
 
 
-def _word(result: Result) -> tuple[float | None, ...]:
-    """Return the three ages of information and the belief error, as far as there is something to measure."""
-    if not result.scenario.record.messages:
-        return None, None, None, None
-    known = knowledge(result)
-    age = ages(result, known)
-    pairs = (over_pairs(each) for each in (age.mean, age.peak, age.at_decision))
-    return tuple(None if isnan(each) else each for each in (*pairs, belief_error(result, known)))
-
-
-def messages(result: Result) -> Tally:
-    """Return how many messages there were, each receiver of a broadcast counted as one."""
-    return result.trace.of(Tally)[0]
-
-
-def activity(result: Result) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return n(t) as a step function: n is counts[k] for durations[k] seconds, in order of time."""
-    active = list(result.trace.of(Started)[0].active)
-    times, counts = [0], [sum(active)]
-    for change in changes(result):
-        times.append(change.t)
-        counts.append(counts[-1] + (1 if _chases(change) else -1))
-    times.append(ended(result).t)
-    return np.diff(times) / SECOND, np.array(counts)
-
-
-def changes(result: Result) -> list[Decided | Halted]:
-    """Return the decisions, and the breakdowns, by which a pursuer's action changed."""
-    active = list(result.trace.of(Started)[0].active)
-    changed = []
-    for event in result.trace:
-        if isinstance(event, Decided | Halted) and _chases(event) != active[event.pursuer]:
-            active[event.pursuer] = _chases(event)
-            changed.append(event)
-    return changed
-
-
-def _chases(event: Decided | Halted) -> bool:
-    """Return whether a pursuer is active from then on."""
-    return isinstance(event, Decided) and event.active
-
-
-def active_time(result: Result) -> float:
-    """Return the sum of the pursuers' active times, int n dt (Lee & Bakolas, Table I), s."""
-    durations, counts = activity(result)
-    return float(durations @ counts)
-
-
-def idle_time(result: Result) -> float:
-    """Return how long nobody was active, int 1{n = 0} dt, s."""
-    durations, counts = activity(result)
-    return float(durations[counts == 0].sum())
-
-
-def crowded_time(result: Result) -> float:
-    """Return how long more than one pursuer was active, int 1{n > 1} dt, s."""
-    durations, counts = activity(result)
-    return float(durations[counts > 1].sum())
-
-
-def excess_time(result: Result) -> float:
-    """Return the active time in excess of one pursuer, int (n - 1)+ dt, s."""
-    durations, counts = activity(result)
-    return float(durations @ np.maximum(counts - 1, 0))
-
-
-def switches(result: Result) -> int:
-    """Return how often a pursuer changed its action by a decision."""
-    return sum(isinstance(change, Decided) for change in changes(result))
+def words(name: str) -> str:
+    """Return the name of a metric as it is read."""
+    return name.replace("_", " ")

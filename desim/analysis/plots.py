@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from desim.analysis.knowledge import ended
+from desim.analysis.reading import ended
 from desim.kernel.clock import seconds
 from desim.pursuit.events import Sampled
 from desim.simulation import Result

@@ -9,12 +9,15 @@ All this needs the messages of a run: `record.messages = true`.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.knowledge import Integers, Pieces, ended, knowledge, started
+from desim.analysis.activity import chases
+from desim.analysis.knowledge import Integers, Pieces, knowledge
+from desim.analysis.reading import ended, remembered, started
 from desim.kernel.clock import SECOND
 from desim.pursuit.events import Decided, Halted
 from desim.simulation import Result
@@ -34,19 +37,16 @@ class Ages:
     """Averaged over the decisions of the reader, from the first reception on."""
 
 
-def ages(result: Result, known: Pieces | None = None) -> Ages:
+@remembered
+def ages(result: Result) -> Ages:
     """Return how old what each pursuer had heard of each other was.
 
     A pair does not count before its first reception, nor while its reader has forgotten all.
 
-    Args:
-        result: of a run whose messages were recorded.
-        known: the `knowledge` of that run, if it is at hand.
-
     Raises:
         ValueError: if messages were sent and not recorded.
     """
-    known = knowledge(result) if known is None else known
+    known = knowledge(result)
     heard, size = known[~known["presumed"]], len(started(result).active)
     pair, created = heard["reader"] * size + heard["source"], heard["created"]
 
@@ -84,52 +84,48 @@ def age_at_decision(result: Result) -> float:
     return over_pairs(ages(result).at_decision)
 
 
-def belief_error(result: Result, known: Pieces | None = None) -> float:
+def belief_error(result: Result) -> float:
     """Return the share of ordered pairs of pursuers of which one has last heard what the other is not doing.
 
     It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At first everyone knows who is
     active or, after a cold start, takes nobody for active. Whether silence is taken for inactivity
     (`announce.forget_after`) plays no part: this is about word, and not what is made of it.
 
-    Args:
-        result: of a run whose messages were recorded.
-        known: the `knowledge` of that run, if it is at hand.
-
     Raises:
         ValueError: if messages were sent and not recorded.
     """
-    known = knowledge(result) if known is None else known
     wrong, size, end = 0, len(started(result).active), ended(result).t
-    for source, active_by in enumerate(_active_times(result)):
-        about = known[known["source"] == source]
+    for active_by, about in zip(_active_times(result), _split(knowledge(result), "source", size), strict=True):
         active = active_by(about["until"]) - active_by(about["begin"])
         inactive = about["until"] - about["begin"] - active
         wrong += int(np.where(about["active"], inactive, active).sum())
     return wrong / (size * (size - 1) * end) if size > 1 and end else nan
 
 
-def believed_leaders(result: Result, known: Pieces | None = None) -> float:
+def believed_leaders(result: Result) -> float:
     """Return how many pursuers are active and have last heard of all others that they are not, averaged over time.
 
     nan if no time passed; see `belief_error` for what is believed at first.
 
-    Args:
-        result: of a run whose messages were recorded.
-        known: the `knowledge` of that run, if it is at hand.
-
     Raises:
         ValueError: if messages were sent and not recorded.
     """
-    known = knowledge(result) if known is None else known
-    alone, end = 0, ended(result).t
-    for reader, active_by in enumerate(_active_times(result)):
-        others = known[(known["reader"] == reader) & known["active"]]
+    alone, size, end = 0, len(started(result).active), ended(result).t
+    for active_by, others in zip(_active_times(result), _split(knowledge(result), "reader", size), strict=True):
+        others = others[others["active"]]
         times = np.concatenate([[0], others["begin"], others["until"], [end]])
         changes = np.repeat([0, 1, -1, 0], [1, len(others), len(others), 1])
         order = np.argsort(times, kind="stable")
         nobody = np.cumsum(changes[order])[:-1] == 0
         alone += int(np.diff(active_by(times[order]))[nobody].sum())
     return alone / end if end else nan
+
+
+def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
+    """Yield the pieces of each reader, or about each source, in order of these."""
+    ordered = known[np.argsort(known[role], kind="stable")]
+    edges = np.searchsorted(ordered[role], np.arange(size + 1))
+    yield from (ordered[first:last] for first, last in pairwise(edges))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +146,7 @@ def _active_times(result: Result) -> Iterator[_ActiveTime]:
     actions = [[(0, active)] for active in started(result).active]
     for event in result.trace:
         if isinstance(event, Decided | Halted):
-            actions[event.pursuer].append((event.t, isinstance(event, Decided) and event.active))
+            actions[event.pursuer].append((event.t, chases(event)))
     for own in actions:
         changed, active = np.array([t for t, _ in own]), np.array([action for _, action in own])
         yield _ActiveTime(changed, np.append(0, np.cumsum(np.diff(changed) * active[:-1])), active)

@@ -1,34 +1,41 @@
 """Metrics, integrated by hand."""
 
-from dataclasses import asdict
+import json
+import pickle
+from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.analysis.knowledge import ended
 from desim.analysis.metrics import (
+    METRICS,
+    Summary,
     active_time,
     activity,
+    believed_leaders,
     changes,
     crowded_time,
+    energy,
     excess_time,
+    handovers,
     idle_time,
     messages,
+    ping_pongs,
     summary,
     switches,
 )
+from desim.analysis.reading import ended, reading, remembered
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import Broadcast, Tally, Trace
-from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import Decided, Ended, Halted, Started
 from desim.pursuit.word import Announcements
 from desim.scenario import Recording, Scenario, Team
 from desim.simulation import Result, run
 
 pytestmark = pytest.mark.own_trace
-pytestmark = pytest.mark.own_trace
-METRICS = (active_time, idle_time, crowded_time, excess_time)
+TIMES = (active_time, idle_time, crowded_time, excess_time)
 
 
 def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 0, 0, {}, 0, 0, 0.0)) -> Result:
@@ -91,7 +98,7 @@ def test_activity_is_a_step_function_with_a_piece_of_no_length_between_simultane
 def test_a_pursuer_that_leaves_and_returns_at_one_instant_switches_twice_and_no_time_passes():
     result = by_hand((True,), [(1.0, 0, False), (1.0, 0, True)], 2.0)
     assert switches(result) == 2
-    assert [metric(result) for metric in METRICS] == [2.0, 0.0, 0.0, 0.0]
+    assert [metric(result) for metric in TIMES] == [2.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -105,7 +112,7 @@ def test_a_pursuer_that_leaves_and_returns_at_one_instant_switches_twice_and_no_
 )
 def test_without_a_decision_everything_stays_as_it_began(active, expected):
     result = by_hand(active, [], 3.0)
-    assert [metric(result) for metric in METRICS] == expected
+    assert [metric(result) for metric in TIMES] == expected
     assert switches(result) == 0
 
 
@@ -130,10 +137,71 @@ def test_a_pursuer_that_breaks_down_is_no_longer_active_and_that_is_no_switch():
     assert changes(result) == [Halted(SECOND, 0), Decided(3 * SECOND, 0, True)]
 
 
+def test_energy_is_the_integral_of_the_squared_speeds_of_the_active():
+    """At 2, 1 and 3 m/s for 2, 3 and 1 s: 4 x 2 + 1 x 3 + 9 x 1; who is repeated, halted or late adds nothing."""
+    result = by_hand((True, False, False), [(1.0, 1, True), (1.5, 1, True), (2.0, 0, False), (3.0, 2, True)], 4.0)
+    result.trace.events[0] = result.trace.events[0]._replace(speeds=(2.0, 1.0, 3.0))
+    assert energy(result) == 20.0
+    result.trace.events[-2:-2] = [Halted(3 * SECOND, 2)]
+    assert energy(result) == 11.0
+
+
+def exchange(*relays, start=(True, False, False), end=20.0):
+    """Return a result in which the first pursuer of each (time, from, to) leaves and the other joins it."""
+    return by_hand(start, [each for t, i, j in relays for each in ((t, i, False), (t, j, True))], end)
+
+
+def test_a_hand_over_is_a_single_active_pursuer_that_is_another_than_the_last():
+    """0 -> 1 at 1 s, 1 -> 2 at 2 s."""
+    assert handovers(exchange((1.0, 0, 1), (2.0, 1, 2))) == 2
+
+
+def test_nobody_and_several_between_two_single_ones_make_no_difference():
+    """0, nobody, 0 again: none. 0, then 0 and 1, then 1: one. Then 1, all, nobody, 1: none."""
+    acts = [(1.0, 0, False), (2.0, 0, True)]
+    assert handovers(by_hand((True, False, False), acts, 9.0)) == 0
+    acts += [(3.0, 1, True), (4.0, 0, False)]
+    assert handovers(by_hand((True, False, False), acts, 9.0)) == 1
+    acts += [(5.0, 0, True), (5.0, 2, True), (6.0, 0, False), (6.0, 1, False), (6.0, 2, False), (7.0, 1, True)]
+    assert handovers(by_hand((True, False, False), acts, 9.0)) == 1
+
+
+def test_who_is_alone_for_no_time_is_no_hand_over():
+    """Between simultaneous changes, {0, 1} -> {1} -> {1, 2}, and at the end."""
+    acts = [(1.0, 1, True), (2.0, 0, False), (2.0, 2, True), (3.0, 2, False), (3.0, 1, False), (3.0, 0, True)]
+    assert handovers(by_hand((True, False, False), acts, 9.0)) == 0
+    assert handovers(by_hand((True, False, False), [(9.0, 1, True), (9.0, 0, False)], 9.0)) == 0
+    assert handovers(by_hand((True, False, False), [(0.0, 1, True), (0.0, 0, False)], 9.0)) == 0
+
+
+def test_the_first_single_pursuer_and_a_run_without_one_are_no_hand_over():
+    assert handovers(by_hand((True, True, True), [(1.0, 0, False), (2.0, 2, False)], 9.0)) == 0
+    assert handovers(by_hand((False, False), [], 9.0)) == 0
+
+
+def test_a_ping_pong_is_a_hand_over_that_undoes_the_one_before_in_less_than_a_second():
+    """0 -> 1 at 1 s, back after 0.75 s (yes), there after 1 s (no), 1 -> 2 and 2 -> 0 at once (no), back (yes)."""
+    result = exchange((1.0, 0, 1), (1.75, 1, 0), (2.75, 0, 1), (3.0, 1, 2), (3.25, 2, 0), (3.5, 0, 2))
+    assert (handovers(result), ping_pongs(result)) == (6, 2)
+    assert ping_pongs(result, within=1.25) == 3
+    assert ping_pongs(result, within=0.75) == 1
+    assert ping_pongs(result, within=0.25) == 0
+
+
+def test_a_ping_pong_counts_from_hand_over_to_hand_over_and_not_from_when_the_other_left():
+    """0 -> 1 at 2 s after a second with nobody; 1 leaves at 2.5 s; 0 is alone again at 2.75 s, 0.75 s after 2 s."""
+    acts = [(1.0, 0, False), (2.0, 1, True), (2.5, 1, False), (2.75, 0, True)]
+    result = by_hand((True, False), acts, 9.0)
+    assert ping_pongs(result, within=0.8) == 1
+    assert ping_pongs(result, within=0.75) == 0
+
+
 def test_the_summary_of_a_run_whose_messages_are_recorded_has_ages_and_errors():
     """Of 20 pursuers each hears the others at once, so that nobody is wrong; and nobody's word is old when it comes."""
-    numbers = summary(run(Scenario(horizon=0.5, record=Recording(messages=True))))
+    result = run(Scenario(horizon=0.5, record=Recording(messages=True)))
+    numbers = summary(result)
     assert numbers.belief_error == 0.0
+    assert numbers.believed_leaders == believed_leaders(result)
     assert 0.0 < numbers.age_mean < numbers.age_peak < 0.5
     assert 0.0 < numbers.age_at_decision < 0.5
     assert numbers.bytes_sent == 24 * numbers.transmissions > 0
@@ -155,8 +223,15 @@ def test_the_summary_of_a_capture_has_all_its_numbers(relay):
         "idle_time": 0.5,
         "crowded_time": 2.0,
         "excess_time": 3.0,
+        "misassigned_time": None,
+        "time_to_relay": None,
+        "potential_gap": None,
+        "regret": None,
+        "energy": 26.0,
         "decisions": 6,
         "switches": 5,
+        "handovers": 1,
+        "ping_pongs": 0,
         "messages_sent": 12,
         "messages_delivered": 7,
         "messages_lost": 3,
@@ -169,6 +244,7 @@ def test_the_summary_of_a_capture_has_all_its_numbers(relay):
         "age_peak": None,
         "age_at_decision": None,
         "belief_error": None,
+        "believed_leaders": None,
     }
 
 
@@ -186,7 +262,6 @@ def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
 
 def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     before = summary(relay)
-    relay.trace.append(Sampled(0, (0.0, 0.0), ((1.0, 1.0),)))
     relay.trace.append_message(Broadcast(0, 0, 0, 1, (1, 2), (0,), 0, 16, None))
     assert summary(relay) == before
 
@@ -221,6 +296,28 @@ def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(re
 
 @settings(deadline=None)
 @given(histories())
+def test_energy_and_hand_overs_are_what_a_walk_through_the_run_finds(result):
+    """Tick by tick of 1/8 s, on whose grid everything happens; speeds 1, 2, 3, ... m/s."""
+    (start,) = result.trace.of(Started)
+    start = start._replace(speeds=tuple(1.0 + i for i in range(len(start.active))))
+    result.trace.events[0] = start
+    active, spent, alone = list(start.active), 0.0, []
+    for tick in range(80):
+        for each in result.trace.of(Decided):
+            if each.t * 8 == tick * SECOND:
+                active[each.pursuer] = each.active
+        spent += sum((1.0 + i) ** 2 for i, a in enumerate(active) if a) / 8
+        if sum(active) == 1 and (not alone or alone[-1][1] != active.index(True)):
+            alone.append((tick / 8, active.index(True)))
+    assert energy(result) == spent
+    assert handovers(result) == max(len(alone) - 1, 0)
+    back = [c - b for (_, i), (b, _), (c, j) in zip(alone, alone[1:], alone[2:], strict=False) if i == j]
+    for within in (0.25, 1.0, 3.0):
+        assert ping_pongs(result, within) == sum(each < within for each in back)
+
+
+@settings(deadline=None)
+@given(histories())
 def test_at_every_instant_nobody_is_active_or_one_is_or_the_rest_are_in_excess(result):
     """n - (n - 1)+ + 1{n = 0} = 1, and crowding is where there is excess."""
     assert active_time(result) - excess_time(result) + idle_time(result) == 10.0
@@ -249,3 +346,56 @@ def test_the_summary_of_a_run_agrees_with_its_trace():
     assert counts.min() >= 0
     assert counts.max() <= 20
     assert np.abs(np.diff(counts)).tolist() == [1] * numbers.switches
+
+
+# The summary and its entries.
+
+
+def test_every_field_of_a_summary_is_one_entry_that_measures_it(relay):
+    numbers = summary(relay)
+    assert list(METRICS) == [each.name for each in fields(Summary)]
+    assert {name: metric(relay) for name, metric in METRICS.items()} == asdict(numbers)
+
+
+def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
+    numbers = summary(run(Scenario(horizon=0.5, record=Recording(messages=True))))
+    assert {name for name, value in asdict(numbers).items() if value is None} <= {
+        "capture_time",
+        "capturer",
+        "time_to_relay",
+    }
+    assert Summary(**json.loads(json.dumps(asdict(numbers)))) == numbers
+    assert pickle.loads(pickle.dumps(numbers)) == numbers
+
+
+def test_what_is_remembered_is_derived_once_for_a_reading_and_anew_for_a_result(relay):
+    calls = []
+
+    @remembered
+    def derived(result):
+        calls.append(result)
+        return len(calls)
+
+    read = reading(relay)
+    assert [derived(read), derived(read), derived(reading(relay)), derived(relay), derived(relay)] == [1, 1, 2, 3, 4]
+
+
+def test_a_summary_does_not_hide_what_is_added_to_a_trace_afterwards(relay):
+    """One more decision at the end."""
+    before = summary(relay)
+    relay.trace.events.insert(-2, Decided(4 * SECOND, 2, False))
+    assert (summary(relay).decisions, summary(relay).switches) == (before.decisions + 1, before.switches + 1)
+
+
+def test_each_thing_that_metrics_share_is_derived_once_in_a_summary(monkeypatch):
+    """The trace of a run is searched for its beginning and its end, and for each kind of event, once."""
+    result = run(Scenario(horizon=0.2, record=Recording(messages=True)))
+    searched, of = [], Trace.of
+
+    def watched(self, kind):
+        searched.append(kind)
+        return of(self, kind)
+
+    monkeypatch.setattr(Trace, "of", watched)
+    summary(result)
+    assert len(searched) == len(set(searched)) > 4

@@ -1,13 +1,13 @@
 """Means and their intervals against tables and against chance."""
 
-from math import isnan, sqrt
+from math import comb, isnan, sqrt
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.analysis.statistics import estimate
+from desim.analysis.statistics import estimate, wilson
 
 
 def test_the_interval_of_1_to_5_is_that_of_the_tables():
@@ -64,3 +64,40 @@ def test_the_interval_covers_the_mean_95_times_in_100():
     assert covered == pytest.approx(0.95, abs=0.014)
     assert too_narrow == pytest.approx(0.878, abs=0.021)
     assert too_narrow < 0.95 - 0.014
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (5, 10, 0.2366, 0.7634), (81, 263, 0.2553, 0.3662)],
+)
+def test_the_interval_of_wilson_is_that_of_the_books(successes, trials, low, high):
+    """81 of 263: Newcombe 1998, "Two-sided confidence intervals for the single proportion", Table I, method 3."""
+    assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_the_ends_of_the_interval_of_wilson_are_just_as_far_from_the_share_as_their_own_law_allows(case):
+    """(p^ - p)^2 = z^2 p (1 - p) / n at both, one on either side of p^; failures mirror successes."""
+    successes, trials = case
+    low, high = wilson(successes, trials)
+    assert 0.0 <= low <= successes / trials <= high <= 1.0
+    for p in (low, high):
+        if 0.0 < p < 1.0:
+            assert (successes / trials - p) ** 2 == pytest.approx(1.959963984540054**2 * p * (1 - p) / trials)
+    assert wilson(trials - successes, trials) == pytest.approx((1.0 - high, 1.0 - low))
+
+
+def test_the_interval_of_wilson_covers_a_rare_event_where_that_of_the_mean_does_not():
+    """20 trials at p = 0.05, all outcomes by their weights: covered with 0.925; by mean +- 1.96 s.e. with 0.639."""
+    n, p = 20, 0.05
+    weight = [comb(n, k) * p**k * (1 - p) ** (n - k) for k in range(n + 1)]
+    covered = sum(w for k, w in enumerate(weight) if wilson(k, n)[0] <= p <= wilson(k, n)[1])
+    simple = sum(w for k, w in enumerate(weight) if abs(k / n - p) <= 1.96 * sqrt(k / n * (1 - k / n) / n))
+    assert covered == pytest.approx(0.925, abs=0.001)
+    assert simple == pytest.approx(0.639, abs=0.001)
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 2)])
+def test_what_are_no_successes_of_trials_is_an_error(successes, trials):
+    with pytest.raises(ValueError, match=f"{successes} of {trials}"):
+        wilson(successes, trials)

@@ -20,8 +20,15 @@ CAUGHT = Summary(
     idle_time=0.0,
     crowded_time=1.23,
     excess_time=0.5,
+    misassigned_time=None,
+    time_to_relay=None,
+    potential_gap=None,
+    regret=None,
+    energy=16.25,
     decisions=1358,
     switches=19,
+    handovers=3,
+    ping_pongs=1,
     messages_sent=6802,
     messages_delivered=6610,
     messages_lost=116,
@@ -34,9 +41,17 @@ CAUGHT = Summary(
     age_peak=None,
     age_at_decision=None,
     belief_error=None,
+    believed_leaders=None,
 )
+SEEN = replace(CAUGHT, misassigned_time=1.5, time_to_relay=1.25, potential_gap=40.5, regret=-0.125)
 HEARD = replace(
-    CAUGHT, utilisation=0.25, age_mean=0.0519, age_peak=0.1021, age_at_decision=0.0498, belief_error=0.03125
+    CAUGHT,
+    utilisation=0.25,
+    age_mean=0.0519,
+    age_peak=0.1021,
+    age_at_decision=0.0498,
+    belief_error=0.03125,
+    believed_leaders=0.75,
 )
 ESCAPED = replace(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
 
@@ -75,7 +90,9 @@ def test_the_table_of_a_run_that_ended_with_a_capture():
         "active time    12.739 s                    summed over the pursuers",
         "idle time      0.000 s                     nobody active",
         "crowded time   1.230 s                     more than one active",
+        "energy         16.250 m^2/s                v^2 summed over the active, over time",
         "decisions      1,358                       19 of them changed an action",
+        "hand-overs     3                           1 of them ping-pong",
         "messages sent  6,802                       each receiver of a broadcast counts as one",
         "  delivered    6,610",
         "  lost         116                         100 by half duplex, 16 by reach",
@@ -86,14 +103,26 @@ def test_the_table_of_a_run_that_ended_with_a_capture():
 
 
 def test_the_table_of_a_run_whose_word_was_measured_tells_how_old_and_how_wrong_it_was():
-    assert run_table(SCENARIO, HEARD, wall_time=0.05).splitlines()[-7:] == [
-        "bytes sent       81,624                      in 3,401 transmissions",
-        "utilisation      0.250                       share of the time in which the channels were busy",
-        "age mean         0.052 s                     averaged over time and pairs",
-        "age peak         0.102 s                     just before newer word came",
-        "age at decision  0.050 s                     when the reader decided",
-        "belief error     0.031                       share of pairs with wrong word of the action",
-        "wall time        0.050 s                     136,040 messages/s",
+    assert run_table(SCENARIO, HEARD, wall_time=0.05).splitlines()[-8:] == [
+        "bytes sent        81,624                      in 3,401 transmissions",
+        "utilisation       0.250                       share of the time in which the channels were busy",
+        "age mean          0.052 s                     averaged over time and pairs",
+        "age peak          0.102 s                     just before newer word came",
+        "age at decision   0.050 s                     when the reader decided",
+        "belief error      0.031                       share of pairs with wrong word of the action",
+        "believed leaders  0.750                       active, and heard of nobody else who is",
+        "wall time         0.050 s                     136,040 messages/s",
+    ]
+
+
+def test_the_table_of_a_run_whose_positions_are_known_tells_how_far_it_was_from_the_relay_profile():
+    assert run_table(SCENARIO, SEEN, wall_time=0.05).splitlines()[4:10] == [
+        "crowded time      1.230 s                     more than one active",
+        "misassigned time  1.500 s                     not just the relay pursuer active",
+        "time to relay     1.250 s                     until just the relay pursuer was, for a while",
+        "potential gap     40.500 s^2                  below the greatest potential, over time",
+        "regret            -0.125 s                    against each one's better fixed action, averaged",
+        "energy            16.250 m^2/s                v^2 summed over the active, over time",
     ]
 
 
@@ -104,11 +133,30 @@ def test_the_table_of_a_run_without_losses_names_no_cause():
 
 def test_the_table_of_several_runs_averages_ages_over_the_runs_that_have_them():
     lines = batch_table(SCENARIO, [replace(HEARD, age_peak=None), HEARD], wall_time=1.0).splitlines()
-    cells = {line[:20].strip(): line[20:].split() for line in lines[2:-1]}
+    cells = {line[:20].strip(): line[20:].split() for line in lines[3:-1]}
+    assert cells["believed leaders"] == ["0.750", "0.000", "0.750", "0.750", "2"]
     assert cells["age mean, s"] == ["0.052", "0.000", "0.052", "0.052", "2"]
     assert cells["age peak, s"] == ["0.102", "-", "0.102", "0.102", "1"]
     assert cells["belief error"] == ["0.031", "0.000", "0.031", "0.031", "2"]
     assert cells["utilisation"] == ["0.250", "0.000", "0.250", "0.250", "2"]
+
+
+def test_the_table_of_several_runs_averages_over_those_in_which_there_was_something_to_measure():
+    """In one of two runs the relay pursuer never chased alone for long enough; in the third nothing was recorded."""
+    runs = [SEEN, replace(SEEN, time_to_relay=None, misassigned_time=2.5), CAUGHT]
+    lines = batch_table(SCENARIO, runs, wall_time=1.0).splitlines()
+    cells = {line[:20].strip(): line[20:].split() for line in lines[3:-1]}
+    assert cells["misassigned time, s"] == ["2.000", "6.353", "1.500", "2.500", "2"]
+    assert cells["time to relay, s"] == ["1.250", "-", "1.250", "1.250", "1"]
+    names = list(cells)
+    assert names[names.index("excess time, s") :][:6] == [
+        "excess time, s",
+        "misassigned time, s",
+        "time to relay, s",
+        "potential gap, s^2",
+        "regret, s",
+        "energy, m^2/s",
+    ]
 
 
 def test_a_cause_that_one_run_lacks_counts_as_0_there():
@@ -136,14 +184,26 @@ def test_the_table_of_several_runs_has_means_intervals_and_extremes():
     lines = batch_table(SCENARIO, runs, wall_time=2.0).splitlines()
     assert lines[0] == "relay: 3 pursuers, sap, seeds 7 to 9"
     assert lines[1] == "captured in 2 of 3 runs; +- is half a 95 % t interval"
-    cells = {line[:18].strip(): line[18:].split() for line in lines[2:-1]}
+    assert lines[2] == "capture probability 0.667, 95 % Wilson interval 0.208 to 0.939"
+    cells = {line[:18].strip(): line[18:].split() for line in lines[3:-1]}
     assert cells[""] == ["mean", "+-", "least", "most", "runs"]
     assert cells["capture time, s"] == ["3.000", "12.706", "2.000", "4.000", "2"]
     assert cells["idle time, s"] == ["3.000", "7.452", "0.000", "6.000", "3"]
     assert cells["switches"] == ["10.000", "0.000", "10.000", "10.000", "3"]
     assert cells["messages sent"] == ["6,802.000", "0.000", "6,802.000", "6,802.000", "3"]
-    names = ["capture time, s", "active time, s", "idle time, s", "crowded time, s", "excess time, s", "decisions"]
-    names += ["switches", "messages sent", "messages delivered", "messages lost", "by half duplex", "by reach"]
+    names = ["capture time, s", "end time, s", "active time, s", "idle time, s", "crowded time, s", "excess time, s"]
+    names += [
+        "energy, m^2/s",
+        "decisions",
+        "switches",
+        "handovers",
+        "ping pongs",
+        "messages sent",
+        "messages delivered",
+        "messages lost",
+        "by half duplex",
+        "by reach",
+    ]
     names += ["messages in flight", "transmissions", "bytes sent"]
     assert list(cells) == ["", *names]
     assert lines[-1] == "wall time 2.000 s, 10,203 messages/s"
