@@ -62,6 +62,11 @@ def word_gets_through(scenario: "Scenario") -> str | None:
     return None
 
 
+def word_repeated(scenario: "Scenario") -> str | None:
+    """What was said is said again, whether or not it has changed."""
+    return "nothing is said twice (`announce.trigger`)" if scenario.announce.trigger in {"change", "never"} else None
+
+
 def one_at_a_time(scenario: "Scenario") -> str | None:
     """No two pursuers decide at the same instant."""
     schedule = getattr(scenario.protocol, "schedule", None)
@@ -86,6 +91,32 @@ def equal_speeds(scenario: "Scenario") -> str | None:
     return f"speeds are {min(speeds):g} to {max(speeds):g} m/s" if len(speeds) > 1 else None
 
 
+def host_in_reach(scenario: "Scenario") -> str | None:
+    """The pursuer that carries the server hears everybody, and everybody hears it, in one hop."""
+    host, size = getattr(scenario.protocol, "host", 0), scenario.team.count
+    if host >= size:
+        return f"there is no pursuer {host}: they are 0 .. {size - 1}"
+    if any(isinstance(fault, Partition) for fault in scenario.fault):
+        return "a partition cuts the team in parts"
+    graph = _who_hears_whom(scenario)
+    far = [j for j in range(size) if j != host and not (graph.has_edge(j, host) and graph.has_edge(host, j))]
+    return f"as it begins {len(far)} of {size - 1} are out of reach of pursuer {host}" if far else None
+
+
+def times_known(scenario: "Scenario") -> str | None:
+    """Everybody knows everybody's time of capture: positions are sensed, or all are told."""
+    if scenario.announce.payload == "action":
+        return None
+    return everyone_heard(scenario) or word_gets_through(scenario)
+
+
+def places_known(scenario: "Scenario") -> str | None:
+    """Everybody knows where everybody is: positions are sensed, or all are told."""
+    if scenario.announce.payload == "time":
+        return "nobody says where it is (`announce.payload`)"
+    return times_known(scenario)
+
+
 ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
     {
         each.__name__: each
@@ -94,10 +125,14 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
             everyone_heard,
             component_heard,
             word_gets_through,
+            word_repeated,
             one_at_a_time,
             no_crashes,
             equal_clocks,
             equal_speeds,
+            host_in_reach,
+            times_known,
+            places_known,
         )
     }
 )

@@ -229,6 +229,6 @@ def test_a_protocol_of_ones_own_is_called_by_its_name():
         def __call__(self, me):
             yield me.at(0.0)
 
-    for protocol, called in ((daydream, "daydream"), (Idler(), "own protocol")):
+    for protocol, called in ((daydream, "daydream"), (Idler(), "Idler")):
         scenario = SCENARIO.model_copy(update={"protocol": protocol})
         assert run_table(scenario, CAUGHT, 1.0).splitlines()[0] == f"relay: 3 pursuers, {called}, seed 7"

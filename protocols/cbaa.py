@@ -1,0 +1,62 @@
+"""The consensus-based auction: who hears of no better bid than its own chases.
+
+Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2,
+    for one task. Each pursuer knows the greatest bid y it has heard of and whose it is. Other than there, bids follow
+    the times of capture, so at each turn the winner bids anew, and the word of a pursuer about its own bid counts for
+    more than what others say of that bid.
+Parameters: schedule. With Rounds these are the rounds of the paper.
+Assumes: a connected graph and constant bids; then all agree on one winner after a round of bids and one more for each
+    hop of the diameter. Where bids change, the greatest only rises as long as its bidder chases, for whose phi falls.
+    No crashes: claims have no stamps, so there is no telling that a winner has fallen silent, and it blocks all others
+    for ever.
+Messages: announcements of 40 bytes; news is a new winner, so bids that change need heartbeats or `revision`.
+Robust to loss: yes, with heartbeats.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar, Literal, NamedTuple
+
+from desim.pursuit.agent import Agent
+from protocols.claims import NO_BID, Auction, Bid, offer, unread
+from protocols.rule import Rule
+
+
+class Claim(NamedTuple):
+    """Whom a pursuer holds for the winner."""
+
+    active: bool
+    winner: int
+    amount: float
+    """The greatest bid y, s."""
+
+    @property
+    def news(self) -> tuple[bool, int]:
+        """What is told at once if it changes: action and winner."""
+        return self.active, self.winner
+
+
+class CBAA(Auction):
+    """Consensus on the greatest bid: a pursuer that is outbid releases its claim."""
+
+    assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "connected", "no_crashes")
+    kind: Literal["cbaa"] = "cbaa"
+
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield whether it is the winner."""
+        best, read = NO_BID, dict[int, int]()
+        while True:
+            said = {each.src: Bid(each.body.winner, each.body.amount) for each in unread(me, read, Claim)}
+            best = greatest(best, said | {me.id: offer(me)})
+            wins = best.winner == me.id
+            me.claim(Claim(wins, *best))
+            yield wins
+
+
+def greatest(best: Bid, said: Mapping[int, Bid]) -> Bid:
+    """Return the greatest bid, of the best until now and what each pursuer says now (the bidder itself included).
+
+    Of who says something now no bid counts but what it says itself: it may have released its claim, or bid anew.
+    """
+    own_words = [bid for j, bid in said.items() if bid.winner == j]
+    hearsay = [bid for bid in (best, *said.values()) if bid.winner not in said]
+    return max(own_words + hearsay, key=lambda bid: bid.rank, default=NO_BID)

@@ -1,0 +1,107 @@
+"""The consensus-based bundle algorithm with one task: an auction in which word has stamps, so that it can grow old.
+
+Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Table I (see
+    `decision`), for bundles of one task. Other than there, s_i[k] is when k sent its word and not when i received it,
+    so a stamp is always by the clock of whom it is about, and clocks need not agree; a winner of whom no newer word
+    comes is given up; wherever bids are compared, of equal ones that of the lower id is greater.
+Parameters: schedule (with Rounds these are the rounds of the paper), patience.
+Assumes: a connected graph, or there is a winner in each component; and word that is repeated, by heartbeats or at each
+    revision. Else the winner seems to have fallen silent, and in the end everybody gives everybody up, and chases.
+Messages: announcements of 40 bytes and 8 for each pursuer; news is a new winner.
+Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over as soon as patience ends.
+"""
+
+from collections.abc import Iterator, Sequence
+from math import inf
+from typing import ClassVar, Literal, NamedTuple
+
+from desim.pursuit.agent import Agent
+from desim.value import Extent
+from protocols.claims import NO_BID, NOBODY, Auction, Bid, offer, unread
+
+Verdict = Literal["update", "reset", "leave"]
+"""Take the winner over from the sender; know of no winner any more; change nothing."""
+NANOSECONDS = 1e9
+"""In a second."""
+
+
+class StampedClaim(NamedTuple):
+    """Whom a pursuer holds for the winner, and how old its word of each other is."""
+
+    active: bool
+    winner: int
+    amount: float
+    """The winning bid y, s."""
+    stamps: tuple[float, ...]
+    """s[m]: when the latest word of m was sent that it knows of, at one hop or more, by the clock of m, s."""
+
+    @property
+    def news(self) -> tuple[bool, int]:
+        """What is told at once if it changes: action and winner."""
+        return self.active, self.winner
+
+
+class CBBA(Auction):
+    """Consensus on winner, bid and stamps; see `decision`."""
+
+    assumes: ClassVar[tuple[str, ...]] = ("connected", "word_repeated")
+    kind: Literal["cbba"] = "cbba"
+    patience: Extent = 2.0
+    """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
+    many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
+
+    def actions(self, me: Agent) -> Iterator[int]:
+        """Yield whether it is the winner."""
+        best, read = NO_BID, dict[int, int]()
+        stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: when a stamp was last found newer
+        while True:
+            for record in unread(me, read, StampedClaim):
+                k, (_, winner, amount, theirs) = record.src, record.body
+                verdict = decision(me.id, k, best.winner, best.amount, stamps, winner, amount, theirs)
+                best = {"update": Bid(winner, amount), "reset": NO_BID, "leave": best}[verdict]
+                heard = [*theirs[:k], record.sent / NANOSECONDS, *theirs[k + 1 :]]
+                since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
+                stamps = list(map(max, heard, stamps))
+            if best.winner == me.id or (best != NO_BID and me.now - since[best.winner] > self.patience):
+                best = NO_BID  # its own bid is made anew
+            best = max(best, offer(me), key=lambda bid: bid.rank)
+            wins = best.winner == me.id
+            stamps[me.id] = me.now
+            me.claim(StampedClaim(wins, *best, tuple(stamps)))
+            yield wins
+
+
+def decision(
+    i: int, k: int, z_i: int, y_i: float, s_i: Sequence[float], z_k: int, y_k: float, s_k: Sequence[float]
+) -> Verdict:
+    """Return what receiver i, who holds z_i for the winner, does when sender k says z_k (Choi et al. 2009, Table I).
+
+    Each row is: k says, i says; what i does. Here m and n are neither i nor k, nor one another.
+    """
+    higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
+    newer_of_theirs, newer_of_mine = (m != NOBODY and s_k[m] > s_i[m] for m in (z_k, z_i))
+    older_of_theirs = z_k != NOBODY and s_k[z_k] < s_i[z_k]
+    outdated: Verdict = "reset" if newer_of_mine and older_of_theirs else "leave"
+    names = {i: "i", k: "k", NOBODY: "none"}
+    k_says = names.get(z_k, "m")
+    i_says = names.get(z_i, "n" if k_says == "m" and z_i != z_k else "m")
+    table: dict[tuple[str, str], Verdict] = {
+        ("k", "i"): "update" if higher else "leave",
+        ("k", "k"): "update",
+        ("k", "m"): "update" if newer_of_mine or higher else "leave",
+        ("k", "none"): "update",
+        ("i", "i"): "leave",
+        ("i", "k"): "reset",
+        ("i", "m"): "reset" if newer_of_mine else "leave",
+        ("i", "none"): "leave",
+        ("m", "i"): "update" if newer_of_theirs and higher else "leave",
+        ("m", "k"): "update" if newer_of_theirs else "reset",
+        ("m", "m"): "update" if newer_of_theirs else "leave",
+        ("m", "n"): "update" if newer_of_theirs and (newer_of_mine or higher) else outdated,
+        ("m", "none"): "update" if newer_of_theirs else "leave",
+        ("none", "i"): "leave",
+        ("none", "k"): "update",
+        ("none", "m"): "update" if newer_of_mine else "leave",
+        ("none", "none"): "leave",
+    }
+    return table[k_says, i_says]

@@ -1,0 +1,450 @@
+"""What both auctions promise, and what only the one without stamps does: it is blocked by a winner that is gone."""
+
+from functools import partial
+from itertools import permutations
+from math import inf
+from types import SimpleNamespace
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim import Scenario, run
+from desim.analysis.metrics import excess_time, idle_time
+from desim.assumptions import broken
+from desim.kernel.events import Broadcast, Tally
+from desim.kernel.faults import Crash, Partition
+from desim.kernel.graphs import Edges
+from desim.kernel.latency import Lognormal
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.records import Record
+from desim.pursuit.capture import capture_time
+from desim.pursuit.events import Decided, Ended, Halted, Started
+from desim.pursuit.game import relay_profile
+from desim.pursuit.word import Announcements, Assignment
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.cbaa import CBAA, Claim, greatest
+from protocols.cbba import CBBA, StampedClaim
+from protocols.claims import NO_BID, Bid, offer, unread
+from protocols.dissemination import Flooding
+from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.token import TokenRing
+
+AUCTIONS = [CBAA, CBBA]
+SCHEDULES = {
+    "rounds": Rounds(period=0.1),
+    "some_rounds": Rounds(period=0.1, q=0.3),
+    "poisson": Poisson(rate=5.0),
+    "shared_seed": SharedSeed(slot=0.02),
+    "token_ring": TokenRing(hold=0.02),
+}
+HORIZON = 8.0
+"""Of a frozen game: how long it is negotiated, and r, s."""
+
+
+def frozen(protocol, seed=0, until=inf, **changes):
+    """Run an auction in a frozen game of four: phi = 4, 1, 2, 3 s, all at rest, cold start; nothing is lost or late.
+
+    It ends after `until`, s, although r is the horizon all the time.
+    """
+    given = {
+        "horizon": HORIZON,
+        "team": Team(positions=[(4.1, 0.0), (1.1, 0.0), (2.1, 0.0), (3.1, 0.0)], speeds=1.0, active_at_start=0.0),
+        "evader": Evader(position=(0.0, 0.0), speed=0.0),
+        "motion": Motion(frozen=True),
+        "protocol": protocol,
+        "announce": Announcements(warm_start=False),
+        "record": Recording(trajectory=0.0, messages=True),
+    }
+    return run(Scenario(**(given | changes)), seed, lambda event: event.t > until * 1e9)
+
+
+def times(result):
+    """Return everyone's phi as the run begins, s."""
+    start, scenario = result.trace.of(Started)[0], result.scenario
+    phi = capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
+    return phi.tolist()
+
+
+def chasing(result, at=inf):
+    """Return who chases right after an instant, s."""
+    active = dict(enumerate(result.trace.of(Started)[0].active))
+    for event in result.trace:
+        if isinstance(event, Decided | Halted) and event.t <= at * 1e9 + 1:
+            active[event.pursuer] = getattr(event, "active", False)
+    return [pursuer for pursuer, chases in active.items() if chases]
+
+
+def relay(result):
+    """Return the relay profile of the frozen game, as a list of who chases."""
+    return np.flatnonzero(relay_profile(times(result), result.scenario.horizon)).tolist()
+
+
+def random_team(rng):
+    """Return 1 to 12 pursuers in the box of the paper, some slower than the evader (0.9 m/s)."""
+    count = int(rng.integers(1, 13))
+    speeds, start = rng.uniform(0.7, 3.0, count).tolist(), float(rng.choice([0.0, 0.5, 1.0]))
+    return Team(count=count, speeds=speeds, active_at_start=start)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_every_frozen_game_on_an_ideal_network_ends_in_the_relay_profile(auction, schedule):
+    """40 random games each: warm and cold starts of 1 to 12; in 6 nobody is in time (phi < r, 2 to 8 s)."""
+    ends = []
+    for number in range(40):
+        rng = np.random.default_rng(number)
+        result = frozen(
+            auction(schedule=SCHEDULES[schedule]),
+            number,
+            horizon=rng.uniform(2.0, 8.0),
+            team=random_team(rng),
+            evader=Evader(),
+            prune=str(rng.choice(["none", "inf", "infeasible"])),
+            announce=Announcements(warm_start=bool(rng.random() < 0.5)),
+        )
+        assert chasing(result) == relay(result)
+        ends.append(len(relay(result)))
+    assert sum(ends) == 34
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_of_equal_bids_that_of_the_lowest_id_wins(auction):
+    """phi = 3, 2, 2, 2 s, whoever bids first."""
+    team = Team(positions=[(3.1, 0.0), (2.1, 0.0), (0.0, 2.1), (-2.1, 0.0)], speeds=1.0, active_at_start=1.0)
+    for seed in range(3):
+        for schedule in SCHEDULES.values():
+            assert chasing(frozen(auction(schedule=schedule), seed, until=3.0, team=team)) == [1]
+
+
+# The rounds of the paper, on any connected graph.
+
+
+def random_graph(number):
+    """Return a connected graph of 2 to 12 nodes, from trees to dense ones."""
+    rng = np.random.default_rng(number)
+    count = int(rng.integers(2, 13))
+    graph = nx.random_labeled_tree(count, seed=number)
+    graph.add_edges_from(
+        (a, b) for a, b in nx.complete_graph(count).edges if rng.random() < rng.choice([0.0, 0.1, 0.4])
+    )
+    return nx.convert_node_labels_to_integers(graph, ordering="sorted")
+
+
+def rounds(auction, graph, seed, **changes):
+    """Return the result of 16 rounds, and whom everybody holds for the winner after each of them."""
+    rng = np.random.default_rng(seed)
+    given = {
+        "horizon": 30.0,
+        "team": Team(count=len(graph), speeds=rng.uniform(0.7, 3.0, len(graph)).tolist(), active_at_start=0.0),
+        "evader": Evader(),
+        "announce": Announcements(trigger="revision", warm_start=False),
+        "network": Links(graph=Edges.of(graph)),
+    }
+    result = frozen(auction(schedule=Rounds(period=0.1)), seed, until=1.65, **(given | changes))
+    said = [{} for _ in range(17)]
+    for word in result.trace.of(Broadcast):
+        assert word.body.active == (word.body.winner == word.src)
+        said[round(word.t / 1e8) - 1][word.src] = word.body.winner
+    return result, [[each[i] for i in range(len(graph))] for each in said[:16]]
+
+
+def nearest_within(phi, reward, graph, node, hops):
+    """Return who is in time and has the least (phi, id) within so many hops of a node; -1 if nobody is."""
+    ball = nx.single_source_shortest_path_length(graph, node, cutoff=hops)
+    return min(((phi[j], j) for j in ball if phi[j] < reward), default=(inf, -1))[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_in_each_round_the_best_bid_travels_one_hop_farther(auction):
+    """After round k everybody holds for the winner who is best within k - 1 hops; 120 random connected graphs.
+
+    So all agree, and just one chases, after 1 + D rounds: one in which everybody bids before anybody has heard a bid,
+    and D for the diameter. Some nodes cannot bid (phi = inf), and pass word on all the same.
+    """
+    for number in range(120):
+        graph = random_graph(number)
+        result, winners = rounds(auction, graph, number)
+        phi = times(result)
+        for k, said in enumerate(winners, start=1):
+            if auction is CBAA:
+                assert said == [nearest_within(phi, 30.0, graph, node, k - 1) for node in graph]
+            if k >= 1 + nx.diameter(graph):
+                assert set(said) == {nearest_within(phi, 30.0, graph, 0, inf)}
+                assert chasing(result, k / 10) == relay(result)
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_along_a_path_agreement_takes_as_many_rounds_as_promised_and_no_fewer(auction):
+    """Of 8 in a row, phi = 1, ..., 8 s, pursuer 0 wins: pursuer 7 learns of it at round 8 = 1 + D, not at round 7."""
+    line = Team(positions=[(1.1 + k, 0.0) for k in range(8)], speeds=1.0, active_at_start=0.0)
+    still = Evader(position=(0.0, 0.0), speed=0.0)
+    _, winners = rounds(auction, nx.path_graph(8), 0, team=line, evader=still)
+    assert [set(said) == {0} for said in winners] == [k >= 8 for k in range(1, 17)]
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_who_cannot_bid_passes_word_on(auction):
+    """On a path 0 - 1 - 2 pursuer 2 hears of 0, the best, through 1, which is slower than the evader (phi = inf)."""
+    team = Team(positions=[(1.0, 0.0), (1.0, 0.0), (2.0, 0.0)], speeds=[1.0, 0.1, 1.0], active_at_start=0.0)
+    away = Evader(position=(0.0, 0.0), speed=0.2)
+    _, winners = rounds(auction, nx.path_graph(3), 0, team=team, evader=away)
+    assert winners[:4] == [[0, -1, 2], [0, 0, 2], [0, 0, 0], [0, 0, 0]]
+
+
+@pytest.mark.parametrize("claim", [partial(Claim, True, 2), partial(StampedClaim, False, 2, stamps=(1.0, 2.0))])
+def test_a_bid_that_is_made_anew_is_not_news(claim):
+    """What is told at once is whether one chases, and who wins."""
+    assert claim(amount=-1.0).news == claim(amount=-2.0).news == (claim(amount=-1.0).active, 2)
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_on_a_static_ideal_network_a_claim_is_told_as_it_changes_and_never_again(auction):
+    """Four on a complete graph: all claim in the first round, and the three that are outbid tell so in the second."""
+    for warm in (False, True):
+        announce = Announcements(trigger="change", warm_start=warm)
+        result = frozen(auction(schedule=Rounds(period=0.1), **quiet(auction)), announce=announce)
+        assert [round(word.t / 1e8) for word in result.trace.of(Broadcast)] == [1] * 4 + [2] * 3
+        assert chasing(result, 0.1) == [0, 1, 2, 3]
+        assert chasing(result, 0.2) == chasing(result) == [1]
+
+
+def quiet(auction):
+    """Return what keeps an auction from expecting the same word again."""
+    return {"patience": inf} if auction is CBBA else {}
+
+
+@pytest.mark.parametrize(("auction", "size"), [(CBAA, 40), (CBBA, 40 + 8 * 4)])
+def test_a_claim_takes_the_bytes_of_its_numbers(auction, size):
+    """16 of header and 8 for each of action, winner, bid, and the four stamps if there are any."""
+    result = frozen(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision"))
+    assert {word.size for word in result.trace.of(Broadcast)} == {size}
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_who_bids_is_in_time_and_free_to_chase(auction):
+    """phi = 4, 1, 2, 3 s; with t_f = 1 s nobody is strictly in time, and with 1.001 s pursuer 1 is."""
+    assert chasing(frozen(auction(schedule=Rounds()), horizon=1.001)) == [1]
+    late = frozen(auction(schedule=Rounds()), horizon=1.0, announce=Announcements(trigger="revision"))
+    assert not [d for d in late.trace.of(Decided) if d.active]
+    assert {word.body[:3] for word in late.trace.of(Broadcast)} == {(False, -1, -inf)}
+
+
+# Trouble on the network.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spread", [None, Flooding(hops=4)])
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_loss_and_random_latency_only_slow_it(auction, spread):
+    """30 % lost, latency 0.05 s on average (cv 1, so word overtakes), on random connected graphs of 2 to 12."""
+    for number in range(20 if spread is None else 5):
+        graph = random_graph(number)
+        result = frozen(
+            auction(schedule=Poisson(rate=5.0)),
+            number,
+            team=Team(count=len(graph), active_at_start=0.5),
+            evader=Evader(),
+            horizon=12.0,
+            announce=Announcements() if spread is None else Announcements(spread=spread, warm_start=False),
+            network=Links(graph=Edges.of(graph), loss=Bernoulli(p=0.3), latency=Lognormal(mean=0.05, cv=1.0)),
+        )
+        assert result.trace.of(Tally)[0].lost > 0
+        assert chasing(result) == relay(result)
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
+    """The control: half of all word is lost and none repeated; of 20 games at least 5 end wrong."""
+    wrong = 0
+    for seed in range(20):
+        protocol = auction(schedule=Poisson(rate=5.0), **quiet(auction))
+        lossy = Links(loss=Bernoulli(p=0.5))
+        announce = Announcements(trigger="change", warm_start=False)
+        wrong += chasing(frozen(protocol, seed, announce=announce, network=lossy)) != [1]
+    assert wrong >= 5
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+@pytest.mark.parametrize("warm", [False, True])
+def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):
+    """0 and 3 cannot hear 1 and 2 until 3 s: 3 (phi = 3 s) and 1 (1 s) win, then 1 alone."""
+    cut = Partition(groups=((0, 3),), at=0.0, until=3.0)
+    for schedule in SCHEDULES.values():
+        result = frozen(auction(schedule=schedule), fault=(cut,), announce=Announcements(warm_start=warm))
+        assert chasing(result, 2.9) == [1, 3]
+        assert chasing(result) == [1]
+
+
+@pytest.mark.parametrize(("auction", "cut_off"), [(CBAA, []), (CBBA, [3])])
+def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(auction, cut_off):
+    """From 2 s on 0 and 3 hear neither 1, the winner, nor 2; after 2 s of patience 3 takes over. At 6 s they meet."""
+    cut = Partition(groups=((0, 3),), at=2.0, until=6.0)
+    result = frozen(auction(schedule=Rounds(period=0.1)), fault=(cut,))
+    assert chasing(result, 3.8) == [1]
+    assert chasing(result, 5.9) == [1, *cut_off]
+    assert chasing(result) == [1]
+
+
+# Trouble with the pursuers.
+
+
+def test_a_winner_that_breaks_down_blocks_the_auction_without_stamps_for_ever():
+    """Pursuer 1 breaks down at 2 s; for the other three it is still the winner. `test_cbba` has what stamps do."""
+    result = frozen(CBAA(schedule=Rounds(period=0.1)), fault=(Crash(node=1, at=2.0),), horizon=60.0)
+    assert chasing(result, 1.9) == [1]
+    assert chasing(result, 2.1) == chasing(result) == []
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("auction", AUCTIONS)
+@pytest.mark.parametrize("node", [1, 2])
+def test_who_starts_anew_without_memory_learns_who_wins_and_may_win_again(auction, schedule, node):
+    """Pursuer 1, the winner, or 2 breaks down from 2 to 3 s and has forgotten everything."""
+    crash = Crash(node=node, at=2.0, until=3.0, memory=False)
+    result = frozen(auction(schedule=SCHEDULES[schedule]), fault=(crash,))
+    assert chasing(result, 1.9) == chasing(result) == [1]
+
+
+def test_the_auction_without_stamps_warns_of_crashes_and_both_of_graphs_in_parts():
+    for auction, names in [(CBAA, {"connected", "no_crashes"}), (CBBA, {"connected"})]:
+        scenario = Scenario(
+            team=Team(count=2),
+            protocol=auction(),
+            network=Links(graph=Edges(nodes=2)),
+            fault=(Crash(node=1, at=2.0),),
+        )
+        assert {why.split(",")[0] for _, why in broken(scenario)} == {f"{auction().kind} assumes {x}" for x in names}
+
+
+def east(state, rng):
+    """The evader's strategy: away from pursuer 0 and towards pursuer 1."""
+    return 1.0 + 0.0j
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_who_comes_to_bid_more_than_the_winner_takes_over(auction, schedule):
+    """At 1 m/s against 0.8 m/s, 2 m behind and 5 m ahead: while 0 chases the gaps close by 0.2 and 0.8 m/s.
+
+    They are equal at 5 s, or earlier by as much as 0 begins later, who loses 1 m/s until then. Then 1, which is ahead,
+    captures; who has waited for 5 s would need 0.5 s for the metre that is left.
+    """
+    result = frozen(
+        auction(schedule=SCHEDULES[schedule]),
+        team=Team(positions=[(-2.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        horizon=20.0,
+        evader=Evader(position=(0.0, 0.0), speed=0.8, strategy=east),
+        motion=Motion(step=0.02),
+    )
+    (end,) = result.trace.of(Ended)
+    assert chasing(result, 1.5) == [0]
+    assert chasing(result) == [1]
+    assert (end.reason, end.capturer) == ("captured", 1)
+    assert 3.5 < end.t / 1e9 < 5.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, schedule):
+    """Twenty of the paper, 8 seeds: 0.08 to 0.32 s too many on the mean, a hand-over at a time, and nobody at first.
+
+    The control: if nothing is announced all chase who would be in time, more than 5 s too many on the mean; but a token
+    has the claims of all with it.
+    """
+    excess, idle, alone = [], [], []
+    for seed in range(8):
+        result = pursuit(auction(schedule=SCHEDULES[schedule]), seed)
+        assert result.trace.of(Ended)[0].reason == "captured"
+        excess.append(excess_time(result))
+        idle.append(idle_time(result))
+        alone.append(excess_time(pursuit(auction(schedule=SCHEDULES[schedule]), seed, trigger="never")))
+    assert np.mean(excess) < 0.5
+    assert np.mean(idle) < 0.5
+    assert np.mean(alone) > 5.0 or schedule == "token_ring"
+
+
+def pursuit(protocol, seed, **announce):
+    """Run the pursuit of the paper with nobody active at first and a motion step of 0.02 s."""
+    scenario = Scenario(
+        team=Team(active_at_start=0.0),
+        motion=Motion(step=0.02),
+        protocol=protocol,
+        announce=Announcements(**announce),
+        record=Recording(trajectory=0.0),
+    )
+    return run(scenario, seed)
+
+
+# What is bid and read at a turn.
+
+
+@pytest.mark.parametrize(
+    ("phi", "left", "free", "bid"),
+    [(1.0, 2.0, True, -1.0), (1.0, 2.0, False, None), (2.0, 2.0, True, None), (inf, 2.0, True, None)],
+)
+def test_a_pursuer_bids_if_it_may_chase_and_is_in_time(phi, left, free, bid):
+    me = SimpleNamespace(id=3, capture_time=lambda: phi, time_left=lambda: left, may_chase=lambda: free)
+    assert offer(me) == (NO_BID if bid is None else Bid(3, bid))
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_at_each_turn_the_winner_bids_anew_and_releases_its_claim_if_it_would_be_late(auction):
+    """A pursuer that hears of nobody: r = 5 s, and phi is 1 s, then 3 s, 5 s and 2 s."""
+    phi, claims = iter([1.0, 3.0, 5.0, 2.0]), []
+    me = SimpleNamespace(id=0, team_size=2, now=0.0, trusted=dict, claim=claims.append)
+    me.capture_time, me.time_left, me.may_chase = phi.__next__, lambda: 5.0, lambda: True
+    turns = auction().actions(me)
+    assert [next(turns) for _ in range(4)] == [True, True, False, True]
+    assert [claim[:3] for claim in claims] == [(True, 0, -1.0), (True, 0, -3.0), (False, -1, -inf), (True, 0, -2.0)]
+
+
+def test_each_record_that_is_trusted_and_has_a_claim_is_read_once_in_order_of_ids():
+    claim, read = Claim(True, 2, -1.0), {}
+    records = {2: Record(2, 7, 0, claim), 0: Record(0, 0, 0, Assignment(True)), 1: Record(1, 0, 0, claim)}
+    me = SimpleNamespace(trusted=lambda: records)
+    assert list(unread(me, read, Claim)) == [records[1], records[2]]
+    assert list(unread(me, read, Claim)) == []
+    records |= {0: Record(0, 1, 0, claim), 2: Record(2, 9, 0, claim)}
+    assert list(unread(me, read, Claim)) == [records[0], records[2]]
+
+
+# The merge of bids.
+
+BIDS = st.builds(Bid, st.integers(0, 5), st.sampled_from([-3.0, -2.0, -1.0])) | st.just(NO_BID)
+SAID = st.dictionaries(st.integers(0, 5), BIDS, min_size=1, max_size=5)
+
+
+def test_of_a_pursuer_that_speaks_only_its_own_word_about_its_own_bid_counts():
+    """1 was thought to bid -1 s: it bids -4 s now, or holds 3 for the winner; 2 has not heard of that."""
+    before, two = Bid(1, -1.0), Bid(1, -1.0)
+    assert greatest(before, {0: NO_BID, 2: two}) == before
+    assert greatest(before, {0: NO_BID, 1: Bid(1, -4.0), 2: two}) == Bid(1, -4.0)
+    assert greatest(before, {0: Bid(0, -3.0), 1: Bid(1, -4.0), 2: two}) == Bid(0, -3.0)
+    assert greatest(before, {0: NO_BID, 1: Bid(3, -5.0), 2: two}) == Bid(3, -5.0)
+    assert greatest(before, {0: NO_BID, 1: NO_BID, 2: two}) == NO_BID
+    assert greatest(NO_BID, {0: NO_BID, 2: Bid(0, -1.0)}) == NO_BID
+
+
+@given(BIDS, SAID)
+def test_the_greatest_bid_does_not_depend_on_the_order_of_what_is_said(best, said):
+    found = {greatest(best, dict(order)) for order in permutations(said.items())}
+    assert len(found) == 1
+    assert found <= {best, *said.values(), NO_BID}
+
+
+@given(BIDS, SAID)
+def test_no_bid_that_counts_is_greater_than_the_greatest(best, said):
+    """Written out: a bid counts if it is its bidder's own word, or if its bidder says nothing."""
+    top = greatest(best, said)
+    for source, bid in [(None, best), *said.items()]:
+        if bid != NO_BID and (source == bid.winner or bid.winner not in said):
+            assert (top.amount, -top.winner) >= (bid.amount, -bid.winner)
+            assert top != NO_BID
+    assert top == NO_BID or top.winner not in said or said[top.winner] == top

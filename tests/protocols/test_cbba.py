@@ -1,0 +1,259 @@
+"""The table of the paper, cell by cell, and what stamps are good for: a winner that is gone is replaced."""
+
+from itertools import product
+from math import inf
+from types import SimpleNamespace
+
+import networkx as nx
+import pytest
+
+from desim.kernel.events import Broadcast
+from desim.kernel.faults import ClockSkew, Crash
+from desim.kernel.graphs import Edges
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.records import Record
+from desim.pursuit.events import Decided
+from desim.pursuit.word import Announcements
+from desim.scenario import Team
+from protocols.cbaa import CBAA
+from protocols.cbba import CBBA, StampedClaim, decision
+from protocols.schedules import Poisson, Rounds, SharedSeed
+from tests.protocols.test_cbaa import SCHEDULES, chasing, frozen
+
+I, K, M, N, NONE = 3, 1, 0, 4, -1  # the receiver, the sender, two others  # noqa: E741
+OLD, SAME, NEW = 4.0, 5.0, 6.0
+"""Stamps of the sender: older than the receiver's, as old, or newer."""
+
+# Sender says, receiver says, is the sender's bid higher, its stamp of its winner and of the receiver's; what is done.
+# Written by hand from Table I of Choi, Brunet & How 2009; where a column does not matter it is None, and all are tried.
+TABLE = [
+    (K, I, True, None, None, "update"),
+    (K, I, False, None, None, "leave"),
+    (K, K, None, None, None, "update"),
+    (K, M, None, None, NEW, "update"),
+    (K, M, True, None, SAME, "update"),
+    (K, M, True, None, OLD, "update"),
+    (K, M, False, None, SAME, "leave"),
+    (K, M, False, None, OLD, "leave"),
+    (K, NONE, None, None, None, "update"),
+    (I, I, None, None, None, "leave"),
+    (I, K, None, None, None, "reset"),
+    (I, M, None, None, NEW, "reset"),
+    (I, M, None, None, SAME, "leave"),
+    (I, M, None, None, OLD, "leave"),
+    (I, NONE, None, None, None, "leave"),
+    (M, I, True, NEW, None, "update"),
+    (M, I, False, NEW, None, "leave"),
+    (M, I, True, SAME, None, "leave"),
+    (M, I, True, OLD, None, "leave"),
+    (M, I, False, SAME, None, "leave"),
+    (M, I, False, OLD, None, "leave"),
+    (M, K, None, NEW, None, "update"),
+    (M, K, None, SAME, None, "reset"),
+    (M, K, None, OLD, None, "reset"),
+    (M, M, None, NEW, NEW, "update"),
+    (M, M, None, SAME, SAME, "leave"),
+    (M, M, None, OLD, OLD, "leave"),
+    (M, N, None, NEW, NEW, "update"),
+    (M, N, True, NEW, SAME, "update"),
+    (M, N, True, NEW, OLD, "update"),
+    (M, N, False, NEW, SAME, "leave"),
+    (M, N, False, NEW, OLD, "leave"),
+    (M, N, None, SAME, NEW, "leave"),
+    (M, N, None, SAME, SAME, "leave"),
+    (M, N, None, SAME, OLD, "leave"),
+    (M, N, None, OLD, NEW, "reset"),
+    (M, N, None, OLD, SAME, "leave"),
+    (M, N, None, OLD, OLD, "leave"),
+    (M, NONE, None, NEW, None, "update"),
+    (M, NONE, None, SAME, None, "leave"),
+    (M, NONE, None, OLD, None, "leave"),
+    (NONE, I, None, None, None, "leave"),
+    (NONE, K, None, None, None, "update"),
+    (NONE, M, None, None, NEW, "update"),
+    (NONE, M, None, None, SAME, "leave"),
+    (NONE, M, None, None, OLD, "leave"),
+    (NONE, NONE, None, None, None, "leave"),
+]
+
+
+def cases(z_k, z_i, higher, of_theirs, of_mine):
+    """Yield the rows that a row of `TABLE` stands for."""
+    for high, theirs, mine in product(
+        (True, False) if higher is None else (higher,),
+        (OLD, SAME, NEW) if of_theirs is None else (of_theirs,),
+        (OLD, SAME, NEW) if of_mine is None else (of_mine,),
+    ):
+        if z_k != z_i or theirs == mine:
+            yield high, theirs, mine
+
+
+@pytest.mark.parametrize(("z_k", "z_i", "higher", "of_theirs", "of_mine", "verdict"), TABLE)
+def test_the_receiver_does_what_the_table_says(z_k, z_i, higher, of_theirs, of_mine, verdict):
+    """All stamps of the receiver are 5 s, as are those of the sender that the row does not name."""
+    for high, theirs, mine in cases(z_k, z_i, higher, of_theirs, of_mine):
+        s_i, s_k = [SAME] * 5, [SAME] * 5
+        for winner, stamp in [(z_k, theirs), (z_i, mine)]:
+            if winner != NONE:
+                s_k[winner] = stamp
+        amounts = (-2.0, -1.0) if high else (-2.0, -3.0)
+        assert decision(I, K, z_i, amounts[0], s_i, z_k, amounts[1], s_k) == verdict
+
+
+def test_the_table_above_has_each_cell_once():
+    """Two heights and 3 x 3 stamps of each of 17 pairs of winners, and 2 x 3 where both name the same one."""
+    listed = [(row[0], row[1], *case) for row in TABLE for case in cases(*row[:5])]
+    pairs = [*product((K, I, M, NONE), (K, I, M, NONE)), (M, N)]
+    every = [(z_k, z_i, *case) for z_k, z_i in pairs for case in cases(z_k, z_i, None, None, None)]
+    assert sorted(listed) == sorted(every)
+    assert len(listed) == len(set(listed)) == 13 * 18 + 4 * 6
+
+
+@pytest.mark.parametrize(
+    ("i", "k", "z_i", "z_k"), [(I, K, I, K), (I, K, N, K), (I, K, I, M), (I, K, N, M), (0, 1, 0, 2), (2, 4, 2, 3)]
+)
+def test_of_equal_bids_that_of_the_lower_id_is_higher(i, k, z_i, z_k):
+    """In the four cells where bids matter; m has newer word, n has not."""
+    s_k = [NEW if j == z_k else SAME for j in range(5)]
+    verdict = decision(i, k, z_i, -1.0, [SAME] * 5, z_k, -1.0, s_k)
+    assert verdict == ("update" if z_k < z_i else "leave")
+
+
+def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
+    """Pursuer 0 (phi = 2 s) hears 1 claim at -1 s; then that 1 holds 0 for the winner: it resets, and bids itself."""
+    heard, claims = {}, []
+    me = SimpleNamespace(id=0, team_size=3, now=9.0, trusted=lambda: heard, claim=claims.append)
+    me.capture_time, me.time_left, me.may_chase = lambda: 2.0, lambda: 5.0, lambda: True
+    turns = CBBA().actions(me)
+    heard[1] = Record(1, 0, 4_000_000_000, StampedClaim(True, 1, -1.0, (2.0, 3.0, 7.0)))
+    assert not next(turns)
+    assert claims[-1] == (False, 1, -1.0, (9.0, 4.0, 7.0))
+    heard[1] = Record(1, 1, 5_000_000_000, StampedClaim(False, 0, -2.0, (2.0, 3.0, 6.0)))
+    assert next(turns)
+    assert claims[-1] == (True, 0, -2.0, (9.0, 5.0, 7.0))
+
+
+# What becomes of it in a run.
+
+
+@pytest.mark.parametrize("patience", [0.5, 2.0])
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedule, patience):
+    """Pursuer 1 breaks down at 3 s, having spoken within the last 0.1 s and been read at every turn (0.08 s a ring).
+
+    Nobody else chases until patience ends, counted from when it was last read; its successors begin at their next turns
+    and agree on 2 soon. The control: with patience for ever nobody does.
+    """
+    crash = Crash(node=1, at=3.0)
+    result = frozen(CBBA(schedule=SCHEDULES[schedule], patience=patience), seed=1, fault=(crash,), horizon=12.0)
+    begun = min(d.t / 1e9 for d in result.trace.of(Decided) if d.active and d.t > 3e9)
+    slack = 0.2 if schedule in {"rounds", "token_ring"} else 1.0
+    assert 3.0 + patience - slack - 0.1 <= begun <= 3.0 + patience + slack
+    assert chasing(result, 2.9) == [1]
+    assert chasing(result, begun - 0.01) == []
+    assert chasing(result, begun + 2.0) == chasing(result) == [2]
+    for stubborn in (CBBA(schedule=SCHEDULES[schedule], patience=inf), CBAA(schedule=SCHEDULES[schedule])):
+        assert chasing(frozen(stubborn, seed=1, fault=(crash,), horizon=12.0)) == []
+
+
+def test_a_winner_that_comes_back_wins_again():
+    """Pursuer 1 breaks down from 2 to 6 s, with its memory or without: until then 2 takes over."""
+    for memory in (True, False):
+        crash = Crash(node=1, at=2.0, until=6.0, memory=memory)
+        result = frozen(CBBA(schedule=Rounds(period=0.1)), fault=(crash,))
+        assert chasing(result, 5.9) == [2]
+        assert chasing(result) == [1]
+
+
+def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
+    """On a path of 8 the winner, at one end, breaks down at 5 s: each hop and round is 0.1 s, patience 1 s.
+
+    The first gives up after 6 s, the last 0.7 s later; word of the dead that is still under way revives nothing.
+    """
+    line = Team(positions=[(1.1 + k, 0.0) for k in range(8)], speeds=1.0, active_at_start=0.0)
+    result = frozen(
+        CBBA(schedule=Rounds(period=0.1), patience=1.0),
+        team=line,
+        horizon=12.0,
+        network=Links(graph=Edges.of(nx.path_graph(8))),
+        announce=Announcements(trigger="revision", warm_start=False),
+        fault=(Crash(node=0, at=5.05),),
+    )
+    believed = {
+        (round(word.t / 1e8), word.src): word.body.winner for word in result.trace.of(Broadcast) if word.t >= 5e9
+    }
+    last = [max(k for (k, src), winner in believed.items() if src == j and winner == 0) for j in range(1, 8)]
+    assert last == [61 + j - 1 for j in range(1, 8)]
+    assert {winner for (k, _), winner in believed.items() if k > 68 + 7} == {1}
+    assert chasing(result) == [1]
+
+
+@pytest.mark.parametrize("schedule", [Rounds(period=0.1), Poisson(rate=5.0), SharedSeed(slot=0.01)])
+def test_patience_outlasts_what_is_lost(schedule):
+    """Half of all heartbeats are lost; in 60 s the winner, once alone, is never given up. With 0.15 s it often is."""
+    given_up = {}
+    for patience in (2.0, 0.15):
+        result = frozen(CBBA(schedule=schedule, patience=patience), horizon=60.0, network=Links(loss=Bernoulli(p=0.5)))
+        late = [d for d in result.trace.of(Decided) if d.t > 5e9]
+        given_up[patience] = len([d for d in late if d.active and d.pursuer != 1])
+        assert all(d.active for d in late if d.pursuer == 1)
+    assert given_up[2.0] == 0
+    assert given_up[0.15] > 50
+
+
+class Unequal:
+    """A schedule: a turn every 0.1 s, but for pursuer 1 only the first three."""
+
+    mean_slot = 0.1
+
+    def __call__(self, me, revise):
+        for k in range(1, 100):
+            yield me.at(k * self.mean_slot)
+            if me.id != 1 or k <= 3:
+                revise()
+                me.announce()
+
+
+def test_a_winner_that_has_no_turns_is_kept_as_long_as_it_is_heard():
+    """Pursuer 1 wins at 0.2 s, and from 0.3 s on only repeats it.
+
+    Without heartbeats it is given up, and then each of the others by each, for nothing is said twice: all chase.
+    """
+    for trigger, winner in [("both", [1]), ("change", [0, 1, 2, 3])]:
+        result = frozen(CBBA(schedule=Unequal()), announce=Announcements(trigger=trigger, warm_start=False))
+        assert chasing(result, 1.0) == [1]
+        assert chasing(result) == winner
+
+
+def test_stamps_are_by_the_clock_of_whom_they_are_about():
+    """Clocks that are hours wrong, on a path of 4 with pursuer 1 at one end: no verdict changes, only stamps.
+
+    Rounds are due by one's own clock, so pursuers have other schedules here.
+    """
+    graph = Edges.of(nx.path_graph(4))
+    line = Team(positions=[(1.1 + k, 0.0) for k in range(4)], speeds=1.0, active_at_start=0.0)
+    skews = tuple(ClockSkew(node=j, offset=offset) for j, offset in enumerate([4000.0, -5000.0, 0.0, 9000.0]))
+    for wrong in ((), skews):
+        for crash in ((), (Crash(node=0, at=4.0),)):
+            result = frozen(
+                CBBA(schedule=Poisson(rate=10.0)),
+                team=line,
+                network=Links(graph=graph),
+                horizon=12.0 if not wrong else 20000.0,
+                until=12.0,
+                fault=(*wrong, *crash),
+            )
+            assert chasing(result, 3.9) == [0]
+            assert chasing(result) == ([1] if crash else [0])
+    stamps = [word.body.stamps for word in result.trace.of(Broadcast) if word.src == 3 and word.t > 11e9][-1]
+    assert stamps == pytest.approx((4004.0, -4988.0, 12.0, 9012.0), abs=1.0)
+
+
+def test_nothing_has_been_heard_of_whom_nothing_has_been_heard():
+    """The stamps of the first claims: the own one, and none of others."""
+    result = frozen(CBBA(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision", warm_start=False))
+    first = {word.src: word.body.stamps for word in result.trace.of(Broadcast) if word.t < 0.15e9}
+    assert first == {j: tuple(0.1 if m == j else -inf for m in range(4)) for j in range(4)}
+    second = {word.src: word.body.stamps for word in result.trace.of(Broadcast) if 0.15e9 < word.t < 0.25e9}
+    assert second == {j: tuple(0.2 if m == j else 0.1 for m in range(4)) for j in range(4)}
