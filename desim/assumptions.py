@@ -6,8 +6,9 @@ its theorem does not hold is what the simulator is there to show.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from math import inf
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import networkx as nx
 
@@ -21,10 +22,15 @@ if TYPE_CHECKING:
 Assumption = Callable[["Scenario"], str | None]
 
 
+def undivided(scenario: "Scenario") -> str | None:
+    """Nothing cuts the team in parts."""
+    return "a partition cuts the team in parts" if _breaks(scenario, "partition", Partition) else None
+
+
 def connected(scenario: "Scenario") -> str | None:
     """Everybody is linked to everybody, over any number of hops."""
-    if any(isinstance(fault, Partition) for fault in scenario.fault):
-        return "a partition cuts the team in parts"
+    if parted := undivided(scenario):
+        return parted
     if not nx.is_strongly_connected(_who_hears_whom(scenario)):
         return "as it begins the network has several components"
     return None
@@ -33,18 +39,20 @@ def connected(scenario: "Scenario") -> str | None:
 def everyone_heard(scenario: "Scenario") -> str | None:
     """Everybody hears everybody, at once or as word is passed on."""
     if _is_passed_on(scenario):
-        return connected(scenario)
+        return connected(scenario) or _too_wide(scenario)
     graph, size = _who_hears_whom(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
         return "as it begins not everybody hears everybody, and word is not passed on (`announce.spread`)"
-    return None
+    return undivided(scenario)
 
 
 def component_heard(scenario: "Scenario") -> str | None:
     """Everybody hears whoever can reach it over any number of hops."""
     graph = _who_hears_whom(scenario)
+    if _is_passed_on(scenario):
+        return _too_wide(scenario)
     parts = nx.weakly_connected_components(graph)
-    if not _is_passed_on(scenario) and any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
+    if any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
         return "as it begins some are linked over several hops only, and word is not passed on (`announce.spread`)"
     return None
 
@@ -75,9 +83,7 @@ def one_at_a_time(scenario: "Scenario") -> str | None:
 
 def no_crashes(scenario: "Scenario") -> str | None:
     """Nobody breaks down."""
-    if any(isinstance(fault, Crash | RandomCrashes | RandomPlan) for fault in scenario.fault):
-        return "pursuers break down"
-    return None
+    return "pursuers break down" if _breaks(scenario, "crash", Crash | RandomCrashes) else None
 
 
 def equal_clocks(scenario: "Scenario") -> str | None:
@@ -94,10 +100,8 @@ def equal_speeds(scenario: "Scenario") -> str | None:
 def host_in_reach(scenario: "Scenario") -> str | None:
     """The pursuer that carries the server hears everybody, and everybody hears it, in one hop."""
     host, size = getattr(scenario.protocol, "host", 0), scenario.team.count
-    if host >= size:
-        return f"there is no pursuer {host}: they are 0 .. {size - 1}"
-    if any(isinstance(fault, Partition) for fault in scenario.fault):
-        return "a partition cuts the team in parts"
+    if parted := undivided(scenario):
+        return parted
     graph = _who_hears_whom(scenario)
     far = [j for j in range(size) if j != host and not (graph.has_edge(j, host) and graph.has_edge(host, j))]
     return f"as it begins {len(far)} of {size - 1} are out of reach of pursuer {host}" if far else None
@@ -121,6 +125,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
     {
         each.__name__: each
         for each in (
+            undivided,
             connected,
             everyone_heard,
             component_heard,
@@ -157,6 +162,13 @@ def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
                 yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
 
 
+def _breaks(scenario: "Scenario", kind: str, faults: Any) -> bool:
+    """Return whether there are faults of a kind, or a random plan draws such."""
+    return any(
+        isinstance(fault, faults) or (isinstance(fault, RandomPlan) and kind in fault.kinds) for fault in scenario.fault
+    )
+
+
 def _spread_by_schedule(scenario: "Scenario") -> str | None:
     """Return to whom the messages of the schedule carry what pursuers do, and repeat it: all, neighbours or nobody."""
     return getattr(getattr(scenario.protocol, "schedule", None), "spreads_to", None)
@@ -166,6 +178,16 @@ def _is_passed_on(scenario: "Scenario") -> bool:
     """Return whether word travels over several hops."""
     one_hop = getattr(scenario.announce.spread, "kind", "one_hop") == "one_hop"
     return not one_hop or _spread_by_schedule(scenario) == "all"
+
+
+def _too_wide(scenario: "Scenario") -> str | None:
+    """Return why word does not travel far enough, if so."""
+    hops = getattr(scenario.announce.spread, "hops", inf)
+    if hops == inf or _spread_by_schedule(scenario) == "all":
+        return None
+    lengths = nx.all_pairs_shortest_path_length(_who_hears_whom(scenario))
+    widest = max(max(found.values()) for _, found in lengths)
+    return f"as it begins word has {widest} hops to travel and travels {hops}" if widest > hops else None
 
 
 def _who_hears_whom(scenario: "Scenario") -> "nx.DiGraph[int]":

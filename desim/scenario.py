@@ -14,6 +14,7 @@ from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.evasion import PureEvasion, Strategy
+from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.word import Announcements
 from desim.value import SHORTEST, Coordinate, Horizon, Length, OneOf, Period, Probability, Speed, Time, Truth, Value
 
@@ -67,6 +68,8 @@ class Team(Value):
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
     """Probability p0 with which each pursuer is active at first, in [0, 1]."""
+    guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing)] = PurePursuit()
+    """How who chases heads for the evader."""
 
     @model_validator(mode="before")
     @classmethod
@@ -208,6 +211,8 @@ class Scenario(Value):
             for src, dst in link.ways() if not strangers else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
+        if isinstance(host := getattr(self.protocol, "host", None), int) and host >= count:
+            yield ("protocol", "host"), nobody.format(host)
         for k, fault in enumerate(self.fault):
             if (node := getattr(fault, "node", None)) is not None and node >= count:
                 yield ("fault", k, "node"), nobody.format(node)

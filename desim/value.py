@@ -5,6 +5,7 @@ from Python any callable will do.
 """
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -92,7 +93,8 @@ class OneOf:
 
     Models that other distributions install under the entry point group `group` are accepted too; they are loaded
     when the schema is built. An object that can be called is taken as it is, so that a script may pass a function
-    or a model of its own; a file names such a one by the kind "module:name".
+    or a model of its own; a file names such a one by the kind "module:name", of a module that is installed or lies
+    beside the file.
 
     Args:
         models: of this distribution.
@@ -122,17 +124,17 @@ class OneOf:
             parameters = value.model_dump() if isinstance(value, BaseModel) else {}
             return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
 
-        return core_schema.no_info_wrap_validator_function(
+        return core_schema.with_info_wrap_validator_function(
             self._accept,
             by_kind,
             serialization=core_schema.wrap_serializer_function_ser_schema(written, schema=by_kind),
         )
 
-    def _accept(self, value: Any, validate: Callable[[Any], Any]) -> Any:
+    def _accept(self, value: Any, validate: Callable[[Any], Any], info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
-            value = _imported(value)
+            value = _imported(value, (info.context or {}).get("folder"))
             if not callable(value):
                 raise ValueError(f"{kind!r} is nothing that can be called, but {value!r}")
         if not callable(value):
@@ -142,9 +144,14 @@ class OneOf:
         return value
 
 
-def _imported(table: dict[str, Any]) -> Any:
-    """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters."""
+def _imported(table: dict[str, Any], folder: Path | None) -> Any:
+    """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters.
+
+    The module may lie in the folder of the file; worker processes find it there, too.
+    """
     module, _, name = table["kind"].partition(":")
+    if folder is not None and str(folder.absolute()) not in sys.path:
+        sys.path.append(str(folder.absolute()))
     try:
         found = getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:

@@ -18,7 +18,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield (
             "team.speeds",
             f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
-            f" {scenario.evader.speed} m/s, so every time of capture is inf and nobody will chase",
+            f" {scenario.evader.speed} m/s, so every time of capture is inf"
+            + (" and nobody will chase" if scenario.prune != "none" else ""),
         )
     yield from _of_network(scenario)
     yield from broken(scenario)

@@ -14,11 +14,15 @@ from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
-from desim.pursuit.motion import SMALLEST, first_contact, toward, within
-from desim.pursuit.state import Points, State, complex_points, coordinates
+from desim.pursuit.guidance import ConstantBearing, PurePursuit, way
+from desim.pursuit.motion import SMALLEST, first_contact, within
+from desim.pursuit.state import Floats, Points, State, complex_points, coordinates
 from desim.scenario import Scenario
 from desim.value import FARTHEST
 
+Sight = tuple[int, complex, complex, complex]
+"""What pursuers saw at a motion step: the instant (ns), where the evader was and what they aimed at (m), and its
+velocity as they saw it (m/s)."""
 MOST_RETRACINGS = 10_000
 """How many teammates' paths are remembered between two times that somebody asks for them."""
 
@@ -37,6 +41,7 @@ class World:
         self._flee, self._evader_speed = scenario.evader.strategy, scenario.evader.speed
         self._evader_rng = stream(seed, "evader strategy")
         self._speeds = np.array(scenario.team.all_speeds())
+        self._guidance = scenario.team.guidance
         self._radial_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
         self._slow: list[bool] = self._radial_time.slow.tolist()
         self._prune = scenario.prune
@@ -53,12 +58,13 @@ class World:
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._aims: list[tuple[int, complex]] | None = [] if _reckons(scenario) else None
+        self._sights: list[Sight] | None = [] if _reckons(scenario) else None
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
         self._active = scenario.team.start_profile(seed)
         self._state = State(0, self._origins, self._active)
         self._capture_times: tuple[float, ...] | None = None
         self._active = self._active & [self.may_chase(pursuer) for pursuer in range(self.size)]
+        self._enter(State(0, self._origins, self._active))
         self._paces = self._speeds * self._active
 
     def begin(self) -> None:
@@ -107,6 +113,10 @@ class World:
         """Return the position of a pursuer, m."""
         return complex(self.state().players[pursuer])
 
+    def places(self) -> Points:
+        """Return the (N,) positions of the pursuers, m."""
+        return self.state().pursuers
+
     def evader(self) -> complex:
         """Return the position of the evader, m."""
         return self.state().evader
@@ -137,18 +147,20 @@ class World:
     def _retraced(self, position: complex, speed: float, since: int) -> complex:
         """Return where a pursuer is that was at a position (m) at an instant (ns) and has chased since, m.
 
-        It goes on from where it was when last asked for, if it was; cost O(motion steps since then).
+        It goes on from where the step began in which it was when last asked for, if it was; cost O(motion steps since
+        then).
         """
-        assert self._aims is not None
+        assert self._sights is not None
         known = (position, speed, since)
-        t, place = self._retracings.pop(known, (max(since, 0), position))
-        first = max(bisect_right(self._aims, t, key=itemgetter(0)) - 1, 0)
-        ends = [begun for begun, _ in self._aims[first + 1 :]] + [self._env.now]
-        for (_, aim), end in zip(self._aims[first:], ends, strict=False):  # no aim yet at the very start
-            gap = aim - place
-            place += gap * (speed * seconds(end - t) / max(abs(gap), SMALLEST))
+        began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
+        first = max(bisect_right(self._sights, t, key=itemgetter(0)) - 1, 0)
+        ends = [begun for begun, *_ in self._sights[first + 1 :]] + [self._env.now]
+        for (begun, evader, aim, flight), end in zip(self._sights[first:], ends, strict=False):  # none yet at the start
+            began, origin = t, place
+            gap = evader + flight * seconds(t - begun) - place
+            place += way(self._guidance, gap, aim - place, flight, speed, seconds(end - t))
             t = end
-        self._retracings[known] = (t, place)
+        self._retracings[known] = (began, origin)
         if len(self._retracings) > MOST_RETRACINGS:
             del self._retracings[next(iter(self._retracings))]  # the one not asked for for longest
         return place
@@ -206,7 +218,9 @@ class World:
         if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
             aim = self._aim if self._motion.order == "evader_first" else state.evader
             velocities = self._velocities.copy()
-            velocities[[pursuer]] = toward(aim - state.players[[pursuer]], self._paces[[pursuer]])
+            velocities[[pursuer]] = self._courses(
+                state.offsets[[pursuer]], aim - state.players[[pursuer]], velocities[-1], self._paces[[pursuer]]
+            )
             self._break(velocities)
 
     def sample(self) -> None:
@@ -234,14 +248,24 @@ class World:
             if not abs(heading) <= 1.0 + 1e-9:
                 raise ValueError(f"an evader's heading should be at most 1 long, got {heading} from {self._flee!r}")
             flight = self._evader_speed * heading
-            ahead = flight * seconds(self._step_end - state.t) if self._motion.order == "evader_first" else 0j
+            first = self._motion.order == "evader_first"
+            ahead = flight * seconds(self._step_end - state.t) if first else 0j
             self._aim = state.evader + ahead
-            if self._aims is not None:
-                self._aims.append((state.t, self._aim))
+            seen = flight if first else complex(self._velocities[-1])
+            if self._sights is not None:
+                self._sights.append((state.t, state.evader, self._aim, seen))
             velocities = np.empty_like(state.players)
-            velocities[:-1] = toward(state.offsets + ahead, self._paces)
+            velocities[:-1] = self._courses(state.offsets, state.offsets + ahead, seen, self._paces)
             velocities[-1] = flight
             self._break(velocities)
+
+    def _courses(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+        """Return the velocities that the law of guidance gives, m/s; see `desim.pursuit.guidance.Guidance`."""
+        law = self._guidance
+        velocities = law(gaps, aims, flight, speeds)
+        if not isinstance(law, PurePursuit | ConstantBearing) and not (abs(velocities) <= speeds * (1.0 + 1e-9)).all():
+            raise ValueError(f"nobody should be led faster than at {speeds} m/s, got {velocities} from {law!r}")
+        return velocities
 
     def _break(self, velocities: Points) -> None:
         """Begin new straight pieces here and now."""
@@ -301,4 +325,5 @@ def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float
 
 def _reckons(scenario: Scenario) -> bool:
     """Return whether the path of the evader has to be remembered."""
-    return scenario.announce.payload == "state" and scenario.announce.reckoning == "exact"
+    located = scenario.announce.payload == "state" or getattr(scenario.protocol, "reckons", False)
+    return located and scenario.announce.reckoning == "exact"

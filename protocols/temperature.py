@@ -94,7 +94,7 @@ class AdaptiveTau(Value):
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
         """Yield at each turn how many slots have passed since the last surprise."""
-        since, heard, first = 0.0, None, me.id
+        since, heard, first = me.now if me.restarts else 0.0, None, me.id
         while True:
             beliefs = me.beliefs()
             times = {me.id: me.capture_time()} | {j: each.capture_time for j, each in beliefs.items()}

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from desim import Scenario
-from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time, excess_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
@@ -131,9 +130,7 @@ def _means(
     scenarios: Sequence[Scenario], options: Options, label: str, metric: Callable[..., float]
 ) -> list[tuple[float, float]]:
     """Return mean and standard error of a metric over the runs of each scenario."""
-    seeds = seeds_from(options.seed, options.runs)
-    values = iter(run_many([(each, seed) for each in scenarios for seed in seeds], options.jobs, label, metric))
-    estimates = [estimate([next(values) for _ in seeds]) for _ in scenarios]
+    estimates = [estimate(values) for values in options.measure(scenarios, label, metric)]
     return [(each.mean, each.standard_error) for each in estimates]
 
 

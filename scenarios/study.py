@@ -1,18 +1,22 @@
 """What all studies share: their options, and how they show what they found."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.folder import can_plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from desim import Result, Scenario
+
+Measured = TypeVar("Measured")
 SCENARIOS = Path(__file__).parent
 """Where the scenario files are."""
 
@@ -27,6 +31,14 @@ class Options:
     seed: int
     out: Path
     as_json: bool
+
+    def measure(
+        self, scenarios: Sequence["Scenario"], label: str, metric: Callable[["Result"], Measured]
+    ) -> list[list[Measured]]:
+        """Return a metric of the runs of each scenario; run k of all has the same seed."""
+        seeds = seeds_from(self.seed, self.runs)
+        values = iter(run_many([(each, seed) for each in scenarios for seed in seeds], self.jobs, label, metric))
+        return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
         """Print the table, or the document if JSON was asked for, and write both and the figure to the folder."""

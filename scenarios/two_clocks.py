@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
@@ -39,11 +38,9 @@ def measure(options: Options) -> list[Cell]:
     base = configuration(20).model_copy(update={"capture": Capture(test="segment")})
     grid = [(slot, step) for slot in VALUES for step in VALUES]
     scenarios = [decentralised(base, slot).model_copy(update={"motion": Motion(step=step)}) for slot, step in grid]
-    tasks = [(scenario, seed) for scenario in scenarios for seed in seeds_from(options.seed, options.runs)]
-    times = iter(run_many(tasks, options.jobs, "two clocks", active_time))
     cells = []
-    for slot, step in grid:
-        found = estimate([next(times) for _ in range(options.runs)])
+    for (slot, step), times in zip(grid, options.measure(scenarios, "two clocks", active_time), strict=True):
+        found = estimate(times)
         cells.append(Cell(slot, step, found.mean, found.standard_error))
     return cells
 

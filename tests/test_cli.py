@@ -561,7 +561,8 @@ def test_protocols_lists_each_protocol_with_each_of_its_parameters():
     assert [section.split(":")[0] for section in sections] == [*PROTOCOLS.choices()]
     for section, protocol in zip(sections, PROTOCOLS.choices().values(), strict=True):
         for name, field in protocol.model_fields.items():
-            described = re.search(rf"^    {name} = .+: {re.escape(field.description or '')}$", section, re.MULTILINE)
+            meaning = re.escape(" ".join((field.description or "").split()))
+            described = re.search(rf"^    {name} = .+: {meaning}$", section, re.MULTILINE)
             assert bool(described) == (name != "kind")
     for inner in (
         "paper",

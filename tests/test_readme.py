@@ -20,6 +20,24 @@ def test_the_python_of_the_readme_runs_block_after_block():
     assert "[9, 9, 9, 9, 9, 9, 9, 9]" in done.stdout
 
 
+def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(tmp_path):
+    (rule,) = [block for block in BLOCKS if "class Stubborn" in block]
+    (table,) = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    assert len(rule.splitlines()) < 60
+    (tmp_path / "my_rules.py").write_text(rule)
+    (tmp_path / "mine.toml").write_text(table)
+    for words in (
+        ["run", "mine.toml"],
+        ["run", str(tmp_path / "mine.toml"), "-n", "2", "-j", "2"],
+        ["check", "mine.toml"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=tmp_path
+        )
+        assert done.returncode == 0, done.stderr
+        assert "mine: 20 pursuers" in done.stdout or "inertia = 0.5" in done.stdout
+
+
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", README))))
 def test_every_path_the_readme_names_is_there(path):
     assert (ROOT / path).exists() or (ROOT / "desim" / path).exists()

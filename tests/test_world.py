@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import active_time
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
 from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.motion import toward
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 
@@ -223,3 +227,87 @@ def test_a_watcher_that_raises_fails_the_run():
 
     with pytest.raises(ArithmeticError, match="invariant broken"):
         run(still(), 0, watch)
+
+
+# Guidance.
+
+
+def headings(guidance, order):
+    """Return the direction in which pursuer 0, at (0, 0) and ordered at 0.5 s, has moved by 1 s, and from 1 to 2 s.
+
+    The evader runs from (3, 0) upwards at 1 m/s all the time; the pursuer does 2 m/s, the step is 1 s.
+    """
+    scenario = still(
+        (0.5, 0, True),
+        team=Team(positions=[(0.0, 0.0), (50.0, 0.0)], speeds=2.0, active_at_start=0.0, guidance=guidance),
+        evader=Evader(position=(3.0, 0.0), speed=1.0, strategy=lambda state, rng: 1j),
+        motion=Motion(step=1.0, order=order),
+    )
+    at = {t: complex(*where[1]) for t, where in positions(run(scenario)).items()}
+    assert abs(at[1.0]) == pytest.approx(1.0, abs=1e-12)
+    assert abs(at[2.0] - at[1.0]) == pytest.approx(2.0, abs=1e-12)
+    return at[1.0] / abs(at[1.0]), (at[2.0] - at[1.0]) / 2.0
+
+
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_an_order_inside_a_step_and_the_next_step_lead_to_the_same_point_of_meeting(order):
+    """Ordered at 0.5 s the gap is (3, 0.5), across it w = 3 / |gap|: from then on one course, to the point of meeting.
+
+    Pure pursuit heads for (3, 1) or (3, 0.5) first, and anew at 1 s.
+    """
+    gap = 3.0 + 0.5j
+    across = 3.0 / abs(gap)
+    expected = gap / abs(gap) * (np.sqrt(4.0 - across**2) + 1j * across) / 2.0
+    assert headings(ConstantBearing(), order) == pytest.approx((expected, expected), abs=1e-12)
+    aim = 3.0 + (1.0j if order == "evader_first" else 0.5j)
+    begun, gone_on = headings(PurePursuit(), order)
+    assert begun == pytest.approx(aim / abs(aim), abs=1e-12)
+    rest = (3.0 + (2.0j if order == "evader_first" else 1.0j)) - begun
+    assert gone_on == pytest.approx(rest / abs(rest), abs=1e-12)
+    assert abs(begun - expected) > 0.01
+
+
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+@pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing(), lambda gaps, aims, w, v: toward(gaps + w, v)])
+def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order):
+    """Pursuer 0 tells its state at any time inside a step, word takes 0.33 s; pursuer 1 knows where it is, to 1e-9 m.
+
+    The evader turns at every step. A law of one's own needs a step that is done when word is sent, for the course of a
+    step is not known from a place inside it.
+    """
+    step, errors = 0.25, []
+    tell = [0.1, 0.75, 1.3, 1.97] if isinstance(law, PurePursuit | ConstantBearing) else [0.0, 0.75, 1.25, 2.0]
+
+    def protocol(me):
+        for t in tell if me.id == 0 else np.arange(0.5, 3.0, 0.11):
+            yield me.at(t)
+            if me.id == 0:
+                me.assign(True)
+                me.tell()
+            else:
+                known = me.whereabouts()
+                errors.append(abs(known.places[known.ids.index(0)] - me._world.place(0)))
+
+    def turning(state, rng):
+        return complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
+
+    scenario = still(
+        horizon=3.0,
+        team=Team(positions=[(0.0, 0.0), (-9.0, 0.0)], speeds=1.0, active_at_start=1.0, guidance=law),
+        evader=Evader(position=(4.0, 1.0), speed=0.9, strategy=turning),
+        motion=Motion(step=step, order=order),
+        protocol=protocol,
+        announce=Announcements(trigger="revision", payload="state", forget_after=np.inf),
+        network=Links(latency=Constant(value=0.33)),
+    )
+    result = run(scenario)
+    assert result.trace.of(Ended)[0].reason == "horizon"
+    assert len(errors) == 23
+    assert max(errors) < 1e-9
+
+
+def test_no_law_of_guidance_leads_faster_than_a_pursuer_can():
+    for law in (lambda gaps, aims, w, v: 1.01 * toward(gaps, v), lambda gaps, aims, w, v: toward(gaps, v) * np.nan):
+        scenario = still((0.5, 0, True), team=Team(positions=[(0.0, 0.0), (9.0, 0.0)], speeds=1.0, guidance=law))
+        with pytest.raises(ValueError, match="nobody should be led faster than at"):
+            run(scenario)

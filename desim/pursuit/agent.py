@@ -9,7 +9,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from math import inf
+from math import inf, nan
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -20,6 +20,7 @@ from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
+from desim.pursuit.state import Floats, Points
 from desim.pursuit.surroundings import Surroundings
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
@@ -49,6 +50,19 @@ class Belief(NamedTuple):
     """s"""
 
 
+class Whereabouts(NamedTuple):
+    """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
+
+    ids: list[int]
+    """(n,) who they are, ascending; itself among them."""
+    places: Points
+    """(n,) m; nan for who has told its time of capture only."""
+    speeds: Floats
+    """(n,) m/s"""
+    capture_times: Floats
+    """(n,) s"""
+
+
 class Agent:
     """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
 
@@ -75,7 +89,7 @@ class Agent:
         self._announcements = announcements or Announcements()
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._offset, self._rate = offset, 1.0 + drift
-        self._said = Said(self.action if self._announcements.warm_start else None)
+        self._said = Said((self.action,) if self._announcements.warm_start else None)
         self._senses_others = self._announcements.payload == "action"
         self._streams: dict[str, np.random.Generator] = {}
 
@@ -164,14 +178,51 @@ class Agent:
         """Return the teammates that it believes active; see `believed`."""
         return list(self.believed())
 
-    def beliefs(self) -> dict[int, Belief]:
-        """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`."""
-        return {j: Belief(word.body.active, self._believed_time(word)) for j, word in self.trusted().items()}
+    def beliefs(self, period: float | None = None) -> dict[int, Belief]:
+        """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
 
-    def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""
-        oldest = self._env.now - self._memory
+        Args:
+            period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
+        """
+        return {j: Belief(word.body.active, self._believed_time(word)) for j, word in self.trusted(period).items()}
+
+    def trusted(self, period: float | None = None) -> dict[int, Record]:
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`.
+
+        Args:
+            period: as in `beliefs`.
+        """
+        oldest = self._env.now - (self._memory if period is None else self._remembers(period))
         return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
+
+    @property
+    def senses_others(self) -> bool:
+        """Whether it senses where its teammates are, so that they need not say it."""
+        return self._senses_others
+
+    @property
+    def heartbeat(self) -> float:
+        """Time between two heartbeats, s; inf without."""
+        return self._announcements.heartbeat if self._announcements.beats else inf
+
+    def whereabouts(self) -> Whereabouts:
+        """Return where it believes itself and its teammates to be: as it senses them, or as far as they have told it.
+
+        Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`.
+        """
+        world = self._world
+        if self._senses_others:
+            return Whereabouts(self._everyone, world.places(), self._all_speeds, np.array(world.capture_times()))
+        words = self.trusted()
+        ids = sorted({*words, self.id})
+        places = [self.place() if j == self.id else self._believed_place(words[j]) for j in ids]
+        phi = [
+            words[j].body.capture_time
+            if j in words and isinstance(words[j].body, TimedAssignment)
+            else world.capture_time_from(j, place)
+            for j, place in zip(ids, places, strict=True)
+        ]
+        return Whereabouts(ids, np.array(places), self._all_speeds[ids], np.array(phi))
 
     def gain(self, utility: Utility = PAPER) -> float:
         """Return what it gains by being active, given whom it believes active, s; see `desim.pursuit.game.gain`."""
@@ -220,7 +271,7 @@ class Agent:
     # What it does.
 
     def assign(self, active: bool) -> None:
-        """Chase or stay from now on; who cannot capture (phi = inf) stays whatever it wants."""
+        """Chase or stay from now on; who may not chase (`Scenario.prune`) stays whatever it wants."""
         self._world.order(self.id, active)
 
     def capture_times(self) -> tuple[float, ...]:
@@ -335,15 +386,28 @@ class Agent:
 
     def _news(self) -> Any:
         """Return what must change for an announcement to be made at once."""
-        return self.action if self._said.claim is None else self._said.claim.news
+        return (self.action,) if self._said.claim is None else self._said.claim.news
+
+    @cached_property
+    def _everyone(self) -> list[int]:
+        """The ids of the team."""
+        return list(range(self.team_size))
+
+    @cached_property
+    def _all_speeds(self) -> Floats:
+        """How fast each of the team moves if it does, (N,) m/s."""
+        return np.array([self._world.speed(pursuer) for pursuer in range(self.team_size)])
 
     @cached_property
     def _memory(self) -> float:
         """How long it believes what it has heard, true ns."""
+        return self._remembers(self.heartbeat)
+
+    def _remembers(self, period: float) -> float:
+        """Return how long it believes what it hears every period (s), true ns."""
         limit = self._announcements.forget_after
         if limit == "auto":
-            beats, period = self._announcements.beats, self._announcements.heartbeat
-            limit = 3.0 * period + 2.0 * (self.latency + self.airtime(self.assignment())) if beats else inf
+            limit = 3.0 * period + 2.0 * (self.latency + self.airtime(self.assignment())) if period < inf else inf
         return limit if limit == inf else nanoseconds(limit / self._rate)
 
     def _believed_time(self, record: Record) -> float:
@@ -353,12 +417,20 @@ class Agent:
             return body.capture_time
         if not isinstance(body, LocatedAssignment):
             return self._world.capture_times()[record.src]
+        return self._world.capture_time_from(record.src, self._believed_place(record))
+
+    def _believed_place(self, record: Record) -> complex:
+        """Return the position of a teammate, from its record as far as that tells it, m."""
+        body = record.body
+        if isinstance(body, TimedAssignment):
+            return complex(nan, nan)
+        if not isinstance(body, LocatedAssignment):
+            return self._world.place(record.src)
         place = complex(body.x, body.y)
-        if body.active:
-            age = max(self._stamp() - record.sent, 0)
-            exact = self._announcements.reckoning == "exact"
-            place = self._world.reckoned(place, body.speed, age, exact=exact)
-        return self._world.capture_time_from(record.src, place)
+        if not body.active:
+            return place
+        age, exact = max(self._stamp() - record.sent, 0), self._announcements.reckoning == "exact"
+        return self._world.reckoned(place, body.speed, age, exact=exact)
 
 
 Behaviour = Callable[[Agent], Process]

@@ -10,7 +10,7 @@ import numpy as np
 
 from desim.pursuit.state import Floats, Points
 
-SMALLEST = 1e-300
+SMALLEST = 1e-290
 """Stands in for a distance of 0, so that 0 / 0 is 0, m."""
 
 

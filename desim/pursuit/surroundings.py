@@ -2,6 +2,8 @@
 
 from typing import Protocol
 
+from desim.pursuit.state import Points
+
 
 class Surroundings(Protocol):
     """The part of the world that agents sense and act on."""
@@ -29,6 +31,10 @@ class Surroundings(Protocol):
 
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
+        ...
+
+    def places(self) -> Points:
+        """Return the (N,) positions of the pursuers, m."""
         ...
 
     def evader(self) -> complex:

@@ -99,6 +99,8 @@ class Minimum(Value):
 
     def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
         """Return the gain, s."""
+        if own == inf:
+            return -inf
         return max(min(others) - own, 0.0) if others else reward - own
 
     def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:

@@ -1,19 +1,82 @@
 """Temperatures of log-linear learning."""
 
+from itertools import combinations
+from math import exp, inf, log
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from protocols.temperature import ConstantTau, PaperTau
+from desim import Scenario, run
+from desim.kernel.faults import ClockSkew
+from desim.pursuit.word import Announcements, TimedAssignment
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.temperature import (
+    AdaptiveTau,
+    ConstantTau,
+    GeometricTau,
+    LogarithmicTau,
+    PaperTau,
+    slots_seen,
+)
+
+# Closed forms.
 
 
 def test_the_papers_temperature_is_infinite_at_first_and_a_thousandth_after_a_hundred_slots():
     assert PaperTau()(0.0) == 0.0
     assert 1 / PaperTau()(1.0) == 10.0
     assert 1 / PaperTau()(100.0) == pytest.approx(0.001)
+    assert 1 / PaperTau(scale=3.0)(2.0) == pytest.approx(0.75)
 
 
 def test_a_constant_temperature_does_not_change():
     assert ConstantTau(value=0.5)(0.0) == ConstantTau(value=0.5)(1e9) == 2.0
+
+
+@given(st.floats(0.0, 1e9), st.floats(0.01, 100.0), st.floats(1.001, 100.0))
+def test_the_logarithmic_temperature_is_its_scale_over_a_logarithm(eta, scale, offset):
+    """tau = c / ln(eta + k0); finite at first, because k0 > 1."""
+    assert LogarithmicTau(scale=scale, offset=offset)(eta) * scale == pytest.approx(log(eta + offset), rel=1e-12)
+    assert 0.0 < LogarithmicTau(scale=scale, offset=offset)(0.0) < inf
+
+
+def test_hajeks_temperature_cools_so_slowly_that_an_upward_step_is_made_infinitely_often():
+    """sum over k of exp(-d / tau_k) = sum of (k + 2)^(-d / c): without bound iff d <= c.
+
+    For d = c it is the harmonic series, 2^m more slots add ln 2 each time they are doubled; for d = 2 c it is less than
+    pi^2 / 6. The paper's temperature, exp(-k^2 / 10), ends below 3.
+    """
+
+    def steps(tau, height, slots):
+        return sum(exp(-height * tau(k)) for k in slots)
+
+    slow = LogarithmicTau(scale=1.5)
+    assert steps(slow, 1.5, range(1000, 2000)) == pytest.approx(log(2002 / 1002), rel=1e-3)
+    assert steps(slow, 1.5, range(2000, 4000)) == pytest.approx(log(4002 / 2002), rel=1e-3)
+    assert steps(slow, 3.0, range(10_000)) == pytest.approx(3.14159265**2 / 6 - 1, rel=1e-3)
+    assert steps(PaperTau(), 1.0, range(10_000)) == pytest.approx(0.5 * (1 + (10 * 3.14159265) ** 0.5), rel=1e-6)
+
+
+def test_the_geometric_temperature_falls_by_a_factor_down_to_its_floor():
+    """2 s halved eight times is 1/128 s, above the floor of 1/200 s; the ninth time it would be 1/256 s."""
+    tau = GeometricTau(first=2.0, ratio=0.5, floor=0.005)
+    assert [1 / tau(k) for k in range(9)] == pytest.approx([2.0 / 2**k for k in range(9)], rel=1e-12)
+    assert 1 / tau(0.5) == pytest.approx(2.0 / 2**0.5)
+    assert [1 / tau(k) for k in (9, 10, 1e9)] == pytest.approx([0.005] * 3, rel=1e-12)
+
+
+def test_a_geometric_temperature_that_begins_below_its_floor_is_the_floor():
+    assert [1 / GeometricTau(first=0.1, floor=0.2)(k) for k in (0, 50)] == pytest.approx([0.2, 0.2])
+
+
+def test_temperatures_begin_at_some_seconds_unless_otherwise_said():
+    assert [1 / tau(1.0) for tau in (PaperTau(), ConstantTau(), LogarithmicTau())] == pytest.approx(
+        [10.0, 0.1, 1 / log(3)]
+    )
+    assert [1 / GeometricTau()(k) for k in (0, 1, 1e9)] == pytest.approx([1.0, 0.97, 0.001])
+    assert AdaptiveTau().cooling == GeometricTau()
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
@@ -22,3 +85,153 @@ def test_a_temperature_must_be_positive_and_finite(bad):
         ConstantTau(value=bad)
     with pytest.raises(ValidationError):
         PaperTau(scale=bad)
+    with pytest.raises(ValidationError):
+        LogarithmicTau(scale=bad)
+    with pytest.raises(ValidationError):
+        GeometricTau(first=bad)
+    with pytest.raises(ValidationError):
+        GeometricTau(floor=bad)
+
+
+def test_what_would_not_cool_is_refused():
+    for model, bad in (
+        (LogarithmicTau, {"offset": 1.0}),
+        (GeometricTau, {"ratio": 1.0}),
+        (GeometricTau, {"ratio": 0.0}),
+        (AdaptiveTau, {"surprises": ("noise",)}),
+    ):
+        with pytest.raises(ValidationError):
+            model(**bad)
+
+
+@given(st.floats(0.0, 1e4), st.sampled_from([PaperTau(scale=2.0), ConstantTau(), LogarithmicTau(), GeometricTau()]))
+def test_the_adaptive_temperature_cools_as_another_does(eta, cooling):
+    assert AdaptiveTau(cooling=cooling)(eta) == cooling(eta)
+
+
+# How many slots a pursuer counts.
+
+TURNS = [0.05 + 0.1 * k for k in range(50)]
+SLOT = 0.1
+
+
+def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
+    """Return eta at each of the turns of a pursuer whose phi is 2 s, while its teammates do what `teammate` says.
+
+    Words are believed for 0.35 s, nobody is known at first, and nobody says anything but what `teammate` lets it.
+    """
+    seen = []
+
+    def protocol(me):
+        if me.id != observer:
+            yield from teammate(me)
+            return
+        slots = slots_seen(tau, me, SLOT)
+        for turn in TURNS:
+            yield me.at(turn)
+            seen.append(next(slots))
+
+    run(
+        Scenario(
+            horizon=until,
+            team=Team(positions=[(2.1, 0.0)] * count, speeds=1.0, active_at_start=0.0),
+            evader=Evader(position=(0.0, 0.0), speed=0.0),
+            motion=Motion(frozen=True),
+            protocol=protocol,
+            announce=Announcements(payload="time", trigger="never", forget_after=0.35, warm_start=False),
+            fault=fault,
+            record=Recording(trajectory=0.0),
+        )
+    )
+    return seen
+
+
+def since(turns, surprises):
+    """Return how many slots have passed at each turn since the last of the surprises, or since 0 s."""
+    return [(turn - max([0.0, *(s for s in surprises if s <= turn)])) / SLOT for turn in turns]
+
+
+def eventful(me):
+    """Pursuer 2 speaks all the time, of an action that changes, and ties with the observer. Pursuer 1:
+
+    1 to 1.9 s: speaks, and is slower than the observer (a new neighbour, at the turn of 1.05 s).
+    2 to 2.9 s: is faster (a change of order, at 2.05 s). 3 to 3.9 s: slower again (another, at 3.05 s).
+    From 4 s on it is silent: its word of 3.9 s is believed until 4.25 s, and not at the turn of 4.35 s.
+    """
+    for k in range(50):
+        yield me.at(0.1 * k)
+        if me.id == 2:
+            me.publish(TimedAssignment(k % 3 == 0, 2.0))
+        elif 10 <= k < 40:
+            me.publish(TimedAssignment(k % 2 == 0, 1.0 if 20 <= k < 30 else 4.0))
+
+
+SURPRISES = {"neighbour": [1.05], "order": [2.05, 3.05], "silence": [4.35]}
+
+
+@pytest.mark.parametrize("listed", [each for k in range(4) for each in combinations(SURPRISES, k)], ids=repr)
+def test_it_begins_anew_at_each_surprise_that_is_listed_and_at_no_other(listed):
+    """Whatever of the three is listed; nor do teammates' actions, or one that ties and comes later, surprise."""
+    expected = since(TURNS, [turn for each in listed for turn in SURPRISES[each]])
+    assert watch(AdaptiveTau(surprises=listed), eventful) == pytest.approx(expected, abs=1e-9)
+
+
+def test_other_temperatures_count_from_the_start_whatever_happens():
+    assert watch(GeometricTau(), eventful) == pytest.approx(since(TURNS, []), abs=1e-9)
+
+
+def test_all_three_surprise_unless_otherwise_said():
+    assert sorted(AdaptiveTau().surprises) == sorted(SURPRISES)
+
+
+def test_whom_one_has_heard_of_at_the_first_turn_is_no_surprise_even_if_it_is_first():
+    def teammate(me):
+        for k in range(50):
+            yield me.at(0.1 * k)
+            me.publish(TimedAssignment(True, 1.0))
+
+    assert watch(AdaptiveTau(), teammate) == pytest.approx(since(TURNS, []), abs=1e-9)
+
+
+def test_who_comes_back_is_a_neighbour_again():
+    """Silent from 1 s to 3 s: not believed any more at 1.35 s, heard again at 3.05 s."""
+
+    def teammate(me):
+        for k in range(50):
+            yield me.at(0.1 * k)
+            if not 10 <= k < 30:
+                me.publish(TimedAssignment(False, 4.0))
+
+    seen = watch(AdaptiveTau(surprises=("neighbour",)), teammate)
+    assert seen == pytest.approx(since(TURNS, [3.05]), abs=1e-9)
+    seen = watch(AdaptiveTau(surprises=("silence",)), teammate)
+    assert seen == pytest.approx(since(TURNS, [1.35]), abs=1e-9)
+
+
+def test_of_two_that_tie_the_lower_number_is_first():
+    """Pursuer 0 says 4 s, and from 2 s on 2 s, as the observer has: it goes ahead of 1 but not of 0."""
+
+    def teammate(me):
+        for k in range(50):
+            yield me.at(0.1 * k)
+            me.publish(TimedAssignment(True, 4.0 if k < 20 else 2.0))
+
+    order = AdaptiveTau(surprises=("order",))
+    assert watch(order, teammate, count=2, observer=1) == pytest.approx(since(TURNS, [2.05]), abs=1e-9)
+    assert watch(order, teammate, count=2, observer=0) == pytest.approx(since(TURNS, []), abs=1e-9)
+
+
+@pytest.mark.parametrize("tau", [AdaptiveTau(surprises=()), PaperTau()], ids=repr)
+def test_a_clock_that_is_behind_counts_no_slots_below_zero(tau):
+    """3 s behind: its turns at 0.05 s, 0.15 s ... come at 3.05 s, 3.15 s ...; a turn before 0 is none of 0."""
+    seen = []
+
+    def protocol(me):
+        slots = slots_seen(tau, me, SLOT)
+        for k in range(10):
+            yield me.at(k - 3.0)
+            seen.append(next(slots))
+
+    skew = ClockSkew(node=0, offset=-3.0)
+    run(Scenario(team=Team(count=1), protocol=protocol, fault=(skew,), horizon=9.5, motion=Motion(frozen=True)))
+    assert seen == pytest.approx([0, 0, 0, 0, 10, 20, 30, 40, 50, 60])

@@ -202,3 +202,26 @@ def test_the_way_word_spreads_and_the_protocol_share_one_generator():
 
     play(protocol, announce=Announcements(spread=Dicing(drawn), trigger="never"), horizon=0.98)
     assert drawn == {pursuer: stream(0, "decisions", pursuer).random(20).tolist() for pursuer in range(3)}
+
+
+@pytest.mark.parametrize(("payload", "known"), [("action", [0, 1, 2]), ("time", [1, 2]), ("state", [1, 2])])
+def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, known):
+    """Pursuer 0 speaks at 0 s only, pursuer 2 at 0 s and 1 s; at 1.5 s what is older than 1 s is forgotten."""
+    seen = []
+
+    def protocol(me):
+        me.tell()
+        yield me.at(1.0)
+        if me.id == 2:
+            me.tell()
+        yield me.at(1.5)
+        if me.id == 1:
+            seen.append(me.whereabouts())
+
+    play(protocol, announce=Announcements(trigger="revision", payload=payload, forget_after=1.0, warm_start=False))
+    (found,) = seen
+    assert found.ids == known
+    assert found.capture_times == pytest.approx([(0.9, 1.9, 3.9)[j] for j in known])
+    assert found.speeds.tolist() == [1.0] * len(known)
+    if payload != "time":
+        assert found.places == pytest.approx([(1.0, 2.0, 4.0)[j] for j in known])

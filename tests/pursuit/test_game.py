@@ -3,17 +3,19 @@
 from itertools import pairwise
 from math import exp, inf, isclose
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from desim.pursuit.capture import capture_time, intercept_time
 from desim.pursuit.game import (
     best_response,
     equilibria,
     gain,
     gibbs,
+    greedy_maximal_independent_set,
+    is_equilibrium,
     logit,
     potential,
     profiles,
@@ -21,6 +23,7 @@ from desim.pursuit.game import (
     relay_pursuer,
     wonderful_life_utility,
 )
+from desim.pursuit.utility import EdgePenalty, LocalMean, Minimum
 
 times = st.floats(0.0, 60.0, allow_nan=False)
 rewards = st.floats(0.0, 60.0)
@@ -88,6 +91,7 @@ def test_a_pursuer_that_cannot_capture_never_gains_and_never_counts():
 def test_a_lone_pursuer_chases_if_it_can_be_in_time():
     assert best_response(4.0, [], 5.0)
     assert not best_response(6.0, [], 5.0)
+    assert not best_response(5.0, [], 5.0)
     assert potential([4.0], [False], 5.0) == 0.0
 
 
@@ -112,65 +116,92 @@ def test_the_logit_neither_overflows_nor_divides():
     assert logit([0.0, 1.0, 3.0], 0.5) == pytest.approx(np.exp([0, 0.5, 1.5]) / np.exp([0, 0.5, 1.5]).sum(), rel=1e-15)
 
 
-coordinates = st.floats(-20.0, 20.0)
-speeds_of_players = st.floats(0.0, 3.0).map(lambda v: round(v, 6))
-points = st.tuples(coordinates, coordinates)
+def test_the_gibbs_law_of_a_cold_team_does_not_overflow():
+    """exp(3 / 0.001) would."""
+    assert gibbs([1.0, 2.0], 4.0, 0.001).tolist() == [0.0, 0.0, 1.0, exp(-500.0)]
 
 
-@given(points, st.lists(st.tuples(points, speeds_of_players), min_size=1, max_size=5), st.floats(0.0, 2.0))
-def test_radial_capture_time_solves_its_equation(evader, team, v_e):
-    """After phi the gap |x_e - x_i| - eps has been closed at v_i - v_e."""
-    at, speeds = np.array([p for p, _ in team]), np.array([v for _, v in team])
-    phi = capture_time(evader, at, speeds, v_e, 0.1)
-    distance = np.hypot(*(np.array(evader) - at).T)
-    for d, v, time in zip(distance, speeds, phi, strict=True):
-        if d <= 0.1:
-            assert time == 0.0
-        elif v <= v_e:
-            assert time == inf
-        else:
-            assert time * (v - v_e) == pytest.approx(d - 0.1, rel=1e-9, abs=1e-12)
+def test_the_gibbs_law_knows_only_who_can_capture():
+    with pytest.raises(ValueError, match=r"should be finite, got \[1.0, inf\]"):
+        gibbs([1.0, inf], 4.0, 1.0)
 
 
-@given(points, points, points, speeds_of_players, st.floats(0.01, 1.0))
-def test_intercept_time_is_the_first_time_at_which_the_evader_can_be_reached(evader, velocity, at, speed, eps):
-    """|x_e + w t - x_i| <= v t + eps holds at phi and at no sampled earlier time."""
-    phi = float(intercept_time(evader, velocity, [at], [speed], eps)[0])
-
-    def slack(t):
-        gap = np.array(evader) + np.array(velocity) * t - np.array(at)
-        return speed * t + eps - np.hypot(*gap)
-
-    scale = 1e-6 * (1 + np.hypot(*velocity)) * (1 + min(phi, 1e6))
-    horizon = 100.0 if phi == inf else phi
-    if phi < 1e6:
-        assert slack(phi) >= -scale
-    assert phi == 0.0 or all(slack(t) < scale for t in np.linspace(0.0, min(horizon, 100.0), 200)[:-1])
+# On a graph.
 
 
-def test_a_closing_speed_that_is_nothing_but_rounding_counts_as_none():
-    """0.1 / 5e-324 would overflow."""
-    assert capture_time([1.0, 0.0], [[0.0, 0.0]], [5e-324], 0.0, 0.1) == inf
-    assert capture_time([1.0, 0.0], [[0.0, 0.0]], [0.1 + 0.2], 0.3, 0.1) == inf
+@st.composite
+def games_on_graphs(draw, most=6):
+    """Distinct phi, some of them late, r = 10, and who hears whom."""
+    count = draw(st.integers(1, most))
+    phi = draw(st.permutations([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]))[:count]
+    return phi, nx.gnp_random_graph(count, draw(st.floats(0.0, 1.0)), seed=draw(st.integers(0, 1000)))
 
 
-def test_intercept_of_an_evader_that_flees_straight_is_the_radial_time():
-    radial = capture_time([3.0, 4.0], [[0.0, 0.0]], [2.0], 0.9, 0.1)
-    assert intercept_time([3.0, 4.0], [0.54, 0.72], [[0.0, 0.0]], [2.0], 0.1) == pytest.approx(radial)
-    assert radial == pytest.approx([(5.0 - 0.1) / 1.1])
+def heard(graph):
+    """Return for each pursuer whom it hears."""
+    return [list(graph.adj[i]) for i in range(len(graph))]
 
 
-@pytest.mark.parametrize(
-    ("evader", "pursuers", "speeds", "radius", "text"),
-    [
-        ([0.0], [[1.0, 1.0]], [1.0], 0.1, "shapes"),
-        ([0.0, 0.0], [1.0, 1.0], [1.0], 0.1, "shapes"),
-        ([0.0, 0.0], [[1.0, 1.0]], [1.0, 2.0], 0.1, "shapes"),
-        ([0.0, 0.0], [[1.0, 1.0]], [1.0], 0.0, "greater than 0 m, got 0.0"),
-    ],
-)
-def test_shapes_and_radius_are_checked(evader, pursuers, speeds, radius, text):
-    with pytest.raises(ValueError, match=text):
-        capture_time(evader, pursuers, speeds, 0.9, radius)
-    with pytest.raises(ValueError, match=text):
-        intercept_time(evader, [0.0, 0.0], pursuers, speeds, radius)
+def maximal_independent_sets(phi, reward, graph):
+    """Return the maximal independent sets of those who would be in time, as profiles, by networkx.
+
+    They are the maximal cliques of the complement.
+    """
+    timely = [i for i, each in enumerate(phi) if each < reward]
+    cliques = nx.find_cliques(nx.complement(graph.subgraph(timely))) if timely else [[]]
+    return {tuple(i in clique for i in range(len(phi))) for clique in cliques}
+
+
+@given(games_on_graphs())
+def test_with_a_penalty_on_edges_the_equilibria_are_the_maximal_independent_sets(game):
+    phi, graph = game
+    assert set(equilibria(phi, 10.0, EdgePenalty(), heard(graph))) == maximal_independent_sets(phi, 10.0, graph)
+
+
+@given(games_on_graphs())
+def test_the_greedy_set_is_a_maximal_independent_one_and_the_only_fixed_point_of_local_min(game):
+    """A fixed point: who is active is in time and hears nobody active of smaller phi, and who is not is or does not."""
+    phi, graph = game
+    greedy = greedy_maximal_independent_set(phi, 10.0, heard(graph))
+    assert greedy in maximal_independent_sets(phi, 10.0, graph)
+
+    def chases(profile, i):
+        return phi[i] < 10.0 and not any(profile[j] and phi[j] < phi[i] for j in graph.adj[i])
+
+    fixed = [p for p in profiles(len(phi)) if all(p[i] == chases(p, i) for i in range(len(phi)))]
+    assert fixed == [greedy]
+
+
+def test_the_greedy_set_breaks_ties_by_number():
+    assert greedy_maximal_independent_set([2.0, 2.0, 1.0], 5.0, [[1], [0], []]) == (True, False, True)
+    assert greedy_maximal_independent_set([5.0, 4.0], 5.0, [[1], [0]]) == (False, True)
+    assert greedy_maximal_independent_set([5.0, inf], 5.0, [[], []]) == (False, False)
+
+
+def test_on_a_path_of_three_the_local_mean_has_no_equilibrium():
+    """j - i - k with phi = (1, 2, 4): by enumeration. Where all hear all it has one; with a penalty on edges two."""
+    hearing = heard(nx.path_graph(3))
+    assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), hearing) == []
+    assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), heard(nx.complete_graph(3))) == [(True, False, False)]
+    assert equilibria([1.0, 2.0, 4.0], 25.0, EdgePenalty(), hearing) == [(False, True, False), (True, False, True)]
+    assert greedy_maximal_independent_set([1.0, 2.0, 4.0], 25.0, hearing) == (True, False, True)
+
+
+def test_who_cannot_capture_stays_in_an_equilibrium_and_counts_for_nobody():
+    """Also under a utility that would let it chase for nothing, and with a neighbour that chases in vain."""
+    assert not is_equilibrium([1.0, inf], [True, True], 5.0, Minimum())
+    assert equilibria([1.0, inf], 5.0, Minimum()) == [(True, False)]
+    assert equilibria([inf, 1.0], 5.0, EdgePenalty(), [[1], [0]]) == [(False, True)]
+    assert equilibria([inf], 5.0) == [(False,)]
+
+
+def test_an_equilibrium_does_not_ask_who_is_heard_about_itself():
+    """phi = 1 against nobody; heard of itself it would be indifferent, and stay as well."""
+    assert equilibria([1.0], 5.0, hearing=[[0]]) == [(True,)]
+    assert not is_equilibrium([1.0], [False], 5.0, hearing=[[0]])
+
+
+def test_under_minimum_who_is_slower_may_do_either():
+    """phi = (1, 2): the first chases, the second neither gains nor loses. Equally fast: one of them, or both."""
+    assert equilibria([1.0, 2.0], 5.0, Minimum()) == [(True, False), (True, True)]
+    assert equilibria([2.0, 2.0], 5.0, Minimum()) == [(False, True), (True, False), (True, True)]

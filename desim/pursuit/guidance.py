@@ -1,0 +1,88 @@
+"""Guidance: how a pursuer that chases heads for the evader.
+
+A law maps what is seen of the evader to the velocities of the whole team. Points and velocities are complex numbers, as
+in `desim.pursuit.state`.
+"""
+
+from typing import Literal, Protocol
+
+import numpy as np
+
+from desim.pursuit.capture import NO_SPEED
+from desim.pursuit.motion import SMALLEST, toward
+from desim.pursuit.state import Floats, Points
+from desim.value import Value
+
+
+class Guidance(Protocol):
+    """A law of guidance: `guidance(gaps, aims, flight, speeds)` is the (N,) velocities, m/s, none above its speed.
+
+    Args:
+        gaps: (N,) from each pursuer to the evader, m.
+        aims: (N,) from each pursuer to where the evader will be at the end of the motion step, or again to where it is
+            (`motion.order`), m.
+        flight: velocity of the evader as it is seen: that of the present step if the evader moves first, else that of
+            the step before, m/s.
+        speeds: (N,) m/s, 0 for who stays.
+    """
+
+    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points: ...  # noqa: D102
+
+
+class PurePursuit(Value):
+    """Head straight for the evader (Lee & Bakolas): u_i = (x_e - x_i) / |x_e - x_i|."""
+
+    kind: Literal["pure_pursuit"] = "pure_pursuit"
+
+    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+        """Return the (N,) velocities, m/s."""
+        return toward(aims, speeds)
+
+
+class ConstantBearing(Value):
+    """Head for where one would meet the evader if it kept its velocity; who cannot meet it heads straight for it.
+
+    The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. On the way there the line of sight keeps
+    its direction b (parallel navigation): across it the pursuer moves as the evader does, and what is left of its speed
+    it spends along it, u = b (sqrt(v^2 - w_across^2) + i w_across). It closes in at sqrt(v^2 - w_across^2) - w_along;
+    if that is not positive they do not meet.
+    """
+
+    kind: Literal["constant_bearing"] = "constant_bearing"
+
+    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+        """Return the (N,) velocities, m/s."""
+        distances = np.abs(gaps)
+        bearings = gaps / np.maximum(distances, SMALLEST)
+        seen = flight * bearings.conj()  # along the line of sight, and across it
+        rest = speeds**2 - seen.imag**2
+        along = np.sqrt(np.maximum(rest, 0.0))
+        meets = (rest >= 0.0) & (along - seen.real > NO_SPEED) & (distances > 0.0)
+        return np.where(meets, bearings * (along + 1j * seen.imag), toward(aims, speeds))
+
+
+def way(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float, duration: float) -> complex:
+    """Return how far a law leads one pursuer in a time (s) in which nothing changes, m; the rest as in `Guidance`."""
+    if isinstance(law, PurePursuit):  # the same, several times faster
+        return aim * (speed * duration / max(abs(aim), SMALLEST))
+    return complex(law(np.array([gap]), np.array([aim]), flight, np.array([speed]))[0]) * duration
+
+
+def apollonius_circle(pursuer: complex, evader: complex, ratio: float) -> tuple[complex, float]:
+    """Return the centre and the radius of the circle of points that both reach at the same time, m.
+
+    With k = v_e / v_p the points x with |x - x_e| = k |x - x_p|: centre (x_e - k^2 x_p) / (1 - k^2), radius
+    k d / |1 - k^2|. The evader is inside if it is the slower.
+
+    Args:
+        pursuer: position, m.
+        evader: position, m.
+        ratio: k = v_e / v_p.
+
+    Raises:
+        ValueError: if the ratio is negative, or is 1, for then the points lie on a line.
+    """
+    if ratio < 0.0 or ratio == 1.0:
+        raise ValueError(f"the ratio of speeds should be at least 0 and not 1, got {ratio}")
+    rest = 1.0 - ratio**2
+    return (evader - ratio**2 * pursuer) / rest, ratio * abs(evader - pursuer) / abs(rest)

@@ -1,0 +1,127 @@
+"""A central server with its round trip: states go up, orders come down, over the same links as any other word.
+
+Paper: the decision is that of Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using
+    Potential Games", Algorithm 3, by a centre that has to be told, and whose orders take their time.
+Parameters: host (which pursuer carries the server), period (time between two reports).
+Time: every pursuer reports at the ticks k * period of its clock. The server decides as reports arrive, once for all
+    that arrive at one instant, and whoever gets an order obeys it as it arrives. So an order takes effect exactly one
+    round trip, 2 L, after the states on which it rests, and what happens between two ticks waits for the next tick
+    before that. (A server that decided at ticks would add its own wait: nothing at L = 0, but a whole period as soon as
+    L is a nanosecond.) A changed order is sent at once; every tick repeats it.
+Assumes: that the host reaches everybody and everybody reaches the host in one hop, and that nobody breaks down. While
+    the host is down nobody leads: everybody goes on with what it was ordered last. Reports of who chases are reckoned
+    on by their time stamps, so clocks that differ mislead the server a little.
+Messages: per period N - 1 reports of 72 bytes and an order of 32 bytes to each of N - 1; an order to each per change.
+Robust to loss: yes. Reports and orders are repeated every period, and an order that was overtaken by a newer one is not
+    obeyed. Who has not been heard for long (`announce.forget_after`, where "auto" goes by the period of the reports) is
+    left out, and the server decides without any report only if none has come for 3 periods and a round trip.
+"""
+
+from collections.abc import Iterator
+from itertools import count
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import Field
+
+from desim.pursuit.agent import Agent, Process
+from desim.pursuit.word import LocatedAssignment, Relayed
+from desim.value import Period, Value
+
+PORT = "server"
+"""Where reports and orders come in."""
+
+
+class Order(NamedTuple):
+    """Who is to chase."""
+
+    number: int
+    """Of the decision: the greater is the newer."""
+    chaser: int | None
+    """Nobody if None."""
+
+
+class Server(Value):
+    """One pursuer carries a server, which hears from all where they are and sends whom it deems first."""
+
+    assumes: ClassVar[tuple[str, ...]] = ("host_in_reach", "no_crashes")
+    announces: ClassVar[bool] = False
+    """Reports take the place of heartbeats."""
+    reckons: ClassVar[bool] = True
+    """What is reported is reckoned on, whatever the payload of announcements."""
+    kind: Literal["server"] = "server"
+    host: Annotated[int, Field(ge=0, strict=True)] = 0
+    """The pursuer that carries the server."""
+    period: Period = 0.1
+    """Time between two reports of a pursuer, and between two repetitions of an order, s."""
+
+    def __call__(self, me: Agent) -> Process:
+        """Lead, or report and obey."""
+        yield from self._lead(me) if me.id == self.host else self._follow(me)
+
+    def _follow(self, me: Agent) -> Process:
+        """Report at every tick, and obey the newest order."""
+        newest = -1
+        for tick in ticks(me, self.period):
+            alarm = me.at(tick)
+            while not alarm.processed:
+                yield me.arrival(PORT) | alarm
+                for message in me.mail(PORT):
+                    if message.body.number >= newest:
+                        newest = message.body.number
+                        obey(me, message.body)
+            me.send(self.host, Relayed((me.record(state(me)),)), PORT)
+
+    def _lead(self, me: Agent) -> Process:
+        """Decide on what has arrived, obey oneself, and tell the others."""
+        told = Order(-1, None)
+        reporters: set[int] = set()
+        silence = 3.0 * self.period + 2.0 * (me.latency + me.airtime(state(me))) if me.team_size > 1 else 0.0
+        last_word = me.now
+        for tick in ticks(me, self.period):
+            alarm = me.at(tick)
+            due = False
+            while not due:
+                yield me.arrival(PORT) | alarm
+                yield me.after_decisions()  # when all reports of this instant are in
+                due = alarm.processed
+                reports = me.mail(PORT)
+                for message in reports:
+                    me.learn(message.body.records)
+                    reporters.add(message.src)
+                if reports:
+                    last_word = me.now
+                changed = False
+                if reports or me.now >= last_word + silence:
+                    chaser = self._first(me, reporters)
+                    changed = told.number < 0 or chaser != told.chaser
+                    # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
+                    told = Order(max(round(me.now * 1e9), told.number + 1, 0), chaser) if changed else told
+                    obey(me, told)
+                if changed or (due and told.number >= 0):
+                    me.send(None, told, PORT)
+
+    def _first(self, me: Agent, reporters: set[int]) -> int | None:
+        """Return who is first by (phi, id) of the host and those of whom it has word, if that one can be in time."""
+        beliefs = me.beliefs(self.period)
+        known = [(beliefs[j].capture_time, j) for j in reporters & beliefs.keys()]
+        phi, first = min([*known, (me.capture_time(), me.id)])
+        return first if phi < me.time_left() else None
+
+
+def ticks(me: Agent, period: float) -> Iterator[float]:
+    """Yield the multiples of a period from now on, by the own clock, s, without those that pass meanwhile."""
+    for k in count():
+        if k * period >= me.now:
+            yield k * period
+
+
+def state(me: Agent) -> LocatedAssignment:
+    """Return what a pursuer reports, whatever the payload of announcements."""
+    place = me.place()
+    return LocatedAssignment(me.action, place.real, place.imag, me.speed)
+
+
+def obey(me: Agent, order: Order) -> None:
+    """Chase if the order says so, else stay."""
+    if me.action != (order.chaser == me.id):
+        me.assign(order.chaser == me.id)

@@ -1,0 +1,230 @@
+"""How far must pursuers hear? Active time over the range, and how often a game of neighbours has no equilibrium at all.
+
+Pursuers hear who is within R of them. Each weighs its time of capture against those of its active neighbours (the
+paper's utility where it cannot be had), against those of its whole component over several hops, or pays for each active
+neighbour; or it goes by the rules of thumb `local_min` and `argmin_known`. Beside it stand, for the games of t = 0, the
+number of components, the size of the greedy independent set, and the share of games of neighbours without a pure
+equilibrium, by enumeration of all profiles. All this for the team of the paper, of which only the fast pursuer and
+those who are near would be in time, and for one in which most would be.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import networkx as nx
+import numpy as np
+
+from desim import Scenario
+from desim.analysis.batch import seeds_from
+from desim.analysis.metrics import active_time
+from desim.analysis.statistics import estimate, wilson
+from desim.analysis.tables import aligned
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.topology import Topology
+from desim.pursuit.capture import capture_time
+from desim.pursuit.game import equilibria, greedy_maximal_independent_set
+from desim.pursuit.utility import Component, EdgePenalty, LocalMean
+from desim.pursuit.word import Announcements
+from desim.scenario import Team
+from protocols.dissemination import Flooding
+from protocols.local_min import ArgminKnown, LocalMin
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+from scenarios.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+N = 10
+TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})
+RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0)
+"""R, m."""
+TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+GAMES_PER_RUN = 10
+"""How many games of t = 0 are enumerated for each run."""
+CLOCKS = Poisson(rate=10.0)
+PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
+    {
+        "component": (SpatialAdaptivePlay(schedule=CLOCKS, utility=Component()), Flooding(hops=N)),
+        "local mean": (SpatialAdaptivePlay(schedule=CLOCKS, utility=LocalMean()), None),
+        "edge penalty": (SpatialAdaptivePlay(schedule=CLOCKS, utility=EdgePenalty()), None),
+        "local min": (LocalMin(schedule=CLOCKS), None),
+        "argmin known": (ArgminKnown(schedule=CLOCKS), Flooding(hops=N)),
+    }
+)
+REFERENCE = "component"
+
+
+@dataclass(frozen=True)
+class Games:
+    """The games of t = 0 at one range, means over many."""
+
+    team: str
+    range: float
+    games: int
+    unsettled: float
+    """Share without a pure equilibrium under the utility of neighbours, in [0, 1]."""
+    unsettled_low: float
+    """Ends of its 95 % Wilson interval."""
+    unsettled_high: float
+    components: float
+    independent: float
+    """Size of the greedy independent set."""
+
+
+@dataclass(frozen=True)
+class Pursuits:
+    """The pursuits of one protocol at one range."""
+
+    team: str
+    range: float
+    protocol: str
+    active_time: float
+    half_width: float
+    """Of the 95 % interval, s."""
+    difference: float
+    """Active time less that of the game per component in the same runs, s."""
+    difference_half_width: float
+
+
+def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
+    """Return the scenario of the paper with a team that hears each other up to a range (m)."""
+    chosen, spread = PROTOCOLS[protocol]
+    return Scenario(
+        name=f"{protocol}, R = {range:g} m",
+        team=TEAMS[team],
+        protocol=chosen,
+        announce=Announcements() if spread is None else Announcements(spread=spread),
+        network=Links(range=range, latency=Constant(value=0.005)),
+    )
+
+
+def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
+    """Return the game of t = 0: the times of capture (s), who hears whom, and the same as a graph."""
+    at, evader = base.team.start(seed), base.evader.start(seed)
+    phi = capture_time(evader, at, base.team.all_speeds(), base.evader.speed, base.capture.radius).tolist()
+    graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
+    return phi, [list(graph.predecessors(i)) for i in sorted(graph)], graph
+
+
+def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
+    """Enumerate the games of t = 0 of a team at one range."""
+    base = scenario(team, range, "local mean")
+    seeds = seeds_from(options.seed, options.runs * GAMES_PER_RUN)
+    unsettled, components, independent = 0, [], []
+    for phi, hearing, graph in (game(base, seed) for seed in seeds):
+        unsettled += not equilibria(phi, base.horizon, LocalMean(), hearing)
+        components.append(nx.number_weakly_connected_components(graph))
+        independent.append(sum(greedy_maximal_independent_set(phi, base.horizon, hearing)))
+    low, high = wilson(unsettled, len(seeds))
+    share = unsettled / len(seeds)
+    return Games(team, range, len(seeds), share, low, high, float(np.mean(components)), float(np.mean(independent)))
+
+
+def measure(options: Options) -> list[Pursuits]:
+    """Run every protocol at every range."""
+    keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
+    times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
+    found = []
+    for key in keys:
+        own, other = times[key], times[(*key[:2], REFERENCE)]
+        active, paired = estimate(own), estimate([a - b for a, b in zip(own, other, strict=True)])
+        found.append(Pursuits(*key, active.mean, active.half_width, paired.mean, paired.half_width))
+    return found
+
+
+def table(pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> str:
+    """Return what was measured as text."""
+    return "\n\n".join(
+        part
+        for team in TEAMS
+        for part in _tables(
+            team, [each for each in pursuits if each.team == team], [each for each in static if each.team == team], runs
+        )
+    )
+
+
+def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> list[str]:
+    here = {(each.range, each.protocol): each for each in pursuits}
+    about = [("R", "no equilibrium", "95 % interval", "components", "independent set")]
+    active, paired = [("R", *PROTOCOLS)], [("R", *(name for name in PROTOCOLS if name != REFERENCE))]
+    for each in static:
+        radius = f"{each.range:g} m"
+        interval = f"{each.unsettled_low:.1%} .. {each.unsettled_high:.1%}"
+        about.append((radius, f"{each.unsettled:.1%}", interval, f"{each.components:.2f}", f"{each.independent:.2f}"))
+        line = [here[each.range, name] for name in PROTOCOLS]
+        active.append((radius, *(f"{cell.active_time:.1f} +- {cell.half_width:.1f}" for cell in line)))
+        others = [cell for cell in line if cell.protocol != REFERENCE]
+        paired.append((radius, *(f"{cell.difference:+.1f} +- {cell.difference_half_width:.1f}" for cell in others)))
+    what = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
+    games = f"{team}, {N} pursuers, {static[0].games} games"
+    return [
+        f"Games of t = 0 in which each hears who is within R: {games}\n{aligned(about)}",
+        f"Sum of active times, s: {what}\n{aligned(active)}",
+        f"The same less that of the game per component in the same runs, s: {what}\n{aligned(paired)}",
+    ]
+
+
+def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
+    """Draw active time by protocol, and below what the games of t = 0 are like."""
+    from desim.analysis import plots
+
+    with plots.styled(figsize=(9.0, 6.4)) as figure:
+        grid = figure.subplots(2, len(TEAMS), sharex=True, height_ratios=(3, 2))
+        for column, team in enumerate(TEAMS):
+            draw_pursuits(grid[0, column], [each for each in pursuits if each.team == team])
+            draw_games(grid[1, column], [each for each in static if each.team == team])
+            grid[0, column].set_title(team, fontsize=9)
+        grid[0, 0].legend(fontsize=8)
+        grid[0, 0].set_ylabel("sum of active times (s)")
+        grid[1, 0].set_ylabel("games of neighbours\nwithout equilibrium (%)", color=plots.SERIES[1])
+        for axes in grid[1]:
+            axes.set_xlabel("range R (m)")
+    return figure
+
+
+def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
+    """Draw active time over the range, a line per protocol."""
+    from desim.analysis import plots
+
+    for k, (colour, name) in enumerate(zip(plots.SERIES, PROTOCOLS, strict=False)):
+        line = [each for each in pursuits if each.protocol == name]
+        x = [each.range * 1.03 ** (k - 2) for each in line]  # side by side
+        y, error = [each.active_time for each in line], [each.half_width for each in line]
+        axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=name)
+    axes.set(xscale="log")
+    axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    axes.minorticks_off()
+
+
+def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
+    """Draw the share of games without equilibrium, and how many components and independent pursuers there are."""
+    from desim.analysis import plots
+
+    share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
+    axes.fill_between(RANGES, share[:, 1], share[:, 2], color=plots.SERIES[1], alpha=0.25, lw=0)
+    axes.plot(RANGES, share[:, 0], color=plots.SERIES[1], marker="o", ms=3, lw=1.2)
+    axes.set_ylim(bottom=0)
+    counts = axes.twinx()
+    counts.spines["right"].set_visible(True)
+    for name, style, label in (("components", "--", "components"), ("independent", ":", "greedy independent set")):
+        counts.plot(RANGES, [getattr(each, name) for each in static], style, color=plots.GREY, label=label)
+    counts.set(ylabel="number", ylim=(0, N))
+    counts.legend(fontsize=7, loc="upper right")
+
+
+@study("range", __doc__, runs=40)
+def main(options: Options) -> None:
+    """Measure, enumerate, show."""
+    pursuits = measure(options)
+    static = [games(team, range_, options) for team in TEAMS for range_ in RANGES]
+    document = {"pursuits": [asdict(each) for each in pursuits], "games": [asdict(each) for each in static]}
+    options.show(document, table(pursuits, static, options.runs), lambda: picture(pursuits, static))
+
+
+if __name__ == "__main__":
+    main()

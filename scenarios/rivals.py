@@ -1,0 +1,216 @@
+"""Compare all protocols: the same starts, the same luck, as many announcements a second, over a range of latencies.
+
+In the scenario of the paper, where one pursuer is twice as fast as the others; in one that stresses the relay, where
+all are equally fast; and in that of the paper again when nobody sees the others, so that where they are has to be told,
+too. Everybody announces ten times a second and no more, and decides ten times a second on the average. What talking is
+worth is judged against a silent team, in which everyone decides alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from desim import Scenario, summary
+from desim.analysis.metrics import Summary
+from desim.analysis.statistics import estimate
+from desim.analysis.tables import aligned, number
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.pursuit.word import Announcements
+from desim.scenario import PROTOCOLS, Recording, Team
+from protocols.schedules import Poisson
+from scenarios.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)
+"""One-way latency L, s."""
+SHOWN = 0.2
+"""The latency at which everything is shown, s."""
+PERIOD = 0.1
+"""Between two announcements, and on the average two decisions, of a pursuer, s."""
+N = 20
+WORLDS: Mapping[str, Scenario] = MappingProxyType(
+    {
+        "paper": Scenario(name="paper", team=Team(count=N)),
+        "relay stress": Scenario(name="relay stress", horizon=60.0, team=Team(count=N, speeds=1.0)),
+        "paper, unseen": Scenario(name="paper, unseen", team=Team(count=N), announce=Announcements(payload="state")),
+    }
+)
+SILENT = "nobody talks"
+REFERENCE = "sap"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one protocol came to in one world at one latency, means over the runs."""
+
+    world: str
+    protocol: str
+    latency: float
+    active_time: float
+    half_width: float
+    """Of the 95 % interval of the active time, s."""
+    difference: float
+    """Active time less that of Spatial Adaptive Play in the same runs, s."""
+    difference_half_width: float
+    captured: float
+    """Share of the runs."""
+    time_to_relay: float
+    """s, over the runs in which there was a relay."""
+    misassigned_time: float
+    handovers: float
+    transmissions: float
+    """Per second."""
+    kilobytes: float
+    """Per second."""
+    saved_per_transmission: float
+    """Active time saved against a silent team, s per transmission; 0 without any."""
+    saved_per_kilobyte: float
+
+
+def contender(kind: str) -> object:
+    """Return a protocol that decides as often as the others."""
+    fields = PROTOCOLS.choices()[kind].model_fields
+    settings = {key: PERIOD for key in ("slot", "period") if key in fields}
+    schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
+    return PROTOCOLS.choices()[kind](**settings, **schedule)
+
+
+def scenario(world: str, protocol: str, latency: float) -> Scenario:
+    """Return one scenario of the study."""
+    said = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
+    announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | said)
+    return WORLDS[world].model_copy(
+        update={
+            "protocol": contender(REFERENCE if protocol == SILENT else protocol),
+            "announce": announce,
+            "network": Links(latency=Constant(value=latency)),
+            "record": Recording(trajectory=PERIOD),
+        }
+    )
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run every protocol in every world at every latency."""
+    protocols = [*PROTOCOLS.choices(), SILENT]
+    keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
+    runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", summary), strict=True))
+    return [cell(key, runs[key], runs[key[0], REFERENCE, key[2]], runs[key[0], SILENT, key[2]]) for key in keys]
+
+
+def cell(
+    key: tuple[str, str, float], runs: Sequence[Summary], reference: Sequence[Summary], silent: Sequence[Summary]
+) -> Cell:
+    """Return what the runs of one protocol came to, beside those of two others with the same seeds."""
+    active = estimate([run.active_time for run in runs])
+    paired = estimate([run.active_time - other.active_time for run, other in zip(runs, reference, strict=True)])
+    saved = sum(other.active_time - run.active_time for run, other in zip(runs, silent, strict=True))
+    sent, kilobytes = sum(run.transmissions for run in runs), sum(run.bytes_sent for run in runs) / 1000.0
+    duration = sum(run.end_time for run in runs)
+    return Cell(
+        *key,
+        active.mean,
+        active.half_width,
+        paired.mean,
+        paired.half_width,
+        _mean([float(run.captured) for run in runs]),
+        _mean([run.time_to_relay for run in runs if run.time_to_relay is not None]),
+        _mean([run.misassigned_time for run in runs if run.misassigned_time is not None]),
+        _mean([float(run.handovers) for run in runs]),
+        sent / duration,
+        kilobytes / duration,
+        saved / sent if sent else 0.0,
+        saved / kilobytes if kilobytes else 0.0,
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return estimate(values).mean if values else float("nan")
+
+
+def table(cells: Sequence[Cell], runs: int) -> str:
+    """Return three tables for each world."""
+    return "\n\n".join(part for world in WORLDS for part in _tables(world, cells, runs))
+
+
+def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
+    here = {(each.protocol, each.latency): each for each in cells if each.world == world}
+    names = list(dict.fromkeys(each.protocol for each in cells))
+    heads = [f"L = {latency:g} s" for latency in LATENCIES]
+    active, paired = [("", *heads)], [("", *heads)]
+    for name in names:
+        line = [here[name, latency] for latency in LATENCIES]
+        active.append((name, *(f"{each.active_time:.1f} +- {each.half_width:.1f}" for each in line)))
+        if name != REFERENCE:
+            paired.append((name, *(f"{each.difference:+.1f} +- {each.difference_half_width:.1f}" for each in line)))
+    rest = [("", "captured", "to relay", "misassigned", "hand-overs", "sent/s", "kB/s", "saved/sent", "saved/kB")]
+    for name in names:
+        at = here[name, SHOWN]
+        rest.append(
+            (
+                name,
+                f"{at.captured:.0%}",
+                f"{number(at.time_to_relay, 2)} s",
+                f"{at.misassigned_time:.2f} s",
+                f"{at.handovers:.1f}",
+                f"{at.transmissions:.0f}",
+                f"{at.kilobytes:.2f}",
+                f"{1000 * at.saved_per_transmission:.0f} ms",
+                f"{at.saved_per_kilobyte:.2f} s",
+            )
+        )
+    what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
+    return [
+        f"Sum of active times, s: {what}\n{aligned(active)}",
+        f"The same less that of {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}",
+        f"At L = {SHOWN:g} s: {what}; active time saved against a silent team\n{aligned(rest)}",
+    ]
+
+
+def picture(cells: Sequence[Cell]) -> "Figure":
+    """Draw the active time of every protocol at every latency."""
+    from desim.analysis import plots
+
+    with plots.styled(figsize=(12.5, 5.6)) as figure:
+        for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True), WORLDS, strict=True):
+            draw(axes, world, [each for each in cells if each.world == world])
+    return figure
+
+
+def draw(axes: "Axes", world: str, cells: Sequence[Cell]) -> None:
+    """Draw one world: a row per protocol, a column per latency, colour and number the active time."""
+    import numpy as np
+    from matplotlib.colors import LogNorm
+
+    names = list(dict.fromkeys(each.protocol for each in cells))
+    times = np.zeros((len(names), len(LATENCIES)))
+    for each in cells:
+        times[names.index(each.protocol), LATENCIES.index(each.latency)] = each.active_time
+    image = axes.imshow(times, norm=LogNorm(), cmap="viridis_r", aspect="auto")
+    middle = np.sqrt(times.min() * times.max())
+    for (row, column), time in np.ndenumerate(times):
+        colour = "black" if time < middle else "white"
+        axes.text(column, row, f"{time:.0f}", ha="center", va="center", fontsize=8, color=colour)
+    axes.set_xticks(range(len(LATENCIES)), [f"{latency:g}" for latency in LATENCIES])
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xlabel="one-way latency L (s)")
+    axes.set_title(f"{world}: sum of active times (s)", fontsize=9)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.figure.colorbar(image, ax=axes, shrink=0.6).minorticks_off()
+
+
+@study("rivals", __doc__, runs=20)
+def main(options: Options) -> None:
+    """Measure, compare, show."""
+    cells = measure(options)
+    document = {"cells": [asdict(each) for each in cells]}
+    options.show(document, table(cells, options.runs), lambda: picture(cells))
+
+
+if __name__ == "__main__":
+    main()

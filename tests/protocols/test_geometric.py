@@ -1,0 +1,427 @@
+"""Geometric rules: who owns the evader, when it changes hands, and that everybody agrees without a word."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from desim import Scenario, run, summary
+from desim.assumptions import broken
+from desim.kernel.faults import ClockSkew, Crash
+from desim.kernel.latency import Constant, Lognormal
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.capture import capture_time
+from desim.pursuit.events import Decided, Sampled, Started
+from desim.pursuit.game import relay_profile
+from desim.pursuit.word import Announcements
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.centralised import Centralised
+from protocols.geometric import Argmin, Velocity, Voronoi, first
+
+SECOND = 1_000_000_000
+
+
+def profiles(result):
+    """Return {t: who chases} at every instant at which somebody decided, when all have that do."""
+    active, found = list(result.trace.of(Started)[0].active), {}
+    for decision in result.trace.of(Decided):
+        active[decision.pursuer] = decision.active
+        found[decision.t] = tuple(active)
+    return found
+
+
+def owners(result):
+    """Return who chased alone, one after the other; fails if at any instant several or none did."""
+    found = []
+    for profile in profiles(result).values():
+        assert sum(profile) == 1
+        found.append(profile.index(True))
+    return found
+
+
+def wavering(state, rng):
+    """Run from the nearest pursuer to the second nearest, more or less: the evader stays where cells meet."""
+    second = np.argsort(state.distances)[1]
+    gap = -complex(state.offsets[second])
+    return gap / abs(gap) * complex(np.exp(1j * rng.uniform(-0.3, 0.3)))
+
+
+def scattered(protocol, seed, *, count=12, horizon=2000.0, speeds=0.91, **changes):
+    """Return a pursuit of an evader that crosses many borders of cells."""
+    given = {
+        "seed": seed,
+        "horizon": horizon,
+        "team": Team(count=count, speeds=speeds),
+        "evader": Evader(speed=0.9, strategy=wavering),
+        "motion": Motion(step=0.05),
+        "protocol": protocol,
+        "record": Recording(trajectory=0.0),
+    }
+    return Scenario(**(given | changes))
+
+
+def times_at_start(scenario, seed):
+    """Return the (N,) times of capture at the start."""
+    start = run(scenario.model_copy(update={"protocol": lambda me: iter(())}), seed).trace.of(Started)[0]
+    return capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
+
+
+# Who it is.
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_the_owner_of_the_voronoi_cell_of_the_evader_chases_from_every_slot_on(seed):
+    """Positions as recorded at every slot; the nearest by a k-d tree, and who chases then, compared at all slots."""
+    result = run(scattered(Voronoi(slot=0.05), seed, record=Recording(trajectory=0.05)), seed)
+    found, chasing, seen = profiles(result), None, set()
+    samples = [sample for sample in result.trace.of(Sampled) if sample.t % 50_000_000 == 0]
+    end = samples[-1].t
+    for sample in samples:
+        chasing = found.get(sample.t, chasing)
+        if sample.t < end:  # captured there, before anybody decides
+            owner = int(cKDTree(sample.pursuers).query(sample.evader)[1])
+            assert chasing == tuple(j == owner for j in range(12))
+            seen.add(owner)
+    assert len(samples) > 20
+    assert len(seen) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slot", [0.05, 0.3])
+def test_at_equal_speeds_voronoi_is_the_centralised_benchmark_event_for_event(slot):
+    """(d - eps) / (v - v_e) is least for the nearest. The centre commands in the order of ids, as all decide here."""
+    total = 0
+    for seed in range(4):
+        for p0 in (0.0, 1.0):
+            team = Team(count=12, speeds=0.91, active_at_start=p0)
+            ideal, found = (
+                run(scattered(protocol, seed, team=team), seed).trace.of(Decided)
+                for protocol in (Centralised(slot=slot), Voronoi(slot=slot))
+            )
+            assert found == ideal
+            total += len(found)
+    assert total > 60  # 48 to begin with
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("prune", ["none", "inf", "infeasible"])
+@pytest.mark.parametrize("payload", ["action", "time", "state"])
+def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(payload, prune):
+    """Unequal speeds, some too slow; told or sensed, for word that takes no time is as good as sight.
+
+    Times that are told are as of telling, so they are the same only if they are told at every slot: in a frozen game.
+    """
+    total, frozen = 0, payload == "time"
+    for seed in (0, 1, 3):
+        rng = np.random.default_rng(seed)
+        given = {
+            "speeds": [0.8, *rng.uniform(*((0.8, 3.0) if frozen else (0.90999, 0.91001)), 11).tolist()],
+            "horizon": 9.0 if frozen else 2000.0,
+            "motion": Motion(step=0.05, frozen=frozen),
+            "announce": Announcements(payload=payload, forget_after=np.inf),
+            "prune": prune,
+        }
+        ideal, found = (
+            run(scattered(protocol, seed, **given), seed).trace.of(Decided)
+            for protocol in (Centralised(slot=0.1), Argmin(slot=0.1))
+        )
+        assert found == ideal
+        assert found
+        total += sum(decision.t > 0 for decision in found)
+    assert frozen or total > 4
+
+
+@pytest.mark.slow
+def test_at_unequal_speeds_the_nearest_is_not_who_would_capture_first():
+    """The control: the same pursuits by Voronoi and by time of capture differ."""
+    speeds = {"default": 1.0, "last": 2.0}
+    by_cell, by_time = (
+        [run(scattered(law, seed, speeds=speeds), seed).trace.of(Decided) for seed in range(4)]
+        for law in (Voronoi(), Argmin())
+    )
+    assert by_cell != by_time
+
+
+def test_who_would_be_late_is_never_the_owner():
+    """Nearest is pursuer 0, phi = (1.1 - 0.1) / (1 - 0.9) = 10 s; pursuer 1 needs (3.1 - 0.1) / (2.9 - 0.9) = 1.5 s.
+
+    With 20 s left 0 chases, with 9 s left 1, with 1 s left nobody; who is too slow never.
+    """
+    for horizon, owner in ((20.0, 0), (9.0, 1), (1.0, None)):
+        for pursuers, speeds, shift in ((2, [1.0, 2.9], 0), (3, [0.5, 1.0, 2.9], 1)):
+            places = [(0.2, 0.0)] * shift + [(1.1, 0.0), (0.0, 3.1)]
+            scenario = Scenario(
+                horizon=horizon,
+                team=Team(positions=places, speeds=speeds),
+                evader=Evader(position=(0.0, 0.0)),
+                motion=Motion(frozen=True),
+                protocol=Voronoi(),
+            )
+            expected = tuple(owner is not None and j == owner + shift for j in range(pursuers))
+            assert [*profiles(run(scenario)).values()][-1] == expected
+
+
+def test_of_equals_the_lowest_id_is_the_owner():
+    team = Team(positions=[(3.0, 0.0), (0.0, 2.0), (2.0, 0.0)], speeds=1.5)
+    evader = Evader(position=(0.0, 0.0))
+    for protocol in (Voronoi(), Argmin(), Argmin(by="intercept_time")):
+        result = run(Scenario(team=team, evader=evader, motion=Motion(frozen=True), protocol=protocol, horizon=9.0))
+        assert owners(result) == [1]
+
+
+def test_by_intercept_the_owner_is_who_meets_first_an_evader_that_runs_straight():
+    """The evader runs from (0, 0) in x at 0.9 m/s. 0 is nearest, 1 m behind it; 1 is 2 m ahead; v = 1 m/s.
+
+    0 closes in at 0.1 m/s and needs (1 - 0.1) / 0.1 = 9 s, 1 at 1.9 m/s and needs 1 s. At t = 0 no velocity is known
+    yet, and 0 is first; from the next slot on, at 0.05 s, the estimate is exact, for the evader never turned.
+    """
+    scenario = scattered(
+        Argmin(by="intercept_time", slot=0.05),
+        0,
+        team=Team(positions=[(-1.0, 0.0), (2.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        evader=Evader(position=(0.0, 0.0), speed=0.9, strategy=lambda state, rng: 1.0),
+    )
+    result = run(scenario)
+    switch = 50_000_000
+    assert result.trace.of(Decided) == [Decided(0, 0, True), Decided(switch, 0, False), Decided(switch, 1, True)]
+    # 0 has moved 0.05 m, the evader 0.045 m: then 1 closes 2 - 0.045 - 0.1 at 1.9 m/s.
+    assert summary(result).capture_time == pytest.approx(0.05 + 1.855 / 1.9, abs=1e-8)
+    by_phi = run(scenario.model_copy(update={"protocol": Argmin(slot=0.05)}))
+    assert by_phi.trace.of(Decided)[:2] == [Decided(0, 0, True), *by_phi.trace.of(Decided)[1:2]]
+    assert by_phi.trace.of(Decided)[1].t > switch
+
+
+def test_after_a_turn_the_intercept_is_right_once_the_filter_has_settled():
+    """The evader runs up for 1 s, then in x: its estimate is 0.9 ((1 - q) + i q), q = exp(-(t - 1) / 0.5), t >= 1.
+
+    0 is below it, 1 to the right; the evader at (x, 0.9), x = 0.9 (t - 1). Who is first by the closed form with that
+    estimate is who chases at each slot; the pure estimate would have changed over at once.
+    """
+    places, radius, slot = np.array([0.4 + 2.9j, 3.2 + 0.9j]), 0.1, 0.05
+
+    def run_up_then_right(state, rng):
+        return 1j if state.t < SECOND else 1.0
+
+    result = run(
+        scattered(
+            Argmin(by="intercept_time", slot=slot, time_constant=0.5),
+            0,
+            horizon=200.0,
+            team=Team(positions=[(z.real, z.imag) for z in places], speeds=1.0, active_at_start=0.0),
+            evader=Evader(position=(0.0, 0.0), speed=0.9, strategy=run_up_then_right),
+            record=Recording(trajectory=slot),
+        )
+    )
+    found, chasing, changed = profiles(result), None, []
+    samples = [sample for sample in result.trace.of(Sampled) if sample.t % 50_000_000 == 0][:-1]
+    for k, sample in enumerate(samples):
+        before, chasing = chasing, found.get(sample.t, chasing)
+        if chasing != before:
+            changed.append(k)
+        if k < 1:
+            continue
+        q = 1.0 if k <= 20 else np.exp(-(k - 20) * slot / 0.5)
+        w = 0.9 * ((1 - q) + 1j * q)
+        gaps = complex(*sample.evader) - np.array([complex(*p) for p in sample.pursuers])
+        assert chasing.index(True) == int(np.argmin([meets(gap, w, 1.0, radius) for gap in gaps]))
+    assert changed[0] == 0
+    assert 20 < changed[1] < 60  # some slots after the turn
+
+
+def meets(gap, w, v, radius):
+    """Return the least t with |gap + w t| = v t + radius, by the roots of the polynomial."""
+    polynomial = [abs(w) ** 2 - v**2, 2 * ((gap * w.conjugate()).real - radius * v), abs(gap) ** 2 - radius**2]
+    return min(root.real for root in np.roots(polynomial) if root.real > 0 and abs(root.imag) < 1e-12)
+
+
+# The filter.
+
+
+@given(st.floats(0.01, 2.0), st.floats(0.01, 1.0), st.integers(1, 30))
+def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots):
+    """At rest first, then at 2 + 1j m/s: the estimate lacks exp(-t / T) of it."""
+    velocity = Velocity(time_constant)
+    assert velocity(0.0, 5j) == 0j
+    assert velocity(slot, 5j) == 0j
+    for k in range(1, slots + 1):
+        found = velocity((k + 1) * slot, 5j + (2 + 1j) * k * slot)
+    assert found == pytest.approx((2 + 1j) * (1 - np.exp(-slots * slot / time_constant)), abs=1e-9)
+
+
+def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_follows_at_once():
+    assert [Velocity(9.0)(0.0, 1j), 0j] == [0j, 0j]
+    slow, quick = Velocity(9.0), Velocity(0.0)
+    for velocity in (slow, quick):
+        velocity(1.0, 1 + 0j)
+        assert velocity(1.5, 2 + 0j) == pytest.approx(2 + 0j)
+    assert quick(2.0, 2 + 1j) == pytest.approx(2j)
+    assert abs(slow(2.0, 2 + 1j) - 2) < 0.2
+
+
+# Hysteresis.
+
+
+def test_who_takes_over_by_numbers():
+    """1 is better than 0 by a tenth: at a hysteresis of less than 0.1 it takes over, at 0.1 it does not yet."""
+    ids, measures = [0, 1, 4], np.array([10.0, 9.0, 30.0])
+    assert [first(ids, measures, [0], h) for h in (0.0, 0.09, 0.1, 0.5)] == [1, 1, 0, 0]
+    assert [first(ids, measures, [4], h) for h in (0.0, 0.5, 0.8)] == [1, 1, 4]
+    assert first(ids, measures, [0, 4], 0.5) == first(ids, measures, [None, 0], 0.5) == 0
+    assert first(ids, measures, [None], 0.5) == first(ids, measures, [], 0.5) == first(ids, measures, [3], 0.5) == 1
+    assert first(ids, np.array([np.inf, np.inf, 30.0]), [0], 0.5) == 4  # the owner cannot any more
+    assert first(ids, np.full(3, np.inf), [0], 0.5) is None
+    assert first(ids, np.array([7.0, 7.0, 7.0]), [1], 0.0) == 0  # without hysteresis there is no memory
+    assert first(ids, np.array([7.0, 7.0, 7.0]), [1], 1e-9) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [Voronoi, Argmin])
+def test_hysteresis_reduces_hand_overs_and_always_exactly_one_chases(model):
+    """Ten pursuits in which the evader runs from cell to cell; without hysteresis it changes hands far more often.
+
+    At every instant at which somebody decides one and only one chases when all have decided.
+    """
+    counts = {}
+    for hysteresis in (0.0, 0.02, 0.1):
+        protocol = model(slot=0.05, hysteresis=hysteresis)
+        runs = [owners(run(scattered(protocol, seed), seed)) for seed in range(10)]
+        counts[hysteresis] = sum(len(each) - 1 for each in runs)
+    assert counts[0.0] > counts[0.02] > counts[0.1] > 0
+    assert counts[0.0] > 5 * counts[0.1]
+
+
+def test_with_hysteresis_the_owner_is_within_the_band_and_changes_hands_only_beyond_it():
+    """At every slot the distance of the owner is at most 1 / (1 - h) of the least; as it changes hands it was more."""
+    h, hand_overs = 0.05, 0
+    for seed in range(4):
+        result = run(scattered(Voronoi(slot=0.05, hysteresis=h), seed, record=Recording(trajectory=0.05)), seed)
+        found, owner = profiles(result), None
+        samples = [sample for sample in result.trace.of(Sampled) if sample.t % 50_000_000 == 0][:-1]
+        for sample in samples:
+            distances = np.hypot(*(np.array(sample.pursuers) - sample.evader).T)
+            now = found[sample.t].index(True) if sample.t in found else owner
+            assert distances[now] * (1 - h) <= distances.min() * (1 + 1e-9)
+            if now != owner and owner is not None:
+                assert distances[now] == distances.min() < (1 - h) * distances[owner]
+                hand_overs += 1
+            owner = now
+    assert hand_overs > 0
+
+
+# What is said.
+
+
+def test_where_positions_are_sensed_nothing_is_said():
+    for protocol in (Voronoi(hysteresis=0.1, slot=0.05), Argmin(slot=0.05), Argmin(by="intercept_time", slot=0.05)):
+        for seed in range(2):
+            assert summary(run(scattered(protocol, seed, horizon=5.0, speeds=2.0), seed)).messages_sent == 0
+
+
+@pytest.mark.parametrize("trigger", ["both", "change", "heartbeat", "never"])
+def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
+    """10 pursuers, 5 s: a heartbeat of 0.5 s from a random phase is 10 announcements each; changes come on top."""
+    announce = Announcements(payload="state", trigger=trigger, heartbeat=0.5)
+    scenario = scattered(
+        Voronoi(slot=0.05), 0, count=10, speeds=9.0, horizon=5.0, motion=Motion(frozen=True), announce=announce
+    )
+    beats, told = 10 * 10 * 9, 9 * 9  # nine stop chasing at once
+    expected = {"both": beats + told, "change": told, "heartbeat": beats, "never": 0}[trigger]
+    assert summary(run(scenario)).messages_sent == expected
+
+
+def test_two_that_each_hold_themselves_for_the_owner_find_out():
+    """0 at 10.5 m and 1 at 10 m are both active, within 20 % of each other: 0 stops, 1 goes on."""
+    for payload in ("state", "time"):
+        scenario = Scenario(
+            horizon=99.0,
+            team=Team(positions=[(10.5, 0.0), (10.0, 0.0)], speeds=2.0, active_at_start=1.0),
+            evader=Evader(position=(0.0, 0.0)),
+            motion=Motion(frozen=True),
+            protocol=Argmin(hysteresis=0.2, slot=0.1),
+            announce=Announcements(payload=payload, warm_start=False, heartbeat=0.5),
+            network=Links(latency=Constant(value=0.3)),
+        )
+        (stops,) = run(scenario).trace.of(Decided)
+        assert stops[1:] == (0, False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("payload", ["action", "time", "state"])
+def test_random_static_games_end_in_the_relay_profile(payload):
+    """15 games: any speeds by time of capture, equal ones by distance or intercept; told word is late, or lost."""
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(2, 13))
+        protocol = [Argmin(slot=0.1), Voronoi(slot=0.1), Argmin(by="intercept_time", slot=0.1)][
+            0 if payload == "time" else seed % 3
+        ]
+        speeds = rng.uniform(0.8, 2.0, count).tolist() if protocol == Argmin(slot=0.1) else 1.5
+        scenario = Scenario(
+            horizon=30.0,
+            team=Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
+            motion=Motion(frozen=True),
+            protocol=protocol,
+            announce=Announcements(payload=payload, heartbeat=0.5, forget_after=np.inf, warm_start=bool(seed % 2)),
+            network=Links(latency=Lognormal(mean=0.2, cv=1.0), loss=Bernoulli(p=0.3)),
+            record=Recording(trajectory=0.0),
+        )
+        phi = times_at_start(scenario, seed)
+        result = run(scenario, seed)
+        final = [result.trace.of(Started)[0].active, *profiles(result).values()][-1]
+        assert final == relay_profile(phi.tolist(), 30.0)
+
+
+def test_word_that_is_late_makes_them_disagree_for_a_while():
+    """The control: with the state told and half a second of latency several or none chase at times."""
+    announce = Announcements(payload="state")
+    links = Links(latency=Constant(value=0.5))
+    sums = set()
+    for seed in range(3):
+        scenario = scattered(Voronoi(slot=0.05), seed, horizon=15.0, count=5, announce=announce, network=links)
+        sums |= {sum(profile) for profile in profiles(run(scenario, seed)).values()}
+    assert sums - {1}
+
+
+# What it assumes.
+
+
+def test_its_assumptions():
+    def why(protocol, **given):
+        scenario = Scenario(team=Team(count=5, speeds=given.pop("speeds", 1.0)), protocol=protocol, **given)
+        return sorted(reason.split()[2].rstrip(",") for _, reason in broken(scenario))
+
+    crash, skew = (Crash(node=1, at=1.0),), (ClockSkew(offset=0.01),)
+    assert why(Voronoi()) == why(Argmin()) == why(Argmin(hysteresis=0.1, by="intercept_time")) == []
+    assert why(Voronoi(), speeds={"last": 2.0}) == ["equal_speeds"]
+    assert why(Argmin(), speeds={"last": 2.0}) == []
+    assert why(Voronoi(), fault=crash) == why(Argmin(), fault=crash) == ["no_crashes"]
+    assert why(Voronoi(), fault=skew) == why(Argmin(), fault=skew) == []
+    assert why(Voronoi(hysteresis=0.1), fault=skew) == why(Argmin(hysteresis=0.1), fault=skew) == ["equal_clocks"]
+    told = Announcements(payload="time")
+    assert why(Voronoi(), announce=told) == why(Argmin(by="intercept_time"), announce=told) == ["places_known"]
+    assert why(Argmin(), announce=told) == []
+    near = Links(range=1.0)
+    assert why(Argmin(), announce=told, network=near) == ["times_known"]
+    assert why(Argmin(), network=near) == []
+    silent = Announcements(payload="state", trigger="never")
+    assert why(Voronoi(), announce=silent) == ["places_known"]
+    assert why(Argmin(), announce=silent) == ["times_known"]
+
+
+@pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), Argmin(by="intercept_time", slot=0.1)])
+def test_who_was_broken_down_goes_on_as_soon_as_it_is_repaired(protocol):
+    """Pursuer 0, the owner, is down from 1 to 2.03 s and chases again at once; nobody stood in for it."""
+    team = Team(positions=[(1.1, 0.0), (0.0, 3.1)], speeds=1.0)
+    scenario = Scenario(
+        horizon=99.0,
+        team=team,
+        evader=Evader(position=(0.0, 0.0), speed=0.5),
+        motion=Motion(frozen=True),
+        protocol=protocol,
+        fault=(Crash(node=0, at=1.0, until=2.03),),
+        record=Recording(trajectory=0.0),
+    )
+    decided = run(scenario.model_copy(update={"horizon": 9.0})).trace.of(Decided)
+    assert decided == [Decided(0, 1, False), Decided(2_030_000_000, 0, True)]

@@ -1,0 +1,302 @@
+"""The central server: its round trip, orders that are lost or overtaken, and what happens without it."""
+
+import numpy as np
+import pytest
+
+from desim import Scenario, run
+from desim.assumptions import broken
+from desim.kernel.events import Sent
+from desim.kernel.faults import Crash, Partition
+from desim.kernel.graphs import Ring, Star
+from desim.kernel.latency import Constant, Lognormal, Uniform
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.capture import capture_time
+from desim.pursuit.events import Decided, Halted, Started
+from desim.pursuit.game import relay_profile
+from desim.pursuit.word import Announcements
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.centralised import Centralised
+from protocols.server import Order, Server
+
+SECOND = 1_000_000_000
+
+
+def changes(result):
+    """Return [(t, pursuer, active)] of all that changed what somebody does, those of one instant by id."""
+    active, found = list(result.trace.of(Started)[0].active), []
+    for event in result.trace:
+        if not isinstance(event, Decided | Halted):
+            continue
+        now = isinstance(event, Decided) and event.active
+        if active[event.pursuer] != now:
+            active[event.pursuer] = now
+            found.append((event.t, event.pursuer, now))
+    return sorted(found)
+
+
+def profile(result):
+    """Return who chases in the end."""
+    active = list(result.trace.of(Started)[0].active)
+    for _, pursuer, now in changes(result):
+        active[pursuer] = now
+    return tuple(active)
+
+
+def static(protocol, *, count=6, latency=0.0, loss=0.0, horizon=5.0, seed=0, **given):
+    """Return a game that stands still, pursuer j at 1 + j m (speed 1) of an evader that stands still."""
+    model = Constant(value=latency) if isinstance(latency, float) else latency
+    settings = {
+        "seed": seed,
+        "horizon": horizon,
+        "team": Team(positions=[(1.1 + j, 0.0) for j in range(count)], speeds=1.0),
+        "evader": Evader(position=(0.0, 0.0), speed=0.0),
+        "motion": Motion(frozen=True),
+        "protocol": protocol,
+        "network": Links(latency=model, loss=Bernoulli(p=loss)),
+        "record": Recording(trajectory=0.0, messages=True),
+    }
+    return Scenario(**(settings | given))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("payload", ["action", "state"])
+@pytest.mark.parametrize("host", [0, 7, 19])
+def test_without_latency_it_is_the_centralised_benchmark_of_the_same_slot(host, payload):
+    """The same pursuers change at the same instants, in four pursuits of 20 pursuers, from any start."""
+    total = 0
+    for seed in range(4):
+        team = Team(active_at_start=(0.0, 0.5, 1.0)[seed % 3], speeds=(1.0, {"last": 2.0})[seed % 2])
+        announce = Announcements(payload=payload)
+        ideal, server = (
+            changes(run(Scenario(team=team, protocol=protocol, announce=announce), seed))
+            for protocol in (Centralised(slot=0.05), Server(host=host, period=0.05))
+        )
+        assert server == ideal
+        total += len(ideal)
+    assert total > 20
+
+
+@pytest.mark.parametrize("latency", [0.03, 0.1, 0.13, 0.37])
+@pytest.mark.parametrize("host", [0, 3])
+def test_the_first_order_takes_a_round_trip(host, latency):
+    """States of t = 0 arrive at L, the order at 2 L; the host obeys it at L already. Nobody moves before."""
+    result = run(static(Server(host=host), latency=latency))
+    there, back = (round(k * latency * SECOND) for k in (1, 2))
+    assert changes(result) == sorted((there if j == host else back, j, False) for j in range(1, 6))
+    assert profile(result) == (True, *[False] * 5)
+
+
+@pytest.mark.parametrize(("latency", "period"), [(0.13, 0.1), (0.02, 0.1), (0.25, 0.1), (0.0, 0.3), (0.04, 0.3)])
+def test_an_order_takes_effect_two_latencies_after_the_tick_on_whose_states_it_rests(latency, period):
+    """A at (0, 0) is sent by 2 L, the evader runs from (2, 0) at 0.9 m/s towards B at (8, 0); the host is too slow.
+
+    From 2 L on A is at distance 2 + 0.9 (2 L) - 0.1 (t - 2 L), and B at 6 - 0.9 t: equal at X = (4 - 2 L) / 0.8.
+    The server sees it at the first k * period + L >= X, and both obey at k * period + 2 L.
+    """
+    scenario = static(
+        Server(host=2, period=period),
+        latency=latency,
+        horizon=30.0,
+        team=Team(positions=[(0.0, 0.0), (8.0, 0.0), (50.0, 0.0)], speeds=[1.0, 1.0, 0.5], active_at_start=0.0),
+        evader=Evader(position=(2.0, 0.0), speed=0.9, strategy=lambda state, rng: 1.0),
+        motion=Motion(),
+    )
+    crossing = (4.0 - 2.0 * latency) / 0.8
+    tick = np.ceil((crossing - latency) / period) * period
+    first, switch = (round(t * SECOND) for t in (2 * latency, tick + 2 * latency))
+    assert changes(run(scenario)) == [(first, 0, True), (switch, 0, False), (switch, 1, True)]
+
+
+def obeyed(result):
+    """Return what each pursuer but the host was to do, by the newest order that had arrived: [(t, pursuer, active)]."""
+    arrived = sorted((sent.arrival, sent.dst, sent.body) for sent in orders(result))
+    newest, active, found = {}, list(result.trace.of(Started)[0].active), []
+    for t, pursuer, order in arrived:
+        if order.number >= newest.get(pursuer, -1):
+            newest[pursuer] = order.number
+            if active[pursuer] != (order.chaser == pursuer):
+                active[pursuer] = order.chaser == pursuer
+                found.append((t, pursuer, active[pursuer]))
+    return found
+
+
+def orders(result):
+    return [sent for sent in result.trace.of(Sent) if isinstance(sent.body, Order)]
+
+
+def overtaken(result):
+    """Return how many orders arrived after a newer one."""
+    newest, count = {}, 0
+    for sent in sorted(orders(result), key=lambda sent: (sent.arrival, sent.dst)):
+        count += sent.body.number < newest.get(sent.dst, -1)
+        newest[sent.dst] = max(newest.get(sent.dst, -1), sent.body.number)
+    return count
+
+
+@pytest.mark.slow
+def test_an_order_that_was_overtaken_is_not_obeyed():
+    """Latencies of 0 to 0.6 s, a period of 0.1 s: many orders overtake others, and only the newest counts, at once."""
+    late = switched = 0
+    for seed in range(5):
+        scenario = Scenario(
+            team=Team(count=8),
+            protocol=Server(host=1),
+            network=Links(latency=Uniform(low=0.0, high=0.6)),
+            record=Recording(messages=True),
+        )
+        result = run(scenario, seed)
+        found = [change for change in changes(result) if change[1] != 1]
+        end = max(t for t, _, _ in found)
+        assert found == sorted(change for change in obeyed(result) if change[0] <= end)
+        late += overtaken(result)
+        switched += len(found)
+    assert late > 20
+    assert switched > 20
+
+
+@pytest.mark.parametrize("p", [0.5, 1.0])
+def test_lost_reports_and_orders_are_repeated(p):
+    """With half of all lost the game ends in the relay profile; with all lost everybody goes on as at first.
+
+    But for the host: 3 periods and a round trip without a report, and it decides alone, for itself.
+    """
+    for seed in range(5):
+        announce = Announcements(forget_after=np.inf)
+        result = run(static(Server(host=2), latency=0.05, loss=p, seed=seed, announce=announce), seed)
+        if p < 1.0:
+            assert profile(result) == (True, *[False] * 5)
+        else:
+            assert changes(result) == []
+            assert profile(result) == (True,) * 6
+            assert result.trace.of(Decided) == []
+
+
+def test_a_period_costs_one_report_and_one_order_per_pursuer():
+    """6 pursuers, 5 s, period 0.1 s, ticks 0 .. 49: 5 reports of 72 bytes at each, and 5 orders of 32.
+
+    The first order is sent as the first reports arrive, and repeated at the ticks 1 .. 49.
+    """
+    result = run(static(Server(), latency=0.05))
+    told = orders(result)
+    reports = [sent for sent in result.trace.of(Sent) if not isinstance(sent.body, Order)]
+    assert (len(reports), {sent.size for sent in reports}) == (5 * 50, {72})
+    assert (len(told), {sent.size for sent in told}) == (5 * 50, {32})
+    assert len(result.trace.of(Sent)) == len(reports) + len(told)
+    assert len({sent.body.number for sent in told}) == 1  # the same order again and again
+
+
+@pytest.mark.parametrize(("period", "taken_over"), [(0.1, 1.8), (0.5, 3.1)])
+def test_who_is_not_heard_any_more_is_left_out(period, taken_over):
+    """Pursuer 0 falls silent at 1.25 s; it counts for 3 periods and a round trip after its last report has come.
+
+    Period 0.1 s: that of 1.2 s came at 1.25 s, and counts up to the reports that come at 1.65 s, itself included; with
+    those of 1.75 s pursuer 1 is sent, and goes 0.05 s later. Period 0.5 s: that of 1 s came at 1.05 s and counts until
+    2.65 s; the next reports come at 3.05 s.
+    """
+    scenario = static(Server(host=5, period=period), latency=0.05, fault=(Crash(node=0, at=1.25),))
+    ((t, pursuer, active),) = [change for change in changes(run(scenario)) if change[0] > 1.25 * SECOND]
+    assert (t / 1e9, pursuer, active) == (pytest.approx(taken_over), 1, True)
+
+
+def test_without_the_host_nobody_leads_and_repaired_it_leads_again():
+    """The host breaks down at 1 s; pursuer 0, which chases, at 2 s: nobody takes over until the host is back at 4 s.
+
+    Without its memory it waits for reports: those of 4.0 s arrive at 4.05 s, and the order at 4.1 s.
+    """
+    faults = (Crash(node=5, at=1.0, until=4.02, memory=False), Crash(node=0, at=2.0))
+    scenario = static(Server(host=5), latency=0.05, fault=faults, horizon=6.0)
+    result = run(scenario)
+    after = [change for change in changes(result) if change[0] > SECOND]
+    assert after == [(2 * SECOND, 0, False), (round(4.1 * SECOND), 1, True)]
+    numbers = [sent.body.number for sent in orders(result)]
+    later = [sent.body.number for sent in orders(result) if sent.t > 4 * SECOND]
+    assert min(later) > max(set(numbers) - set(later))  # although it has forgotten the old ones
+
+
+def test_a_repaired_pursuer_obeys_the_order_as_it_is_repeated():
+    """Pursuer 0 is down from 1 to 1.2 s, for less than it is remembered; the order of 1.2 s arrives at 1.25 s."""
+    result = run(static(Server(host=5), latency=0.05, fault=(Crash(node=0, at=1.0, until=1.18),)))
+    after = [change for change in changes(result) if change[0] >= SECOND]
+    assert after == [(SECOND, 0, False), (round(1.25 * SECOND), 0, True)]
+
+
+def alone(count, **given):
+    """Return when a host that hears nobody sends itself, if nobody is active at first, s."""
+    team = Team(positions=[(1.1 + j, 0.0) for j in range(count)], speeds=1.0, active_at_start=0.0)
+    (change,) = changes(run(static(Server(), team=team, latency=0.12, **given)))
+    assert change[1:] == (0, True)
+    return change[0] / 1e9
+
+
+def test_a_host_waits_three_periods_and_a_round_trip_for_a_first_report_if_there_is_somebody_to_report():
+    assert alone(1) == 0.0
+    assert alone(3, loss=1.0) == pytest.approx(0.6)  # the first tick after 0.54 s
+
+
+def test_reports_of_one_instant_make_one_decision():
+    """Without latency the reports of 1, 2, 3 come one by one at every tick, each better than the one before."""
+    team = Team(positions=[(9.1 - j, 0.0) for j in range(4)], speeds=1.0)
+    assert len({sent.body.number for sent in orders(run(static(Server(), team=team, horizon=20.0)))}) == 1
+
+
+def test_who_is_repaired_does_not_make_up_for_the_reports_that_it_missed():
+    """Pursuer 0 is down from 1 to 2.03 s: the report of 1 s is made as it is back, with the state of then."""
+    result = run(static(Server(host=5), fault=(Crash(node=0, at=1.0, until=2.03),), horizon=2.45))
+    times = [sent.t / 1e9 for sent in result.trace.of(Sent) if sent.src == 0]
+    assert times == pytest.approx([*np.arange(10) / 10, 2.03, 2.1, 2.2, 2.3, 2.4])
+
+
+def test_a_host_that_is_left_alone_leads_itself():
+    result = run(static(Server(host=2), count=3, latency=0.05, fault=(Crash(node=0, at=1.0), Crash(node=1, at=1.0))))
+    when = [t for t, pursuer, active in changes(result) if pursuer == 2 and active]
+    assert profile(result) == (False, False, True)
+    assert [t / 1e9 for t in when] == pytest.approx([1.4])  # 3 periods and a round trip after the word of 0.95 s: 1.35
+
+
+def test_nobody_is_sent_who_would_be_late():
+    """phi = 1 .. 6 s, and 0.9 s are left."""
+    assert profile(run(static(Server(), latency=0.05, horizon=0.9))) == (False,) * 6
+
+
+@pytest.mark.slow
+def test_random_static_games_end_in_the_relay_profile():
+    """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 15 games."""
+    for seed in range(15):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(2, 13))
+        scenario = Scenario(
+            horizon=20.0,
+            team=Team(count=count, speeds=rng.uniform(0.8, 2.0, count).tolist(), active_at_start=0.5),
+            motion=Motion(frozen=True),
+            protocol=Server(host=int(rng.integers(count))),
+            network=Links(latency=Lognormal(mean=0.1, cv=1.0), loss=Bernoulli(p=0.25)),
+            announce=Announcements(forget_after=np.inf, payload=str(rng.choice(["action", "time", "state"]))),
+            record=Recording(trajectory=0.0),
+        )
+        result = run(scenario, seed)
+        (start,) = result.trace.of(Started)
+        phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1)
+        assert profile(result) == relay_profile(phi.tolist(), 20.0)
+
+
+def test_a_host_that_does_not_exist_is_an_error():
+    with pytest.raises(ValueError, match=r"protocol.host: there is no pursuer 6: they are 0 .. 5"):
+        static(Server(host=6))
+
+
+def test_its_assumptions():
+    """In a star around pursuer 0 only that one reaches everybody; of a ring of 6 three are too far from any."""
+
+    def why(**given):
+        return [reason.partition(", but ")[2] for _, reason in broken(static(**given))]
+
+    assert why(protocol=Server()) == why(protocol=Server(host=5)) == []
+    assert why(protocol=Server(), network=Links(graph=Star())) == []
+    assert why(protocol=Server(host=2), network=Links(graph=Star())) == [
+        "as it begins 4 of 5 are out of reach of pursuer 2"
+    ]
+    assert why(protocol=Server(), network=Links(graph=Ring())) == ["as it begins 3 of 5 are out of reach of pursuer 0"]
+    assert why(protocol=Server(), fault=(Crash(node=1, at=1.0),)) == ["pursuers break down"]
+    parted = (Partition(at=1.0, until=2.0, groups=((0,),)),)
+    assert why(protocol=Server(), fault=parted) == ["a partition cuts the team in parts"]

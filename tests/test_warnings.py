@@ -1,0 +1,135 @@
+"""Warnings: each where it is due and where it just is not, and none for the default."""
+
+import pytest
+
+from desim import Scenario
+from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.links import Links
+from desim.kernel.reach import QuasiUnitDisk
+from desim.pursuit.word import Announcements
+from desim.scenario import Capture, Evader, Motion, Team
+from desim.warnings import warnings
+from protocols.dissemination import Flooding
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Periodic, Rounds
+
+BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
+"""240 bytes a second: an announcement of 24 bytes takes a tenth of a second."""
+
+
+def warned(**given):
+    """Return what a scenario is warned of, as a list of key and reason."""
+    return list(warnings(Scenario(**given)))
+
+
+def test_the_default_is_not_warned_of():
+    assert warned() == []
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "why"),
+    [
+        ({"team": Team(count=2, speeds=(0.5, 0.9))}, "team.speeds", "the fastest moves at 0.9 m/s, the evader at 0.9"),
+        ({"network": Links(reach=QuasiUnitDisk())}, "network.reach", "no effect while the range is inf"),
+        (
+            {"network": Links(preset="lte", latency={"kind": "constant"})},
+            "network.latency",
+            "not that of the preset 'lte'",
+        ),
+        (
+            {"announce": Announcements(trigger="never", spread=Flooding())},
+            "announce.spread",
+            "nothing is ever announced",
+        ),
+        ({"fault": [Crash(at=1.0, node=0), Crash(at=30.0, node=0)]}, "fault.1.at", "begin after the horizon"),
+        (
+            {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.08)},
+            "announce.heartbeat",
+            "heartbeats of 24 bytes alone would keep the channel busy 1.2 times over",
+        ),
+        (
+            {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=3), "announce": {"heartbeat": 0.2}},
+            "announce.heartbeat",
+            "busy 1.5 times over",
+        ),
+        (
+            {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2, jitter=0.0)), "motion": Motion(step=0.05)},
+            "protocol.schedule.jitter",
+            "4 motion steps",
+        ),
+        (
+            {"motion": Motion(step=2.0), "horizon": 1.0},
+            "motion.step",
+            "the step of 2 s is longer than the horizon of 1 s",
+        ),
+        (
+            {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
+            None,
+            "",
+        ),
+        (
+            {"motion": Motion(step=0.11), "capture": Capture(test="sample")},
+            "motion.step",
+            "step x speed = 0.22 m is more than 2 x radius = 0.2 m",
+        ),
+        (
+            {
+                "motion": Motion(step=0.11),
+                "capture": Capture(test="sample"),
+                "team": Team(count=2, speeds=1.0),
+                "evader": Evader(speed=2.0),
+            },
+            "team.speeds",
+            "every time of capture is inf",
+        ),
+    ],
+)
+def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key, why):
+    """The last jumps because the *evader* is fast: it is warned of that as well."""
+    found = [(where, text) for where, text in warned(**given) if " assumes " not in text]
+    assert [where for where, _ in found][:1] == [key] * (key is not None)
+    assert key is None or why in found[0][1]
+    assert len(found) == (0 if key is None else 2 if key == "team.speeds" and "motion" in given else 1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"team": Team(count=2, speeds=(0.5, 0.91))},
+        {"network": Links(range=1e6, reach=QuasiUnitDisk())},
+        {"network": Links(preset="lte")},
+        {"network": Links(preset="lte", range=1e6)},
+        {"announce": Announcements(trigger="revision", spread=Flooding())},
+        {"announce": Announcements(spread=Flooding())},
+        {"fault": [Crash(at=29.9, node=0), RandomCrashes()]},
+        {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.1)},
+        {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.05, trigger="revision")},
+        {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
+        {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2)), "motion": Motion(step=0.05)},
+        {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.15, jitter=0.0)), "motion": Motion(step=0.05)},
+        {"motion": Motion(step=1.0), "horizon": 1.0},
+        {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
+        {"motion": Motion(step=0.11)},
+    ],
+)
+def test_what_just_goes_together_is_not_warned_of(given):
+    assert [each for each in warned(**given) if " assumes " not in each[1]] == []
+
+
+def test_each_thing_is_warned_of_in_one_go():
+    """Assumptions stand between what concerns the network and what concerns motion."""
+    keys = [
+        key
+        for key, _ in warned(
+            team=Team(count=2, speeds=0.5),
+            network=Links(reach=QuasiUnitDisk()),
+            protocol=SpatialAdaptivePlay(schedule=Rounds()),
+            fault=[ClockSkew(offset=1.0)],
+            motion=Motion(step=31.0),
+        )
+    ]
+    assert keys == ["team.speeds", "network.reach", "protocol", "protocol.schedule", "motion.step"]
+
+
+def test_a_protocol_from_a_script_has_nothing_to_be_warned_of():
+    assert warned(protocol=lambda me: iter(()), announce=Announcements(trigger="never")) == []
