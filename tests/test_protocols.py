@@ -49,13 +49,16 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(table, path):
 
     That no message goes astray is watched in every test.
     """
-    scenario = load(path, [f"protocol={table}", "horizon=0.4", "record.messages=true"])
+    scenario = load(path, [f"protocol={table}", "horizon=0.25", "record.messages=true"])
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
     before = np.random.get_state()[1].tolist(), random.getstate()  # noqa: NPY002
     first, other, again = (lines(scenario, seed) for seed in (3, 4, 3))
     assert first == again
-    assert first != other
+    if (
+        "schedule" in type(scenario.protocol).model_fields or scenario.team.positions is None
+    ):  # else nothing is by chance
+        assert first != other
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
 
 
