@@ -26,7 +26,8 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from desim.pursuit.agent import Agent, Process, Whereabouts
+from desim.pursuit.agent import Agent, Process
+from desim.pursuit.belief import Whereabouts
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates
 from desim.value import Period, Time, Value

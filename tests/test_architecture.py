@@ -49,8 +49,15 @@ ALLOWED = {
     },
     "desim.pursuit.word": {"desim.kernel.records", "desim.kernel.wire", "desim.value"},
     "desim.pursuit.surroundings": {"desim.pursuit.state"},
+    "desim.pursuit.belief": {
+        "desim.kernel",
+        "desim.pursuit.state",
+        "desim.pursuit.surroundings",
+        "desim.pursuit.word",
+    },
     "desim.pursuit.agent": {
         "desim.kernel",
+        "desim.pursuit.belief",
         "desim.pursuit.state",
         "desim.pursuit.utility",
         "desim.pursuit.surroundings",
@@ -77,6 +84,7 @@ ALLOWED = {
     "protocols": {
         "desim.kernel.records",
         "desim.pursuit.agent",
+        "desim.pursuit.belief",
         "desim.pursuit.capture",
         "desim.pursuit.game",
         "desim.pursuit.state",

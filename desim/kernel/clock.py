@@ -79,3 +79,28 @@ class Instant(simpy.Event):
         if wait < 0:
             raise ValueError(f"the instant {when} ns has passed, it is {env.now} ns")
         env.schedule(self, priority, wait)  # type: ignore[arg-type]
+
+
+class NodeClock:
+    """The clock of one node, which may be wrong: it shows offset + rate * t at the time t, s."""
+
+    def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
+        self._env, self._offset, self._rate = env, offset, rate
+
+    @property
+    def now(self) -> float:
+        """What it shows, s."""
+        return self._offset + self._rate * seconds(self._env.now)
+
+    @property
+    def true(self) -> int:
+        """The true time, ns."""
+        return self._env.now
+
+    def when(self, time: float) -> int:
+        """Return the true time at which it shows a time (s), ns."""
+        return nanoseconds((time - self._offset) / self._rate)
+
+    def span(self, duration: float) -> int:
+        """Return the true time that passes while it shows that a duration (s) passes, ns."""
+        return nanoseconds(duration / self._rate)

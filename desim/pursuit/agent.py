@@ -7,20 +7,19 @@ teammates only what the network has brought it.
 from collections.abc import Callable, Collection, Generator, Iterable
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import count
-from math import inf, nan
-from typing import Any, NamedTuple, Self
+from math import inf
+from typing import Any, Self
 
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds
 from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
-from desim.pursuit.state import Floats, Points
+from desim.pursuit.belief import Belief, Beliefs, Whereabouts
 from desim.pursuit.surroundings import Surroundings
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
@@ -40,27 +39,6 @@ class Said:
     claim: Any = None
     """What its protocol announces in place of the payload."""
     restarts: int = 0
-
-
-class Belief(NamedTuple):
-    """What a pursuer believes of a teammate that it has heard of and not forgotten."""
-
-    active: bool
-    capture_time: float
-    """s"""
-
-
-class Whereabouts(NamedTuple):
-    """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
-
-    ids: list[int]
-    """(n,) who they are, ascending; itself among them."""
-    places: Points
-    """(n,) m; nan for who has told its time of capture only."""
-    speeds: Floats
-    """(n,) m/s"""
-    capture_times: Floats
-    """(n,) s"""
 
 
 class Agent:
@@ -88,9 +66,9 @@ class Agent:
         self._env, self._world, self._network, self._seed = env, world, network, seed
         self._announcements = announcements or Announcements()
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
-        self._offset, self._rate = offset, 1.0 + drift
+        self._clock = NodeClock(env, offset, 1.0 + drift)
         self._said = Said((self.action,) if self._announcements.warm_start else None)
-        self._senses_others = self._announcements.payload == "action"
+        self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.assignment)
         self._streams: dict[str, np.random.Generator] = {}
 
     def in_phase(self, phase: Phase) -> Self:
@@ -116,7 +94,7 @@ class Agent:
     @property
     def now(self) -> float:
         """The time on its own clock, s: offset + (1 + drift) t."""
-        return self._offset + self._rate * seconds(self._env.now)
+        return self._clock.now
 
     @property
     def team_size(self) -> int:
@@ -160,23 +138,18 @@ class Agent:
 
     def heard(self) -> Table:
         """Return the newest announcement that has arrived from each teammate."""
-        return self._network.heard(self.id)
+        return self._beliefs.heard()
 
     def believed(self) -> dict[int, float]:
         """Return the teammates that it believes active, and the times of capture it believes them to have, s.
 
         Whose last word arrived longer ago than `forget_after` is not believed active.
         """
-        oldest = self._env.now - self._memory
-        trusted = {j: word for j, (arrival, word) in self.heard().items() if arrival >= oldest and word.body.active}
-        if self._senses_others:
-            phi = self._world.capture_times()
-            return {j: phi[j] for j in trusted}
-        return {j: self._believed_time(record) for j, record in trusted.items()}
+        return self._beliefs.active()
 
     def believed_active(self) -> list[int]:
         """Return the teammates that it believes active; see `believed`."""
-        return list(self.believed())
+        return list(self._beliefs.active())
 
     def beliefs(self, period: float | None = None) -> dict[int, Belief]:
         """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
@@ -184,45 +157,28 @@ class Agent:
         Args:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
         """
-        return {j: Belief(word.body.active, self._believed_time(word)) for j, word in self.trusted(period).items()}
+        return self._beliefs.all(period)
 
-    def trusted(self, period: float | None = None) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`.
-
-        Args:
-            period: as in `beliefs`.
-        """
-        oldest = self._env.now - (self._memory if period is None else self._remembers(period))
-        return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
-
-    @property
-    def senses_others(self) -> bool:
-        """Whether it senses where its teammates are, so that they need not say it."""
-        return self._senses_others
-
-    @property
-    def heartbeat(self) -> float:
-        """Time between two heartbeats, s; inf without."""
-        return self._announcements.heartbeat if self._announcements.beats else inf
+    def trusted(self) -> dict[int, Record]:
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""
+        return self._beliefs.trusted()
 
     def whereabouts(self) -> Whereabouts:
         """Return where it believes itself and its teammates to be: as it senses them, or as far as they have told it.
 
         Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`.
         """
-        world = self._world
-        if self._senses_others:
-            return Whereabouts(self._everyone, world.places(), self._all_speeds, np.array(world.capture_times()))
-        words = self.trusted()
-        ids = sorted({*words, self.id})
-        places = [self.place() if j == self.id else self._believed_place(words[j]) for j in ids]
-        phi = [
-            words[j].body.capture_time
-            if j in words and isinstance(words[j].body, TimedAssignment)
-            else world.capture_time_from(j, place)
-            for j, place in zip(ids, places, strict=True)
-        ]
-        return Whereabouts(ids, np.array(places), self._all_speeds[ids], np.array(phi))
+        return self._beliefs.whereabouts()
+
+    @property
+    def senses_others(self) -> bool:
+        """Whether it senses where its teammates are, so that they need not say it."""
+        return self._beliefs.senses_others
+
+    @property
+    def heartbeat(self) -> float:
+        """Time between two heartbeats, s; inf without."""
+        return self._announcements.heartbeat if self._announcements.beats else inf
 
     def gain(self, utility: Utility = PAPER) -> float:
         """Return what it gains by being active, given whom it believes active, s; see `desim.pursuit.game.gain`."""
@@ -353,12 +309,11 @@ class Agent:
 
     def at(self, time: float) -> simpy.Event:
         """Return an event at a time on its own clock, s, to the nearest nanosecond; now, if that has passed."""
-        when = nanoseconds((time - self._offset) / self._rate)
-        return Instant(self._env, max(when, self._env.now), self._turn)
+        return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
 
     def sleep(self, duration: float) -> simpy.Event:
         """Return an event a duration from now, by its own clock, s."""
-        return Instant(self._env, self._env.now + nanoseconds(duration / self._rate), self._turn)
+        return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
         """Do something a duration from now, by its own clock, s, without waiting for it, unless it starts anew."""
@@ -378,7 +333,7 @@ class Agent:
         """Return an event that happens as soon as there is mail."""
         return self._network.inbox(self.id, port).arrival(self._turn)
 
-    # How it comes to believe.
+    # How it speaks.
 
     def _stamp(self) -> int:
         """Return the time on its own clock, ns."""
@@ -387,50 +342,6 @@ class Agent:
     def _news(self) -> Any:
         """Return what must change for an announcement to be made at once."""
         return (self.action,) if self._said.claim is None else self._said.claim.news
-
-    @cached_property
-    def _everyone(self) -> list[int]:
-        """The ids of the team."""
-        return list(range(self.team_size))
-
-    @cached_property
-    def _all_speeds(self) -> Floats:
-        """How fast each of the team moves if it does, (N,) m/s."""
-        return np.array([self._world.speed(pursuer) for pursuer in range(self.team_size)])
-
-    @cached_property
-    def _memory(self) -> float:
-        """How long it believes what it has heard, true ns."""
-        return self._remembers(self.heartbeat)
-
-    def _remembers(self, period: float) -> float:
-        """Return how long it believes what it hears every period (s), true ns."""
-        limit = self._announcements.forget_after
-        if limit == "auto":
-            limit = 3.0 * period + 2.0 * (self.latency + self.airtime(self.assignment())) if period < inf else inf
-        return limit if limit == inf else nanoseconds(limit / self._rate)
-
-    def _believed_time(self, record: Record) -> float:
-        """Return the time of capture of a teammate, from its record as far as that tells it, s."""
-        body = record.body
-        if isinstance(body, TimedAssignment):
-            return body.capture_time
-        if not isinstance(body, LocatedAssignment):
-            return self._world.capture_times()[record.src]
-        return self._world.capture_time_from(record.src, self._believed_place(record))
-
-    def _believed_place(self, record: Record) -> complex:
-        """Return the position of a teammate, from its record as far as that tells it, m."""
-        body = record.body
-        if isinstance(body, TimedAssignment):
-            return complex(nan, nan)
-        if not isinstance(body, LocatedAssignment):
-            return self._world.place(record.src)
-        place = complex(body.x, body.y)
-        if not body.active:
-            return place
-        age, exact = max(self._stamp() - record.sent, 0), self._announcements.reckoning == "exact"
-        return self._world.reckoned(place, body.speed, age, exact=exact)
 
 
 Behaviour = Callable[[Agent], Process]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds, seconds
 
 
 def test_three_tenths_and_thirty_hundredths_are_the_same_instant():
@@ -55,3 +55,14 @@ def test_an_instant_in_the_past_is_refused():
     clock.run()
     with pytest.raises(ValueError, match="the instant 9 ns has passed, it is 10 ns"):
         Instant(clock, 9, Phase.MOTION)
+
+
+def test_a_clock_that_is_wrong_shows_offset_and_drift_and_knows_the_true_time():
+    """It shows 2 + 1.5 t: 5 s at 2 s, and 3 s of its own are 2 true ones."""
+    env = Clock()
+    Instant(env, 2 * SECOND, Phase.SAMPLE)
+    env.run()
+    clock = NodeClock(env, offset=2.0, rate=1.5)
+    assert (clock.now, clock.true) == (5.0, 2 * SECOND)
+    assert clock.when(8.0) == 4 * SECOND
+    assert clock.span(3.0) == 2 * SECOND

@@ -9,7 +9,7 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.pursuit.agent import Belief
+from desim.pursuit.belief import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import greedy_maximal_independent_set, relay_profile
 from desim.pursuit.utility import EdgePenalty, LocalMean

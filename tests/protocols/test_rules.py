@@ -17,7 +17,7 @@ from desim import Scenario, run
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Edges
 from desim.kernel.links import Links
-from desim.pursuit.agent import Belief
+from desim.pursuit.belief import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean, Mean, Minimum

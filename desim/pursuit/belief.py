@@ -1,0 +1,149 @@
+"""What a pursuer believes of its teammates: what has arrived of each, as long as it is trusted, reckoned on to now."""
+
+from collections.abc import Callable
+from functools import cached_property
+from math import inf, nan
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from desim.kernel.clock import NodeClock, nanoseconds
+from desim.kernel.network import Network
+from desim.kernel.records import Record, Table
+from desim.pursuit.state import Floats, Points
+from desim.pursuit.surroundings import Surroundings
+from desim.pursuit.word import Announcements, LocatedAssignment, TimedAssignment
+
+
+class Belief(NamedTuple):
+    """What a pursuer believes of a teammate that it has heard of and not forgotten."""
+
+    active: bool
+    capture_time: float
+    """s"""
+
+
+class Whereabouts(NamedTuple):
+    """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
+
+    ids: list[int]
+    """(n,) who they are, ascending; itself among them."""
+    places: Points
+    """(n,) m; nan for who has told its time of capture only."""
+    speeds: Floats
+    """(n,) m/s"""
+    capture_times: Floats
+    """(n,) s"""
+
+
+class Beliefs:
+    """The beliefs of one pursuer.
+
+    Args:
+        pursuer: whose they are.
+        clock: its own.
+        world: what it senses.
+        network: from which it hears.
+        announcements: what teammates announce, and how long it is believed.
+        announcement: returns one, for its length.
+    """
+
+    def __init__(
+        self,
+        pursuer: int,
+        clock: NodeClock,
+        world: Surroundings,
+        network: Network,
+        announcements: Announcements,
+        announcement: Callable[[], Any],
+    ):
+        self._id, self._clock, self._world, self._network = pursuer, clock, world, network
+        self._announcements, self._announcement = announcements, announcement
+        self.senses_others = announcements.payload == "action"
+
+    def heard(self) -> Table:
+        """Return the newest announcement that has arrived from each teammate."""
+        return self._network.heard(self._id)
+
+    def trusted(self, period: float | None = None) -> dict[int, Record]:
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`.
+
+        Args:
+            period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
+        """
+        oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
+        return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
+
+    def active(self) -> dict[int, float]:
+        """Return the trusted teammates that are believed active, and their times of capture, s."""
+        oldest = self._clock.true - self._memory
+        words = {j: word for j, (arrival, word) in self.heard().items() if arrival >= oldest and word.body.active}
+        if self.senses_others:
+            phi = self._world.capture_times()
+            return {j: phi[j] for j in words}
+        return {j: self._time(word) for j, word in words.items()}
+
+    def all(self, period: float | None = None) -> dict[int, Belief]:
+        """Return what is believed of each trusted teammate; see `trusted`."""
+        return {j: Belief(word.body.active, self._time(word)) for j, word in self.trusted(period).items()}
+
+    def whereabouts(self) -> Whereabouts:
+        """Return where everyone is believed to be: as it is sensed, or as far as they have told it."""
+        world = self._world
+        if self.senses_others:
+            return Whereabouts(self._everyone, world.places(), self._speeds, np.array(world.capture_times()))
+        words = self.trusted()
+        ids = sorted({*words, self._id})
+        places = [self._place(words[j]) if j in words else world.place(j) for j in ids]
+        phi = [
+            words[j].body.capture_time
+            if j in words and isinstance(words[j].body, TimedAssignment)
+            else world.capture_time_from(j, place)
+            for j, place in zip(ids, places, strict=True)
+        ]
+        return Whereabouts(ids, np.array(places), self._speeds[ids], np.array(phi))
+
+    @cached_property
+    def _everyone(self) -> list[int]:
+        """The ids of the team."""
+        return list(range(self._world.size))
+
+    @cached_property
+    def _speeds(self) -> Floats:
+        """How fast each of the team moves if it does, (N,) m/s."""
+        return np.array([self._world.speed(pursuer) for pursuer in range(self._world.size)])
+
+    @cached_property
+    def _memory(self) -> float:
+        """How long it is believed what was heard, true ns."""
+        return self._remembers(self._announcements.heartbeat if self._announcements.beats else inf)
+
+    def _remembers(self, period: float) -> float:
+        """Return how long it is believed what is heard every period (s), true ns."""
+        limit = self._announcements.forget_after
+        if limit == "auto":
+            flight = self._network.typical_latency + self._network.airtime(self._announcement())
+            limit = 3.0 * period + 2.0 * flight if period < inf else inf
+        return limit if limit == inf else self._clock.span(limit)
+
+    def _time(self, record: Record) -> float:
+        """Return the time of capture of a teammate, from its record as far as that tells it, s."""
+        body = record.body
+        if isinstance(body, TimedAssignment):
+            return body.capture_time
+        if not isinstance(body, LocatedAssignment):
+            return self._world.capture_times()[record.src]
+        return self._world.capture_time_from(record.src, self._place(record))
+
+    def _place(self, record: Record) -> complex:
+        """Return the position of a teammate, from its record as far as that tells it, m."""
+        body = record.body
+        if isinstance(body, TimedAssignment):
+            return complex(nan, nan)
+        if not isinstance(body, LocatedAssignment):
+            return self._world.place(record.src)
+        place = complex(body.x, body.y)
+        if not body.active:
+            return place
+        age = max(nanoseconds(self._clock.now) - record.sent, 0)
+        return self._world.reckoned(place, body.speed, age, exact=self._announcements.reckoning == "exact")
