@@ -176,7 +176,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
     from desim.analysis import plots
 
     with plots.styled(figsize=(12.5, 5.6)) as figure:
-        for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True), WORLDS, strict=True):
+        for axes, world in zip(figure.subplots(1, len(WORLDS), sharey=True, squeeze=False)[0], WORLDS, strict=True):
             draw(axes, world, [each for each in cells if each.world == world])
     return figure
 

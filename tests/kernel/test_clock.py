@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+from desim.kernel.clock import SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
 
 
 def test_three_tenths_and_thirty_hundredths_are_the_same_instant():

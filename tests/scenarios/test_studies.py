@@ -1,15 +1,19 @@
 """Studies: what they measure is what the simulator does, and what they print is what they measured."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from desim import load, run, summary
+from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
+from desim.scenario import PROTOCOLS
 from desim.warnings import warnings
-from scenarios import find_table1, first_picture, table1, two_clocks
+from scenarios import find_table1, first_picture, rivals, table1, two_clocks
+from scenarios import range as ranges
 from scenarios.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
@@ -144,3 +148,76 @@ def test_the_first_picture_counts_the_active_until_the_end():
     assert counts[0] == 20
     assert np.isnan(counts[5:]).all()
     assert not np.isnan(counts[:5]).any()
+
+
+@pytest.fixture
+def few(monkeypatch, tmp_path):
+    """The studies of rivals and of range, cut down to what a test has time for."""
+    monkeypatch.setattr(rivals, "WORLDS", {"paper": rivals.WORLDS["paper"]})
+    monkeypatch.setattr(rivals, "LATENCIES", (0.0, 0.2))
+    monkeypatch.setattr(ranges, "RANGES", (0.5, 8.0, 30.0))
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_all_rivals_are_compared_in_the_same_runs(few):
+    document = call(rivals.main, "--runs", "2", "--jobs", "2", "--out", str(few))
+    cells = {(cell["protocol"], cell["latency"]): cell for cell in document["cells"]}
+    assert {protocol for protocol, _ in cells} == {*PROTOCOLS.choices(), rivals.SILENT}
+    assert all(cell["difference"] == 0.0 for cell in cells.values() if cell["protocol"] == "sap")
+    for latency in rivals.LATENCIES:
+        times = [summary(run(rivals.scenario("paper", "cbaa", latency), seed)).active_time for seed in (0, 1)]
+        assert cells["cbaa", latency]["active_time"] == pytest.approx(np.mean(times))
+    speaking = set(PROTOCOLS.choices()) - {"centralised", "voronoi", "argmin"}
+    for protocol, latency in cells:
+        rate = cells[protocol, latency]["transmissions"]
+        assert rate == pytest.approx(rivals.N / rivals.PERIOD, rel=0.1) if protocol in speaking else rate == 0.0
+    assert cells["centralised", 0.0]["active_time"] < cells["sap", 0.0]["active_time"]
+    text = (few / "rivals.txt").read_text()
+    assert text.count("\ncbba ") == 3
+    assert "one-way latency L (s)" in (few / "rivals.svg").read_text()
+
+
+def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds():
+    """Active times 4 and 6 s; of SAP 3 and 3 s; of the silent 10 and 20 s, so 20 s saved by 40 sent, of 2 kB."""
+
+    def runs(*times):
+        base = summary(run(rivals.scenario("paper", "cbaa", 0.0).model_copy(update={"horizon": 0.1})))
+        return [replace(base, active_time=t, transmissions=20, bytes_sent=1000, end_time=4.0) for t in times]
+
+    cell = rivals.cell(("paper", "cbaa", 0.0), runs(4.0, 6.0), runs(3.0, 3.0), runs(10.0, 20.0))
+    assert (cell.active_time, cell.difference) == (5.0, 2.0)
+    assert cell.saved_per_transmission == pytest.approx(20.0 / 40)
+    assert cell.saved_per_kilobyte == pytest.approx(20.0 / 2)
+    assert (cell.transmissions, cell.kilobytes) == (5.0, 0.25)
+    assert cell.difference_half_width == pytest.approx(12.706 * np.std([1.0, 3.0], ddof=1) / np.sqrt(2), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_the_range_study_pairs_runs_and_enumerates_games(few):
+    document = call(ranges.main, "--runs", "2", "--jobs", "2", "--out", str(few))
+    static = {(each["team"], each["range"]): each for each in document["games"]}
+    for team in ranges.TEAMS:
+        near, middle, far = (static[team, radius] for radius in ranges.RANGES)
+        assert near["games"] == 2 * ranges.GAMES_PER_RUN
+        assert (far["components"], far["unsettled"], far["independent"]) == (1.0, 0.0, pytest.approx(1.0, abs=0.2))
+        assert near["components"] > middle["components"] > far["components"]
+    assert static["all able", 8.0]["unsettled"] > 0.2
+    assert all(each["difference"] == 0.0 for each in document["pursuits"] if each["protocol"] == ranges.REFERENCE)
+    for label in ("range R (m)", "without equilibrium (%)", "sum of active times (s)"):
+        assert label in (few / "range.svg").read_text()
+
+
+def test_the_games_of_the_range_study_are_those_of_the_runs():
+    """Who hears whom is the disk graph of the positions with which a run begins."""
+    base = ranges.scenario("all able", 6.0, "local mean")
+    phi, hearing, graph = ranges.game(base, 5)
+    start = run(base.model_copy(update={"horizon": 0.01}), 5).trace.of(Started)[0]
+    places = np.array(start.pursuers)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    assert [sorted(each) for each in hearing] == [
+        [j for j in np.flatnonzero(row <= 6.0) if apart[i, j]] for i, row in enumerate(apart)
+    ]
+    gaps = np.linalg.norm(places - np.array(start.evader), axis=1)
+    assert phi == pytest.approx((gaps - 0.1) / (1.2 - 0.9))
+    assert len(graph) == ranges.N
