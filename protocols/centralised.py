@@ -6,6 +6,7 @@ Parameters: slot (time between two decisions).
 Assumes: somebody who knows everything and whose orders are carried out at once. The network is not used, so this is
     what any protocol could at best achieve, whatever the network.
 Messages: none.
+Robust to loss: yes, for nothing is sent.
 """
 
 from itertools import count

@@ -1,9 +1,14 @@
 """Dissemination: how the announcement of one pursuer becomes known to the others.
 
-One hop: whoever is in reach hears it. Flooding: whoever hears something new says it once more, after a random delay
-(Ni, Tseng, Chen & Sheu 1999, "The Broadcast Storm Problem"). Gossip: everybody tells all it knows (anti-entropy of
-Demers et al. 1987). A dissemination is called with an agent and is the process that passes word on; `tell` is how a
-pursuer begins to spread word of its own.
+A dissemination is called with an agent and is the process that passes word on; `tell` is how a pursuer begins to spread
+word of its own.
+
+Paper: Flooding: whoever hears something new says it once more, after a random delay (Ni, Tseng, Chen & Sheu 1999, "The
+    Broadcast Storm Problem"). Gossip: everybody tells all it knows (anti-entropy of Demers et al. 1987).
+Parameters: hops (how far word is flooded), jitter (longest random delay).
+Assumes: nothing; one hop is enough where everybody hears everybody.
+Messages: per announcement one broadcast; flooded, up to one per pursuer; gossip's are as long as all that is known.
+Robust to loss: with heartbeats. Flooding also where there are several paths.
 """
 
 from functools import partial

@@ -3,6 +3,13 @@
 A schedule is called with an agent and with what to do at its turn, and is the process that does it: it waits, calls
 `revise`, lets the pursuer announce its action, and waits again. `mean_slot(me)` is the mean time delta between two
 revisions in the whole team.
+
+Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
+    synchronous learning, with q < 1 the independent learners of Marden & Shamma 2012. Periodic: timers of real robots.
+Parameters: of each, how often a pursuer revises.
+Assumes: SharedSeed and Rounds equal clocks; Poisson and Periodic nothing.
+Messages: none.
+Robust to loss: yes, for nothing is sent.
 """
 
 from collections.abc import Callable, Iterator

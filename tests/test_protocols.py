@@ -1,6 +1,7 @@
 """The contract of every protocol, under every schedule it accepts: what a new one gets by being installed."""
 
 import random
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from desim.kernel.links import Links
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Halted, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements
+from desim.pursuit.word import DISSEMINATIONS, Announcements
 from desim.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.rule import SCHEDULES
 from protocols.schedules import Poisson
@@ -135,3 +136,15 @@ def test_the_contract_covers_every_protocol_and_every_schedule():
     assert len(TABLES) == len(SCHEDULED) * len(SCHEDULES.choices()) + len(KINDS) - len(SCHEDULED)
     assert {"sap", "local_min", "centralised"} <= set(KINDS)
     assert Poisson in SCHEDULES.choices().values()
+
+
+PARTS = [*KINDS.values(), *SCHEDULES.choices().values(), *DISSEMINATIONS.choices().values()]
+
+
+@pytest.mark.parametrize("module", sorted({part.__module__ for part in PARTS}))
+def test_the_header_of_a_protocol_says_what_it_rests_on(module):
+    """Paper, parameters, assumptions, cost in messages, robustness: in this order, each at the head of a line."""
+    head = import_module(module).__doc__
+    places = [head.find(f"\n{word}: ") for word in ("Paper", "Parameters", "Assumes", "Messages", "Robust to loss")]
+    assert -1 not in places
+    assert places == sorted(places)
