@@ -14,6 +14,7 @@ import networkx as nx
 
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomPlan
 from desim.kernel.loss import Bernoulli
+from desim.kernel.reach import Disk
 from desim.kernel.topology import Topology
 
 if TYPE_CHECKING:
@@ -64,8 +65,18 @@ def word_gets_through(scenario: "Scenario") -> str | None:
         return None
     if trigger == "never":
         return "nothing is ever announced"
+    if network.range < inf and not scenario.motion.frozen:
+        return "who comes into range is never told what was said before (`announce.trigger`)"
+    by_chance = network.range < inf and network.fading == "message" and network.reach != Disk()
+    drops = network.medium.half_duplex or network.medium.queue_limit < inf
     ideal = Bernoulli()
-    if network.loss != ideal or scenario.fault or any((link.loss or ideal) != ideal for link in network.link):
+    if (
+        by_chance
+        or drops
+        or network.loss != ideal
+        or scenario.fault
+        or any((link.loss or ideal) != ideal for link in network.link)
+    ):
         return "what is lost is never said again (`announce.trigger`)"
     return None
 

@@ -33,7 +33,7 @@ def _never_or_period(time: float) -> float:
 
 Point = tuple[Coordinate, Coordinate]
 Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
-PROTOCOLS = OneOf(group="desim.protocols")
+PROTOCOLS = OneOf(group="desim.protocols", takes=("me",))
 """The protocols that are installed."""
 
 
@@ -68,7 +68,9 @@ class Team(Value):
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
     """Probability p0 with which each pursuer is active at first, in [0, 1]."""
-    guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing)] = PurePursuit()
+    guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "flight", "speeds"))] = (
+        PurePursuit()
+    )
     """How who chases heads for the evader."""
 
     @model_validator(mode="before")
@@ -113,7 +115,7 @@ class Evader(Value):
     """Lower and upper bound of both initial coordinates, m."""
     speed: Speed = 0.9
     """Speed v_e, m/s."""
-    strategy: Annotated[Strategy, OneOf(PureEvasion)] = PureEvasion()
+    strategy: Annotated[Strategy, OneOf(PureEvasion, takes=("state", "rng"))] = PureEvasion()
     """How it flees."""
 
     def start(self, seed: int) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 import simpy
@@ -85,7 +85,8 @@ class _Crew:
     def begin(self) -> None:
         """Let everyone know how it begins, and set all processes going."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        speaks = getattr(protocol, "announces", True)
+        announces: bool | Literal["unseen"] = getattr(protocol, "announces", True)
+        speaks = announce.payload != "action" if announces == "unseen" else announces
         for pursuer in range(self._world.size):
             agent = self._agents[pursuer]
             if announce.warm_start:

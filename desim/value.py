@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import signature
 from math import inf
 from pathlib import Path
 from types import FunctionType
@@ -100,12 +101,20 @@ class OneOf:
         models: of this distribution.
         group: of entry points.
         needs: attributes that whatever is taken as it is must have.
+        takes: names of the arguments with which it is called.
     """
 
-    def __init__(self, *models: type[BaseModel], group: str | None = None, needs: tuple[str, ...] = ()):
+    def __init__(
+        self,
+        *models: type[BaseModel],
+        group: str | None = None,
+        needs: tuple[str, ...] = (),
+        takes: tuple[str, ...] = (),
+    ):
         self.models = models
         self.group = group
         self.needs = needs
+        self.takes = takes
 
     def choices(self) -> dict[str, type[BaseModel]]:
         """Return the models by kind, those of this distribution first."""
@@ -141,6 +150,11 @@ class OneOf:
             return validate(value)
         if missing := [name for name in self.needs if not hasattr(value, name)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
+        if self.takes:
+            try:
+                signature(value).bind(*self.takes)
+            except TypeError as error:
+                raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
         return value
 
 

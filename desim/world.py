@@ -1,9 +1,7 @@
 """The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
 
-from bisect import bisect_right
 from collections.abc import Callable, Generator
 from itertools import count
-from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -14,17 +12,12 @@ from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
-from desim.pursuit.guidance import ConstantBearing, PurePursuit, way
-from desim.pursuit.motion import SMALLEST, first_contact, within
+from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.motion import first_contact, within
+from desim.pursuit.reckoning import Sightings, nearer
 from desim.pursuit.state import Floats, Points, State, complex_points, coordinates
 from desim.scenario import Scenario
 from desim.value import FARTHEST
-
-Sight = tuple[int, complex, complex, complex]
-"""What pursuers saw at a motion step: the instant (ns), where the evader was and what they aimed at (m), and its
-velocity as they saw it (m/s)."""
-MOST_RETRACINGS = 10_000
-"""How many teammates' paths are remembered between two times that somebody asks for them."""
 
 
 class World:
@@ -54,12 +47,10 @@ class World:
         self._origins = complex_points(np.vstack([scenario.team.start(seed), scenario.evader.start(seed)]))
         self._since = 0
         self._velocities = np.zeros_like(self._origins)
-        self._aim = 0j
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._sights: list[Sight] | None = [] if _reckons(scenario) else None
-        self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
+        self._seen = Sightings(self._guidance, remembers=_reckons(scenario))
         self._active = scenario.team.start_profile(seed)
         self._state = State(0, self._origins, self._active)
         self._capture_times: tuple[float, ...] | None = None
@@ -136,34 +127,12 @@ class World:
         Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
         is now.
         """
-        now, evader = self._env.now, self.state().evader
         if self._motion.frozen or not age:
             return position
         if not exact:
-            gap = evader - position
-            return evader - max(abs(gap) - speed * seconds(age), 0.0) * gap / max(abs(gap), SMALLEST)
-        return self._retraced(position, speed, now - age)
-
-    def _retraced(self, position: complex, speed: float, since: int) -> complex:
-        """Return where a pursuer is that was at a position (m) at an instant (ns) and has chased since, m.
-
-        It goes on from where the step began in which it was when last asked for, if it was; cost O(motion steps since
-        then).
-        """
-        assert self._sights is not None
-        known = (position, speed, since)
-        began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
-        first = max(bisect_right(self._sights, t, key=itemgetter(0)) - 1, 0)
-        ends = [begun for begun, *_ in self._sights[first + 1 :]] + [self._env.now]
-        for (begun, evader, aim, flight), end in zip(self._sights[first:], ends, strict=False):  # none yet at the start
-            began, origin = t, place
-            gap = evader + flight * seconds(t - begun) - place
-            place += way(self._guidance, gap, aim - place, flight, speed, seconds(end - t))
-            t = end
-        self._retracings[known] = (began, origin)
-        if len(self._retracings) > MOST_RETRACINGS:
-            del self._retracings[next(iter(self._retracings))]  # the one not asked for for longest
-        return place
+            return nearer(position, self.state().evader, speed * seconds(age))
+        now = self._env.now
+        return self._seen.place(position, speed, now - age, now)
 
     def obeys(self, pursuer: int) -> bool:
         """Return whether a pursuer would follow an order: it is not broken."""
@@ -216,10 +185,10 @@ class World:
         self._paces = self._speeds * self._active
         self._enter(State(now, state.players, self._active))
         if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
-            aim = self._aim if self._motion.order == "evader_first" else state.evader
+            sight, place = self._seen.last, state.players[[pursuer]]
             velocities = self._velocities.copy()
             velocities[[pursuer]] = self._courses(
-                state.offsets[[pursuer]], aim - state.players[[pursuer]], velocities[-1], self._paces[[pursuer]]
+                sight.at(now) - place, sight.aim - place, sight.flight, self._paces[[pursuer]]
             )
             self._break(velocities)
 
@@ -250,10 +219,8 @@ class World:
             flight = self._evader_speed * heading
             first = self._motion.order == "evader_first"
             ahead = flight * seconds(self._step_end - state.t) if first else 0j
-            self._aim = state.evader + ahead
             seen = flight if first else complex(self._velocities[-1])
-            if self._sights is not None:
-                self._sights.append((state.t, state.evader, self._aim, seen))
+            self._seen.see(state.t, state.evader, state.evader + ahead, seen)
             velocities = np.empty_like(state.players)
             velocities[:-1] = self._courses(state.offsets, state.offsets + ahead, seen, self._paces)
             velocities[-1] = flight

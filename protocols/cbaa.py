@@ -3,10 +3,14 @@
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2,
     for one task. Each pursuer knows the greatest bid y it has heard of and whose it is. Other than there, bids follow
     the times of capture, so at each turn the winner bids anew, and the word of a pursuer about its own bid counts for
-    more than what others say of that bid.
+    more than what others say of that bid. Where positions are sensed all bids are brought up to date at each turn.
 Parameters: schedule. With Rounds these are the rounds of the paper.
 Assumes: a connected graph and constant bids; then all agree on one winner after a round of bids and one more for each
     hop of the diameter. Where bids change, the greatest only rises as long as its bidder chases, for whose phi falls.
+    Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
+    differ by less than word is old, in s, may both chase to the end. In the relay stress of `scenarios.rivals` another
+    set than the relay pursuer alone is active for 3.4 s on the mean of 20 runs and 23.3 s at worst, at L = 0.2 s;
+    sensed, for 0.8 and 1.9 s.
     No crashes: claims have no stamps, so there is no telling that a winner has fallen silent, and it blocks all others
     for ever.
 Messages: announcements of 40 bytes; news is a new winner, so bids that change need heartbeats or `revision`.
@@ -17,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.pursuit.agent import Agent
-from protocols.claims import NO_BID, Auction, Bid, offer, unread
+from protocols.claims import NO_BID, Auction, Bid, current, offer, unread
 from protocols.rule import Rule
 
 
@@ -45,8 +49,9 @@ class CBAA(Auction):
         """Yield whether it is the winner."""
         best, read = NO_BID, dict[int, int]()
         while True:
-            said = {each.src: Bid(each.body.winner, each.body.amount) for each in unread(me, read, Claim)}
-            best = greatest(best, said | {me.id: offer(me)})
+            up_to_date = current(me)
+            said = {each.src: up_to_date(Bid(*each.body[1:])) for each in unread(me, read, Claim)}
+            best = greatest(up_to_date(best), said | {me.id: offer(me)})
             wins = best.winner == me.id
             me.claim(Claim(wins, *best))
             yield wins

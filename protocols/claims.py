@@ -2,9 +2,12 @@
 
 A bid is -phi, so that who would capture first bids most; of equal bids that of the lower id counts more. What a pursuer
 announces is whom it holds for the winner, so claims spread, are lost and are repeated as announcements are.
+Bids change as positions do. Where positions are sensed (payload "action") each is brought up to date before it is
+compared (`current`), so that at any instant all pursuers order bids alike. Else a bid is as old as its word is, and
+while two chase, each phi falls: whose phi differ by less than that age outbid each other at every turn, and both chase.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import inf
 from typing import Any, NamedTuple
 
@@ -45,6 +48,17 @@ def offer(me: Agent) -> Bid:
     """Return what a pursuer bids now; it bids only if it may chase and would be in time."""
     phi = me.capture_time()
     return Bid(me.id, -phi) if me.may_chase() and phi < me.time_left() else NO_BID
+
+
+def current(me: Agent) -> Callable[[Bid], Bid]:
+    """Return what brings a bid up to date: to -phi of its bidder as sensed now, heard of or not.
+
+    Where positions are not sensed a bid stays as it is. Whether the bidder still bids is always for itself to say.
+    """
+    if not me.senses_others:
+        return lambda bid: bid
+    phi = me.whereabouts().capture_times.tolist()
+    return lambda bid: bid if bid.winner == NOBODY else Bid(bid.winner, -phi[bid.winner])
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:

@@ -52,7 +52,7 @@ class FictitiousPlay(LearningRule):
 
 
 class JointStrategyFictitiousPlay(LearningRule):
-    """The action that would have been worth most on the average, and inertia."""
+    """The action that would have been worth most on the average, and inertia; an optimal action is kept."""
 
     kind: Literal["jsfp"] = "jsfp"
     alpha: Willingness = 0.5
@@ -66,5 +66,5 @@ class JointStrategyFictitiousPlay(LearningRule):
         for turn in count(1):
             weight = max(self.rho, 1.0 / turn)
             average = [v + weight * (u - v) for u, v in zip(self.utilities(me), average, strict=True)]
-            willing = me.rng.random() < self.alpha
-            yield best(average) if willing else int(me.action)
+            present, willing = int(me.action), me.rng.random() < self.alpha
+            yield best(average) if willing and average[present] < max(average) else present

@@ -18,8 +18,6 @@ Robust to loss: needs no word if positions are sensed; else with heartbeats.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from functools import partial
-from itertools import count
 from math import exp, inf
 from typing import Annotated, ClassVar, Literal
 
@@ -31,6 +29,7 @@ from desim.pursuit.belief import Whereabouts
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates
 from desim.value import Period, Time, Value
+from protocols.schedules import ticks
 
 Measure = Callable[[Whereabouts], Floats]
 """By what pursuers are compared, the (n,) of them whose whereabouts are known: the least is first."""
@@ -39,8 +38,8 @@ Measure = Callable[[Whereabouts], Floats]
 class Geometric(Value):
     """What the geometric rules share: at every slot the owner of the evader chases, and nobody else."""
 
-    announces: ClassVar[bool] = False
-    """Who has to say where it is sees to it itself."""
+    announces: ClassVar[Literal["unseen"]] = "unseen"
+    """Word is needed only where positions are not sensed."""
     slot: Period = 0.01
     """Time between two decisions, s."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
@@ -59,14 +58,11 @@ class Geometric(Value):
         """Chase whenever one is the owner."""
         measure = self.measure(me)
         owner: int | None = None
-        if not me.senses_others and me.heartbeat < inf:
-            me.after(me.stream("heartbeat").uniform(0.0, me.heartbeat), partial(repeat, me))
-        for k in count():
-            if k * self.slot < me.now:  # it was broken down, or its clock began late
-                continue
-            yield me.at(k * self.slot)
+        for tick in ticks(me, self.slot):
+            yield me.at(tick)
             known = me.whereabouts()
-            measures = np.where(known.capture_times < me.time_left(), measure(known), inf)
+            found = measure(known)
+            measures = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
             present = [owner] if me.senses_others else said_active(me)
             owner = first(known.ids, measures, present, self.hysteresis)
             if me.action != (owner == me.id):
@@ -165,9 +161,3 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
 def said_active(me: Agent) -> list[int]:
     """Return who is active, itself included, as far as it has heard."""
     return [*me.believed_active(), *([me.id] if me.action else [])]
-
-
-def repeat(me: Agent) -> None:
-    """Say what one does, and again every heartbeat."""
-    me.tell()
-    me.after(me.heartbeat, partial(repeat, me))

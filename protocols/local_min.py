@@ -25,7 +25,7 @@ class LocalMin(Rule):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield whether it is first of the active."""
         while True:
-            near = set(me.neighbours())
+            near = set(me.circle("neighbours"))
             own = me.capture_time(), me.id
             active = [(phi, j) for j, phi in me.believed().items() if j in near]
             yield own[0] < me.time_left() and all(own < other for other in active)

@@ -11,12 +11,22 @@ from typing import Annotated, ClassVar
 
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
-from desim.value import FARTHEST, OneOf, Value
+from desim.value import LONGEST, OneOf, Value
 from protocols.mutex import LocalMutex
 from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
 from protocols.token import TokenRing, TokenWalk
 
-SCHEDULES = OneOf(SharedSeed, Poisson, Rounds, Periodic, TokenRing, TokenWalk, LocalMutex, needs=("mean_slot",))
+SCHEDULES = OneOf(
+    SharedSeed,
+    Poisson,
+    Rounds,
+    Periodic,
+    TokenRing,
+    TokenWalk,
+    LocalMutex,
+    needs=("mean_slot",),
+    takes=("me", "revise"),
+)
 
 
 class Rule(Value):
@@ -29,7 +39,7 @@ class Rule(Value):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the action of a pursuer at each of its turns: 1 to chase, 0 to stay."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
         """Negotiate for one pursuer."""
@@ -48,8 +58,11 @@ class LearningRule(Rule):
     """What being active is worth."""
 
     def utilities(self, me: Agent) -> list[float]:
-        """Return what each action is worth now, s: staying 0, and chasing its gain, which is finite here."""
-        return [0.0, max(me.gain(self.utility), -FARTHEST)]
+        """Return what each action is worth now, s: staying 0, and chasing its gain.
+
+        That of a pursuer that can never capture is cut off at -30 years, so that averages remain numbers.
+        """
+        return [0.0, max(me.gain(self.utility), -LONGEST)]
 
 
 def best(utilities: list[float]) -> int:

@@ -99,13 +99,12 @@ class Rounds(Value):
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each round, or not, by chance."""
         rng = me.stream("rounds")
-        for k in count(1):
-            if k * self.period >= me.now:
-                yield me.at(k * self.period)
-                if rng.random() < self.q:
-                    revise()
-                    yield me.after_decisions()
-                    me.announce()
+        for tick in ticks(me, self.period, first=1):
+            yield me.at(tick)
+            if rng.random() < self.q:
+                revise()
+                yield me.after_decisions()
+                me.announce()
 
 
 class Periodic(Value):
@@ -143,6 +142,16 @@ class Periodic(Value):
                 f"a strictly periodic timer of {round(multiple)} motion steps, an even number, keeps step with the"
                 " evader's chatter between two pursuers, and for seconds nobody may be active: give it some jitter",
             )
+
+
+def ticks(me: Agent, period: float, first: int = 0) -> Iterator[float]:
+    """Yield the multiples of a period (s) from now on, by the own clock, s.
+
+    Those are left out that pass meanwhile, because the pursuer is broken down or its clock began late.
+    """
+    for k in count(first):
+        if k * period >= me.now:
+            yield k * period
 
 
 def owned_slots(owner: int, team_size: int, rng: np.random.Generator) -> Iterator[int]:

@@ -17,15 +17,15 @@ Robust to loss: yes. Reports and orders are repeated every period, and an order 
     left out, and the server decides without any report only if none has come for 3 periods and a round trip.
 """
 
-from collections.abc import Iterator
-from itertools import count
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.kernel.clock import SECOND
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.word import LocatedAssignment, Relayed
 from desim.value import Period, Value
+from protocols.schedules import ticks
 
 PORT = "server"
 """Where reports and orders come in."""
@@ -95,7 +95,7 @@ class Server(Value):
                     chaser = self._first(me, reporters)
                     changed = told.number < 0 or chaser != told.chaser
                     # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
-                    told = Order(max(round(me.now * 1e9), told.number + 1, 0), chaser) if changed else told
+                    told = Order(max(round(me.now * SECOND), told.number + 1, 0), chaser) if changed else told
                     obey(me, told)
                 if changed or (due and told.number >= 0):
                     me.send(None, told, PORT)
@@ -106,13 +106,6 @@ class Server(Value):
         known = [(beliefs[j].capture_time, j) for j in reporters & beliefs.keys()]
         phi, first = min([*known, (me.capture_time(), me.id)])
         return first if phi < me.time_left() else None
-
-
-def ticks(me: Agent, period: float) -> Iterator[float]:
-    """Yield the multiples of a period from now on, by the own clock, s, without those that pass meanwhile."""
-    for k in count():
-        if k * period >= me.now:
-            yield k * period
 
 
 def state(me: Agent) -> LocatedAssignment:

@@ -82,7 +82,9 @@ class AdaptiveTau(Value):
     """Cools as another temperature does, but begins anew whenever a pursuer is surprised; each for itself."""
 
     kind: Literal["adaptive"] = "adaptive"
-    cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau)] = GeometricTau()
+    cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, takes=("eta",))] = (
+        GeometricTau()
+    )
     """How it cools between two surprises."""
     surprises: tuple[Surprise, ...] = ("neighbour", "silence", "order")
     """What surprises: a teammate is heard that was not; one falls silent (`announce.forget_after`); another pursuer
@@ -109,7 +111,7 @@ class AdaptiveTau(Value):
             yield max(me.now - since, 0.0) / slot
 
 
-TEMPERATURES = OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau)
+TEMPERATURES = OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau, takes=("eta",))
 
 
 def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:

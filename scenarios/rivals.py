@@ -2,8 +2,10 @@
 
 In the scenario of the paper, where one pursuer is twice as fast as the others; in one that stresses the relay, where
 all are equally fast; and in that of the paper again when nobody sees the others, so that where they are has to be told,
-too. Everybody announces ten times a second and no more, and decides ten times a second on the average. What talking is
-worth is judged against a silent team, in which everyone decides alone.
+too. Who talks says something ten times a second and no more: the same number of messages, not of bytes. The centralised
+benchmark and, where positions are sensed, the geometric rules do not talk. Everybody decides ten times a second on the
+average. What talking is worth is judged against a silent team, in which everyone decides alone; what delay costs,
+against the same protocol in the same runs without delay.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,14 +13,14 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from desim import Scenario, summary
-from desim.analysis.metrics import Summary
+from desim import Result, Scenario, summary
+from desim.analysis.metrics import Summary, time_to_relay
 from desim.analysis.statistics import estimate
-from desim.analysis.tables import aligned, number
+from desim.analysis.tables import aligned
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Recording, Team
+from desim.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.schedules import Poisson
 from scenarios.study import Options, study
 
@@ -32,6 +34,8 @@ SHOWN = 0.2
 """The latency at which everything is shown, s."""
 PERIOD = 0.1
 """Between two announcements, and on the average two decisions, of a pursuer, s."""
+STEP = 0.01
+"""Of motion, and between two samples of positions, s."""
 N = 20
 WORLDS: Mapping[str, Scenario] = MappingProxyType(
     {
@@ -59,17 +63,21 @@ class Cell:
     difference_half_width: float
     captured: float
     """Share of the runs."""
-    time_to_relay: float
-    """s, over the runs in which there was a relay."""
+    relayed: float
+    """Share of the runs in which the relay pursuer came to chase alone, for two latencies and periods."""
+    time_to_relay: float | None
+    """s, over those runs."""
     misassigned_time: float
+    network_regret: float
+    """Potential gap less that without delay, s^2."""
     handovers: float
     transmissions: float
     """Per second."""
     kilobytes: float
     """Per second."""
-    saved_per_transmission: float
-    """Active time saved against a silent team, s per transmission; 0 without any."""
-    saved_per_kilobyte: float
+    saved_per_transmission: float | None
+    """Active time saved against a silent team, s per transmission; None without any."""
+    saved_per_kilobyte: float | None
 
 
 def contender(kind: str) -> object:
@@ -89,7 +97,8 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
             "protocol": contender(REFERENCE if protocol == SILENT else protocol),
             "announce": announce,
             "network": Links(latency=Constant(value=latency)),
-            "record": Recording(trajectory=PERIOD),
+            "motion": Motion(step=STEP),
+            "record": Recording(trajectory=STEP),
         }
     )
 
@@ -98,17 +107,49 @@ def measure(options: Options) -> list[Cell]:
     """Run every protocol in every world at every latency."""
     protocols = [*PROTOCOLS.choices(), SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
-    runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", summary), strict=True))
-    return [cell(key, runs[key], runs[key[0], REFERENCE, key[2]], runs[key[0], SILENT, key[2]]) for key in keys]
+    runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
+    return [
+        cell(
+            (world, protocol, latency),
+            runs[world, protocol, latency],
+            reference=runs[world, REFERENCE, latency],
+            silent=runs[world, SILENT, latency],
+            prompt=runs[world, protocol, 0.0],
+        )
+        for world, protocol, latency in keys
+    ]
+
+
+def measured(result: Result) -> tuple[Summary, float | None]:
+    """Return the numbers of a run, and its time to relay by a window that is the same for all protocols, s."""
+    latency = result.scenario.network.latency
+    assert isinstance(latency, Constant)
+    return summary(result), time_to_relay(result, 2.0 * (latency.value + PERIOD))
 
 
 def cell(
-    key: tuple[str, str, float], runs: Sequence[Summary], reference: Sequence[Summary], silent: Sequence[Summary]
+    key: tuple[str, str, float],
+    found: Sequence[tuple[Summary, float | None]],
+    *,
+    reference: Sequence[tuple[Summary, float | None]],
+    silent: Sequence[tuple[Summary, float | None]],
+    prompt: Sequence[tuple[Summary, float | None]],
 ) -> Cell:
-    """Return what the runs of one protocol came to, beside those of two others with the same seeds."""
+    """Return what the runs of one protocol came to, beside others with the same seeds.
+
+    Args:
+        key: world, protocol and latency.
+        found: of each run, its numbers and its time to relay.
+        reference: those of Spatial Adaptive Play.
+        silent: those of a team in which nobody talks.
+        prompt: those of the same protocol without delay.
+    """
+    runs = [run for run, _ in found]
+    relays = [time for _, time in found if time is not None]
     active = estimate([run.active_time for run in runs])
-    paired = estimate([run.active_time - other.active_time for run, other in zip(runs, reference, strict=True)])
-    saved = sum(other.active_time - run.active_time for run, other in zip(runs, silent, strict=True))
+    paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
+    saved = sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))
+    regrets = [_gap(run) - _gap(other) for run, (other, _) in zip(runs, prompt, strict=True)]
     sent, kilobytes = sum(run.transmissions for run in runs), sum(run.bytes_sent for run in runs) / 1000.0
     duration = sum(run.end_time for run in runs)
     return Cell(
@@ -118,18 +159,25 @@ def cell(
         paired.mean,
         paired.half_width,
         _mean([float(run.captured) for run in runs]),
-        _mean([run.time_to_relay for run in runs if run.time_to_relay is not None]),
+        len(relays) / len(runs),
+        _mean(relays) if relays else None,
         _mean([run.misassigned_time for run in runs if run.misassigned_time is not None]),
+        _mean(regrets),
         _mean([float(run.handovers) for run in runs]),
         sent / duration,
         kilobytes / duration,
-        saved / sent if sent else 0.0,
-        saved / kilobytes if kilobytes else 0.0,
+        saved / sent if sent else None,
+        saved / kilobytes if kilobytes else None,
     )
 
 
+def _gap(run: Summary) -> float:
+    assert run.potential_gap is not None
+    return run.potential_gap
+
+
 def _mean(values: Sequence[float]) -> float:
-    return estimate(values).mean if values else float("nan")
+    return estimate(values).mean
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:
@@ -147,28 +195,36 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
         active.append((name, *(f"{each.active_time:.1f} +- {each.half_width:.1f}" for each in line)))
         if name != REFERENCE:
             paired.append((name, *(f"{each.difference:+.1f} +- {each.difference_half_width:.1f}" for each in line)))
-    rest = [("", "captured", "to relay", "misassigned", "hand-overs", "sent/s", "kB/s", "saved/sent", "saved/kB")]
+    heads = ["captured", "relayed", "after", "misassigned", "regret", "hand-overs", "sent/s", "kB/s"]
+    rest = [("", *heads, "saved/sent", "saved/kB")]
     for name in names:
         at = here[name, SHOWN]
         rest.append(
             (
                 name,
                 f"{at.captured:.0%}",
-                f"{number(at.time_to_relay, 2)} s",
+                f"{at.relayed:.0%}",
+                _told(at.time_to_relay, "s"),
                 f"{at.misassigned_time:.2f} s",
+                f"{at.network_regret:.1f} s^2",
                 f"{at.handovers:.1f}",
                 f"{at.transmissions:.0f}",
                 f"{at.kilobytes:.2f}",
-                f"{1000 * at.saved_per_transmission:.0f} ms",
-                f"{at.saved_per_kilobyte:.2f} s",
+                _told(at.saved_per_transmission, "s", digits=3),
+                _told(at.saved_per_kilobyte, "s"),
             )
         )
     what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
+    meaning = "regret: potential gap beyond that without delay; saved: active time less than that of a silent team"
     return [
         f"Sum of active times, s: {what}\n{aligned(active)}",
         f"The same less that of {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}",
-        f"At L = {SHOWN:g} s: {what}; active time saved against a silent team\n{aligned(rest)}",
+        f"At L = {SHOWN:g} s: {what}\n{meaning}\n{aligned(rest)}",
     ]
+
+
+def _told(value: float | None, unit: str, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":

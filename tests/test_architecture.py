@@ -47,6 +47,7 @@ ALLOWED = {
         "desim.pursuit.state",
         "desim.value",
     },
+    "desim.pursuit.reckoning": {"desim.kernel.clock", "desim.pursuit.guidance", "desim.pursuit.motion"},
     "desim.pursuit.word": {"desim.kernel.records", "desim.kernel.wire", "desim.value"},
     "desim.pursuit.surroundings": {"desim.pursuit.state"},
     "desim.pursuit.belief": {
@@ -82,6 +83,7 @@ ALLOWED = {
     "desim.__main__": {"desim.cli"},
     "desim": {"desim"},
     "protocols": {
+        "desim.kernel.clock",
         "desim.kernel.records",
         "desim.pursuit.agent",
         "desim.pursuit.belief",

@@ -23,9 +23,11 @@ from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCras
 from desim.kernel.graphs import Edges, Link, Ring
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.medium import Bitrate
+from desim.kernel.reach import QuasiUnitDisk
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
 from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Speeds, Team
+from desim.scenario import PROTOCOLS, Motion, Speeds, Team
 from desim.warnings import warnings
 from protocols.best_response import BestResponse, BetterReply
 from protocols.dissemination import Flooding, Gossip
@@ -129,6 +131,16 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": ONE_LOSSY}, True),
         ({"network": ONE_LATE}, False),
         ({"fault": [HALVES]}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6))}, False),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, half_duplex=True))}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
+        ({"network": Links(range=50.0), "motion": Motion(frozen=True)}, False),
+        ({"network": Links(range=50.0, reach=QuasiUnitDisk()), "motion": Motion(frozen=True)}, False),
+        ({"network": Links(range=50.0, fading="message"), "motion": Motion(frozen=True)}, False),
+        (
+            {"network": Links(range=50.0, reach=QuasiUnitDisk(), fading="message"), "motion": Motion(frozen=True)},
+            True,
+        ),
     ],
 )
 def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trigger, given, lost):
@@ -137,6 +149,12 @@ def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trig
         assert_says(found, "nothing is ever announced")
     else:
         assert_says(found, "never said again" if lost and trigger == "change" else None)
+
+
+def test_who_comes_into_range_has_missed_what_was_said_before():
+    found = word_gets_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
+    assert_says(found, "comes into range")
+    assert word_gets_through(four(network=Links(range=50.0))) is None
 
 
 @pytest.mark.parametrize("trigger", ["change", "never"])

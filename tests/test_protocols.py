@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, load, run
+from desim.kernel.clock import SECOND
 from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -38,8 +39,14 @@ ONE_LEADER = {"centralised", "server", "voronoi", "argmin"}
 """Who promises nothing to parts of the team that are cut off."""
 
 
-def lines(scenario, seed):
-    return "".join(run(scenario, seed).trace.lines())
+def lines(scenario, seed, until):
+    """Return the trace of a run that is stopped at a time (s): the game is that of the whole horizon."""
+    return "".join(run(scenario, seed, lambda event: event.t > until * SECOND).trace.lines())
+
+
+def first_fault(scenario):
+    """Return when the first fault begins whose time is given, s; 0 if there is none."""
+    return min((fault.at for fault in scenario.fault if hasattr(fault, "at")), default=0.0)
 
 
 @pytest.mark.slow
@@ -48,19 +55,31 @@ def lines(scenario, seed):
 def test_a_protocol_keeps_the_contract_in_every_scenario(table, path):
     """Same seed, same bytes, whatever ran between; another seed, another run; the global generators stay untouched.
 
-    That no message goes astray is watched in every test.
+    Just past the first fault, if there is one. That no message goes astray is watched in every test.
     """
-    scenario = load(path, [f"protocol={table}", "horizon=0.25", "record.messages=true"])
+    scenario = load(path, [f"protocol={table}", "record.messages=true"])
+    until = first_fault(scenario) + 0.15
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
     before = np.random.get_state()[1].tolist(), random.getstate()  # noqa: NPY002
-    first, other, again = (lines(scenario, seed) for seed in (3, 4, 3))
+    first, other, again = (lines(scenario, seed, until) for seed in (3, 4, 3))
     assert first == again
     if (
         "schedule" in type(scenario.protocol).model_fields or scenario.team.positions is None
     ):  # else nothing is by chance
         assert first != other
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_the_contract_sees_of_a_protocol_is_pursuers_that_are_sent_and_stopped(kind):
+    """Or the contract would be about nothing."""
+    seen = set()
+    for share in (0.0, 1.0):
+        scenario = load(SCENARIOS / "relay.toml", [f"protocol={{ kind = '{kind}' }}", f"team.active_at_start={share}"])
+        trace = run(scenario, 3, lambda event: event.t > 0.6 * SECOND).trace
+        seen |= {event.active for event in trace.of(Decided)}
+    assert seen == {True, False}
 
 
 def settled(kind, seed, **changes):

@@ -1,13 +1,14 @@
 """Values: what their types take and refuse, what is frozen, and how one of several models is chosen."""
 
 import json
+import re
 from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from desim import value
+from desim import Scenario, value
 from desim.value import (
     Coordinate,
     Extent,
@@ -184,3 +185,26 @@ def test_a_model_is_described_with_its_parameters_and_what_they_may_hold():
         "            side = 2.0: Length of a side, m.",
         "    reach = inf: How far it is seen, m.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"protocol": {"kind": "sap", "tau": {"kind": "protocols.schedules:Poisson"}}}, "called with (eta)"),
+        (
+            {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules:owned_slots"}}},
+            "should have mean_slot",
+        ),
+        ({"protocol": {"kind": "desim.pursuit.motion:within"}}, "called with (me)"),
+        ({"team": {"guidance": {"kind": "desim.pursuit.motion:within"}}}, "called with (gaps, aims, flight, speeds)"),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.motion:toward"}}}, None),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.motion:first_contact"}}}, "called with (state, rng)"),
+    ],
+)
+def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):
+    """`toward` takes two arguments, too: what it makes of them is its own affair."""
+    if says is None:
+        Scenario.model_validate(table)
+    else:
+        with pytest.raises(ValidationError, match=re.escape(says)):
+            Scenario.model_validate(table)

@@ -67,8 +67,8 @@ def test_an_order_changes_nobody_elses_path(order):
     assert alone[1.0] != alone[0.0]
 
 
-@pytest.mark.parametrize(("order", "aim"), [("evader_first", (3.0, 2.0)), ("simultaneous", (3.0, 1.0))])
-def test_pursuers_head_for_where_the_evader_will_be_or_for_where_it_is(order, aim):
+@pytest.mark.parametrize(("order", "aim"), [("evader_first", (3.0, 2.0)), ("simultaneous", (3.0, 0.0))])
+def test_pursuers_head_for_where_the_evader_is_as_the_step_ends_or_was_as_it_began(order, aim):
     """The evader at (3, 0) flees pursuer 1 at (3, -2) upwards at 2 m/s; pursuer 0 starts at 0.5 s at 4 m/s."""
     scenario = still(
         (0.5, 0, True),
@@ -232,54 +232,73 @@ def test_a_watcher_that_raises_fails_the_run():
 # Guidance.
 
 
-def headings(guidance, order):
-    """Return the direction in which pursuer 0, at (0, 0) and ordered at 0.5 s, has moved by 1 s, and from 1 to 2 s.
+def headings(guidance, order, begin=1.5):
+    """Return the direction in which pursuer 0, at (0, 0), moves from its order to the end of the step, and in the next.
 
-    The evader runs from (3, 0) upwards at 1 m/s all the time; the pursuer does 2 m/s, the step is 1 s.
+    The evader runs from (3, 0) upwards at 1 m/s all the time; the pursuer does 2 m/s, the step is 1 s, and the order
+    comes in the middle of one.
     """
     scenario = still(
-        (0.5, 0, True),
+        (begin, 0, True),
+        horizon=3.0,
         team=Team(positions=[(0.0, 0.0), (50.0, 0.0)], speeds=2.0, active_at_start=0.0, guidance=guidance),
         evader=Evader(position=(3.0, 0.0), speed=1.0, strategy=lambda state, rng: 1j),
         motion=Motion(step=1.0, order=order),
     )
     at = {t: complex(*where[1]) for t, where in positions(run(scenario)).items()}
-    assert abs(at[1.0]) == pytest.approx(1.0, abs=1e-12)
-    assert abs(at[2.0] - at[1.0]) == pytest.approx(2.0, abs=1e-12)
-    return at[1.0] / abs(at[1.0]), (at[2.0] - at[1.0]) / 2.0
+    end = begin + 0.5
+    assert abs(at[end]) == pytest.approx(1.0, abs=1e-12)
+    assert abs(at[end + 1.0] - at[end]) == pytest.approx(2.0, abs=1e-12)
+    return at[end] / abs(at[end]), (at[end + 1.0] - at[end]) / 2.0
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
 def test_an_order_inside_a_step_and_the_next_step_lead_to_the_same_point_of_meeting(order):
-    """Ordered at 0.5 s the gap is (3, 0.5), across it w = 3 / |gap|: from then on one course, to the point of meeting.
+    """Ordered at 1.5 s the gap is (3, 1.5), across it w = 3 / |gap|: from then on one course, to the point of meeting.
 
-    Pure pursuit heads for (3, 1) or (3, 0.5) first, and anew at 1 s.
+    Pure pursuit heads first for where the evader is at 2 s or was at 1 s, (3, 2) or (3, 1), and anew at 2 s.
     """
-    gap = 3.0 + 0.5j
+    gap = 3.0 + 1.5j
     across = 3.0 / abs(gap)
     expected = gap / abs(gap) * (np.sqrt(4.0 - across**2) + 1j * across) / 2.0
     assert headings(ConstantBearing(), order) == pytest.approx((expected, expected), abs=1e-12)
-    aim = 3.0 + (1.0j if order == "evader_first" else 0.5j)
+    aim = 3.0 + (2.0j if order == "evader_first" else 1.0j)
     begun, gone_on = headings(PurePursuit(), order)
     assert begun == pytest.approx(aim / abs(aim), abs=1e-12)
-    rest = (3.0 + (2.0j if order == "evader_first" else 1.0j)) - begun
+    rest = (3.0 + (3.0j if order == "evader_first" else 2.0j)) - begun
     assert gone_on == pytest.approx(rest / abs(rest), abs=1e-12)
     assert abs(begun - expected) > 0.01
 
 
+def test_who_moves_at_the_same_time_as_the_evader_has_not_seen_it_turn_before_the_step_ends():
+    """Ordered at 0.5 s it sees what was to be seen at 0 s, an evader at rest at (3, 0); at 1 s one at (3, 1), rising.
+
+    From (1, 0) the gap is (2, 1) then, and across it the evader moves at 2 / |gap|.
+    """
+    begun, gone_on = headings(ConstantBearing(), "simultaneous", begin=0.5)
+    assert begun == pytest.approx(1.0, abs=1e-12)
+    gap = 2.0 + 1.0j
+    across = 2.0 / abs(gap)
+    expected = gap / abs(gap) * (np.sqrt(4.0 - across**2) + 1j * across) / 2.0
+    assert gone_on == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("begin", [0.1, 1.3])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
 @pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing(), lambda gaps, aims, w, v: toward(gaps + w, v)])
-def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order):
-    """Pursuer 0 tells its state at any time inside a step, word takes 0.33 s; pursuer 1 knows where it is, to 1e-9 m.
+def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
+    """Pursuer 0 begins inside a step and tells its state then and later, word takes 0.33 s: pursuer 1 is 1e-9 m off.
 
-    The evader turns at every step. A law of one's own needs a step that is done when word is sent, for the course of a
-    step is not known from a place inside it.
+    The evader turns at every step. Under a law of one's own it tells later on only as a step begins, for the course of
+    a step is not known from a place inside it.
     """
     step, errors = 0.25, []
-    tell = [0.1, 0.75, 1.3, 1.97] if isinstance(law, PurePursuit | ConstantBearing) else [0.0, 0.75, 1.25, 2.0]
+    known = isinstance(law, PurePursuit | ConstantBearing)
+    tell = [begin, *(t if known else step * np.ceil(t / step) for t in (begin + 0.67, begin + 1.14))]
+    look = np.arange(begin + 0.35, begin + 1.65, 0.11)
 
     def protocol(me):
-        for t in tell if me.id == 0 else np.arange(0.5, 3.0, 0.11):
+        for t in tell if me.id == 0 else look:
             yield me.at(t)
             if me.id == 0:
                 me.assign(True)
@@ -293,7 +312,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order):
 
     scenario = still(
         horizon=3.0,
-        team=Team(positions=[(0.0, 0.0), (-9.0, 0.0)], speeds=1.0, active_at_start=1.0, guidance=law),
+        team=Team(positions=[(0.0, 0.0), (-9.0, 0.0)], speeds=1.0, active_at_start=0.0, guidance=law),
         evader=Evader(position=(4.0, 1.0), speed=0.9, strategy=turning),
         motion=Motion(step=step, order=order),
         protocol=protocol,
@@ -302,8 +321,24 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order):
     )
     result = run(scenario)
     assert result.trace.of(Ended)[0].reason == "horizon"
-    assert len(errors) == 23
+    assert result.trace.of(Started)[0].active == (False, False)
+    assert len(errors) == len(look)
     assert max(errors) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("payload", "reckoning", "steps"), [("action", "exact", 0), ("state", "cheap", 0), ("state", "exact", 3)]
+)
+def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payload, reckoning, steps):
+    """Steps begin at 0, 1 and 2 s of 2.5 s."""
+    remembered = []
+
+    def protocol(me):
+        yield me.at(2.4)
+        remembered.append(len(me._world._seen._sights))
+
+    run(still(protocol=protocol, announce=Announcements(payload=payload, reckoning=reckoning)))
+    assert remembered == [steps, steps]
 
 
 def test_no_law_of_guidance_leads_faster_than_a_pursuer_can():

@@ -166,10 +166,14 @@ def settling_window(result: Result) -> float:
     """Return the time after which a profile would have changed if it were going to, W = 2 (L + N delta), s.
 
     L is the mean latency of the scenario's links, with the airtime of a message, but without what waits; N delta the
-    mean time between two decisions of one pursuer in this run. inf if nobody decided.
+    time between two decisions of one pursuer: the `slot` or `period` of its protocol or, of one with a schedule, the
+    mean in this run. inf if nobody decided.
     """
-    size, number = len(started(result).active), len(decisions(result))
-    between = size * seconds(ended(result).t) / number if number else np.inf
+    protocol = result.scenario.protocol
+    between = getattr(protocol, "slot", getattr(protocol, "period", None))
+    if between is None:
+        size, number = len(started(result).active), len(decisions(result))
+        between = size * seconds(ended(result).t) / number if number else np.inf
     return 2.0 * (_latency(result) + between)
 
 

@@ -1,7 +1,8 @@
 """Metrics: functions from the result of a run to a number, computed from its trace alone; and the summary of them all.
 
 A metric is a function in one of the modules imported here and an entry in `Summary`: its name, the function, its
-unit and what the table of a run says beside it. Tables, JSON and batches follow from the entry.
+unit and what the table of a run says beside it. Tables, JSON and batches follow from the entry. `network_regret` alone
+has none: it compares with another run, which it runs.
 """
 
 from collections.abc import Callable, Mapping

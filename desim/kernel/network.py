@@ -158,11 +158,15 @@ class Network:
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
 
+    def audible(self, node: int) -> list[int]:
+        """Return the nodes that `node` hears now, ascending; on an undirected graph its neighbours."""
+        return self.topology.audible(node)
+
     def component(self, node: int) -> set[int]:
-        """Return the nodes that hear `node` now over any number of hops, itself included; O(nodes + links)."""
+        """Return the nodes that `node` hears now over any number of hops, itself included; O(nodes + links)."""
         reached, ahead = {node}, [node]
         while ahead:
-            new = set(self.neighbours(ahead.pop())) - reached
+            new = set(self.audible(ahead.pop())) - reached
             reached |= new
             ahead += new
         return reached

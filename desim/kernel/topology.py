@@ -52,6 +52,7 @@ class Topology:
             raise ValueError(f"a range of {range} m needs positions")
         self._lists = [sorted(graph.adj[node]) for node in nodes.tolist()]
         self._linked: list[Nodes] = [np.array(each, dtype=np.intp) for each in self._lists]
+        self._directed = graph.is_directed()
         self._range, self._reach = range, reach or Disk()
         self._positions = positions if range < inf else None
         self._certain = isinstance(self._reach, Disk)
@@ -81,6 +82,13 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         linked = self._linked[node]
         return linked if self._positions is None else linked[self._received(node, linked)]
+
+    def audible(self, node: int) -> list[int]:
+        """Return the nodes that `node` hears now, ascending; see `neighbours`."""
+        if not self._directed:
+            found: list[int] = self.neighbours(node).tolist()  # reach is the same both ways
+            return found
+        return [other for other in range(self.size) if node in self.neighbours(other)]
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""

@@ -175,11 +175,6 @@ class Agent:
         """Whether it senses where its teammates are, so that they need not say it."""
         return self._beliefs.senses_others
 
-    @property
-    def heartbeat(self) -> float:
-        """Time between two heartbeats, s; inf without."""
-        return self._announcements.heartbeat if self._announcements.beats else inf
-
     def gain(self, utility: Utility = PAPER) -> float:
         """Return what it gains by being active, given whom it believes active, s; see `desim.pursuit.game.gain`."""
         believed = self.believed()
@@ -190,7 +185,7 @@ class Agent:
         return utility(self.capture_time(), others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
-        """Return who hears it now, or who hears a teammate, from sensed positions and the known range."""
+        """Return who hears it now, or who hears a teammate, as its radio would find out."""
         return self._network.neighbours(self.id if of is None else of)
 
     @property
@@ -199,11 +194,13 @@ class Agent:
         return self._network.mean_degree
 
     def circle(self, scope: Scope) -> Collection[int]:
-        """Return the teammates whose actions count, from sensed positions and the known range."""
-        if scope == "neighbours":
-            return self.neighbours()
-        everyone = range(self.team_size)
-        return everyone if scope == "heard" else self._network.component(self.id)
+        """Return the teammates whose actions count: all that it hears of, or those it hears at one hop, or at several.
+
+        Who is near is known if positions are sensed; if not, all those count of whom it has word.
+        """
+        if scope == "heard" or not self.senses_others:
+            return range(self.team_size)
+        return self._network.audible(self.id) if scope == "neighbours" else self._network.component(self.id)
 
     @property
     def latency(self) -> float:

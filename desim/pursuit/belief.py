@@ -20,7 +20,7 @@ class Belief(NamedTuple):
 
     active: bool
     capture_time: float
-    """s"""
+    """s; nan if it has not told it."""
 
 
 class Whereabouts(NamedTuple):
@@ -29,7 +29,7 @@ class Whereabouts(NamedTuple):
     ids: list[int]
     """(n,) who they are, ascending; itself among them."""
     places: Points
-    """(n,) m; nan for who has told its time of capture only."""
+    """(n,) m; nan for who has not told it."""
     speeds: Floats
     """(n,) m/s"""
     capture_times: Floats
@@ -127,21 +127,19 @@ class Beliefs:
         return limit if limit == inf else self._clock.span(limit)
 
     def _time(self, record: Record) -> float:
-        """Return the time of capture of a teammate, from its record as far as that tells it, s."""
+        """Return the time of capture of a teammate, from its record, s; nan if neither that tells it nor a sense."""
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time
         if not isinstance(body, LocatedAssignment):
-            return self._world.capture_times()[record.src]
+            return self._world.capture_times()[record.src] if self.senses_others else nan
         return self._world.capture_time_from(record.src, self._place(record))
 
     def _place(self, record: Record) -> complex:
-        """Return the position of a teammate, from its record as far as that tells it, m."""
+        """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense."""
         body = record.body
-        if isinstance(body, TimedAssignment):
-            return complex(nan, nan)
         if not isinstance(body, LocatedAssignment):
-            return self._world.place(record.src)
+            return self._world.place(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
         if not body.active:
             return place

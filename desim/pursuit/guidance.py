@@ -18,9 +18,9 @@ class Guidance(Protocol):
     """A law of guidance: `guidance(gaps, aims, flight, speeds)` is the (N,) velocities, m/s, none above its speed.
 
     Args:
-        gaps: (N,) from each pursuer to the evader, m.
-        aims: (N,) from each pursuer to where the evader will be at the end of the motion step, or again to where it is
-            (`motion.order`), m.
+        gaps: (N,) from each pursuer to the evader as it is seen, m: since the motion step began it moves at `flight`.
+        aims: (N,) from each pursuer to where the evader will be at the end of the motion step if it moves first, else
+            to where it was at its beginning (`motion.order`), m.
         flight: velocity of the evader as it is seen: that of the present step if the evader moves first, else that of
             the step before, m/s.
         speeds: (N,) m/s, 0 for who stays.

@@ -135,7 +135,7 @@ class EdgePenalty(Value):
         return reward - own - self.factor * reward * sum(chances)
 
 
-UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scope",))
+UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scope",), takes=("own", "others", "reward"))
 
 
 @lru_cache(maxsize=256)

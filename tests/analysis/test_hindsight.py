@@ -31,8 +31,11 @@ from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
 from desim.pursuit.game import potential, relay_profile, wonderful_life_utility
 from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Team
 from desim.simulation import Result, run
+from protocols.centralised import Centralised
+from protocols.geometric import Voronoi
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
+from protocols.server import Server
 
 pytestmark = pytest.mark.own_trace
 METRICS = (misassigned_time, time_to_relay, potential_gap, regret)
@@ -152,6 +155,16 @@ def test_the_window_is_twice_the_latency_and_the_mean_time_between_decisions_of_
     assert window(medium=Bitrate(bitrate=192.0)) == 9.0 + 2 * 48 * 8 / 192.0
     # Pursuers at 1.5, 2.5 and 4.5 m are 1, 2 and 3 m apart.
     assert window(latency=Propagation(speed=4.0)) == pytest.approx(9.0 + 2 * 2.0 / 4.0)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "between"), [(Centralised(slot=0.5), 0.5), (Server(period=0.25), 0.25), (Voronoi(slot=0.125), 0.125)]
+)
+def test_the_window_of_who_decides_at_ticks_is_that_of_its_ticks(protocol, between):
+    """What they decide is on record only if it changes an action."""
+    result = by_hand(*GAME)
+    scenario = result.scenario.model_copy(update={"protocol": protocol})
+    assert settling_window(Result(scenario, 0, result.trace)) == 2 * between
 
 
 def test_the_window_of_a_big_team_is_that_of_its_first_links_if_all_are_alike():

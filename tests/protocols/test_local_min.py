@@ -213,8 +213,8 @@ class Puppet:
     def time_left(self):
         return 10.0
 
-    def neighbours(self):
-        return list(self.near)
+    def circle(self, scope):
+        return {"neighbours": self.near}[scope]
 
     def believed(self):
         return {j: phi for j, (active, phi) in self.known.items() if active}

@@ -200,9 +200,11 @@ def test_a_pursuer_that_never_changes_is_refused(rule, bad):
 
 
 def test_jsfp_averages_what_the_actions_were_worth():
-    """rho = 0: mean gains 1, (1 - 4)/2, (1 - 4 + 3.5)/3 = 1/6, and (0.5 - 0.5)/4 = 0, which is a tie: it stays."""
+    """rho = 0: mean gains 1, (1 - 4)/2, (1 - 4 + 3.5)/3 = 1/6, (0.5 - 1)/4; and 1, (1 - 1)/2: a tie is no change."""
     rule = JointStrategyFictitiousPlay(alpha=1.0, rho=0.0)
-    assert play(rule, Puppet([0.5] * 4), [1.0, -4.0, 3.5, -0.5]) == [1, 0, 1, 0]
+    assert play(rule, Puppet([0.5] * 4), [1.0, -4.0, 3.5, -1.0]) == [1, 0, 1, 0]
+    assert play(rule, Puppet([0.5] * 2), [1.0, -1.0]) == [1, 1]
+    assert play(rule, Puppet([0.5]), [0.0]) == [0]
 
 
 def test_jsfp_forgets():

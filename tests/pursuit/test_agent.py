@@ -1,16 +1,24 @@
 """The agent: what a protocol may know and do."""
 
+from typing import NamedTuple
+
+import networkx as nx
+import numpy as np
 import pytest
 
 from desim import Scenario, run
 from desim.kernel.events import Broadcast
+from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
+from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Recording, Team
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.best_response import BestResponse
+from protocols.schedules import Poisson
 
 
 def play(protocol, latency=0.0, **changes):
@@ -225,3 +233,62 @@ def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, kno
     assert found.speeds.tolist() == [1.0] * len(known)
     if payload != "time":
         assert found.places == pytest.approx([(1.0, 2.0, 4.0)[j] for j in known])
+
+
+@pytest.mark.parametrize(
+    ("payload", "neighbours", "component"),
+    [("action", [0], {0, 1}), ("time", [0, 1, 2], {0, 1, 2}), ("state", [0, 1, 2], {0, 1, 2})],
+)
+def test_whose_actions_count_is_who_can_be_heard_or_if_nobody_is_seen_whoever_is(payload, neighbours, component):
+    """One way from 0 to 1, and from 1 to 2: 1 hears 0, and nobody hears 2."""
+    seen = []
+
+    def protocol(me):
+        yield me.at(0.5)
+        seen.append((sorted(me.circle("neighbours")), set(me.circle("component")), list(me.circle("heard"))))
+        seen.append(me.neighbours())
+
+    links = Links(graph=Edges.of(nx.DiGraph([(0, 1), (1, 2)])))
+    play(protocol, announce=Announcements(payload=payload), network=links)
+    assert seen[2] == (neighbours, component, [0, 1, 2])
+    assert seen[3] == [2]
+
+
+@pytest.mark.parametrize("utility", [LocalMean(), EdgePenalty(), Mean()], ids=repr)
+def test_who_hears_a_faster_one_that_does_not_hear_it_leaves_the_chase_to_that_one(utility):
+    scenario = Scenario(
+        horizon=5.0,
+        team=Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=1.0),
+        evader=Evader(position=(0.0, 0.0), speed=0.0),
+        motion=Motion(frozen=True),
+        protocol=BestResponse(schedule=Poisson(rate=10.0), utility=utility),
+        network=Links(graph=Edges.of(nx.DiGraph([(0, 1)]))),
+    )
+    last = {event.pursuer: event.active for event in run(scenario, 0).trace.of(Decided)}
+    assert last == {0: True, 1: False}
+
+
+def test_of_a_claim_nobody_learns_where_its_speaker_is():
+    """Unless positions are sensed."""
+
+    class Claim(NamedTuple):
+        active: bool
+        news: int = 0
+
+    for payload in ("action", "time", "state"):
+        seen = []
+
+        def protocol(me, seen=seen):
+            me.claim(Claim(True))
+            me.tell()
+            yield me.at(0.5)
+            seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.whereabouts().places[(me.id + 1) % 3]))
+
+        play(protocol, announce=Announcements(payload=payload, warm_start=False))
+        times, places = zip(*seen, strict=True)
+        if payload == "action":
+            assert times == pytest.approx([1.9, 3.9, 0.9])
+            assert places == pytest.approx([2.0, 4.0, 1.0])
+        else:
+            assert np.isnan(times).all()
+            assert np.isnan(places).all()

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim import load, run, summary
+from desim.analysis.metrics import network_regret
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
 from desim.scenario import PROTOCOLS
@@ -173,6 +174,9 @@ def test_all_rivals_are_compared_in_the_same_runs(few):
         rate = cells[protocol, latency]["transmissions"]
         assert rate == pytest.approx(rivals.N / rivals.PERIOD, rel=0.1) if protocol in speaking else rate == 0.0
     assert cells["centralised", 0.0]["active_time"] < cells["sap", 0.0]["active_time"]
+    regrets = [network_regret(run(rivals.scenario("paper", "sap", 0.2), seed)) for seed in (0, 1)]
+    assert cells["sap", 0.2]["network_regret"] == pytest.approx(np.mean(regrets))
+    assert all(cell["saved_per_kilobyte"] is None for cell in cells.values() if cell["protocol"] == rivals.SILENT)
     text = (few / "rivals.txt").read_text()
     assert text.count("\ncbba ") == 3
     assert "one-way latency L (s)" in (few / "rivals.svg").read_text()
@@ -183,9 +187,13 @@ def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds(
 
     def runs(*times):
         base = summary(run(rivals.scenario("paper", "cbaa", 0.0).model_copy(update={"horizon": 0.1})))
-        return [replace(base, active_time=t, transmissions=20, bytes_sent=1000, end_time=4.0) for t in times]
+        sent = {"transmissions": 20, "bytes_sent": 1000, "end_time": 4.0}
+        return [(replace(base, active_time=t, potential_gap=2 * t, **sent), t if t < 5.0 else None) for t in times]
 
-    cell = rivals.cell(("paper", "cbaa", 0.0), runs(4.0, 6.0), runs(3.0, 3.0), runs(10.0, 20.0))
+    others = {"reference": runs(3.0, 3.0), "silent": runs(10.0, 20.0), "prompt": runs(2.0, 2.0)}
+    cell = rivals.cell(("paper", "cbaa", 0.2), runs(4.0, 6.0), **others)
+    assert (cell.relayed, cell.time_to_relay) == (0.5, 4.0)
+    assert cell.network_regret == (8.0 + 12.0 - 2 * 4.0) / 2
     assert (cell.active_time, cell.difference) == (5.0, 2.0)
     assert cell.saved_per_transmission == pytest.approx(20.0 / 40)
     assert cell.saved_per_kilobyte == pytest.approx(20.0 / 2)
