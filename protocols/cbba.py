@@ -10,7 +10,7 @@ Assumes: a connected graph, or there is a winner in each component; and word tha
     revision. Else the winner seems to have fallen silent, and in the end everybody gives everybody up, and chases.
     Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
     differ by less than word is old, in s, may both chase to the end (`cbaa` has figures, which are the same here; with
-    positions sensed 0.9 s on the mean and 2.5 s at worst).
+    positions sensed 0.9 s on the mean and 2.4 s at worst).
 Messages: announcements of 40 bytes and 8 for each pursuer; news is a new winner.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over as soon as patience ends.
 """

@@ -197,31 +197,15 @@ def reckonings(order, step, seed, reckoning="exact"):
 
 
 @pytest.mark.parametrize("step", [0.01, 0.07, 0.5])
-def test_exact_reckoning_is_where_a_chasing_teammate_is(step):
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_exact_reckoning_is_where_a_chasing_teammate_is(order, step):
     """Orders inside steps, ages of many steps: to 1e-9 m. The control: straight towards the evader it is not."""
-    rows = np.vstack([reckonings("evader_first", step, seed) for seed in range(2)])
+    rows = np.vstack([reckonings(order, step, seed) for seed in range(2)])
     assert len(rows) > 100
     assert rows[:, 1].max() > 2.0
     assert rows[:, 3].sum() > 10
     assert rows[:, 0].max() < 1e-9
-    assert reckonings("evader_first", step, 0, "cheap")[:, 0].max() > 0.01
-
-
-@pytest.mark.parametrize("step", [0.01, 0.07, 0.2])
-def test_exact_reckoning_of_simultaneous_motion_is_off_by_what_an_order_inside_a_step_turns(step):
-    """Who begins s after the begin of a step heads for where the evader is by then, not for where it was at first.
-
-    The two headings differ by v_e s / d at most, for the h - s that are left: v v_e h^2 / 4 d, and later the distance
-    d and the difference only shrink. Who began on the boundary of a step, or spoke later than in the step inside which
-    it began, is where it is reckoned to be, to 1e-9 m.
-    """
-    rows = np.vstack([reckonings("simultaneous", step, seed) for seed in range(4)])
-    error, _, distance, inside = rows.T
-    assert len(rows) > 100
-    assert (inside == 0).sum() > 50
-    assert error[inside == 0].max() < 1e-9
-    assert (error <= 2.0 * 0.9 * step**2 / (4 * distance) + 1e-9).all()
-    assert error.max() > 0.001 * step**2
+    assert reckonings(order, step, 0, "cheap")[:, 0].max() > 0.01
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
