@@ -140,7 +140,8 @@ class Motion(Value):
     step: Period = 0.01
     """Time h between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
-    """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it is."""
+    """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it was
+    at its beginning."""
     frozen: Truth = False
     """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
 
