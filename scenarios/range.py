@@ -41,12 +41,14 @@ if TYPE_CHECKING:
 
 N = 10
 TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})
-RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0)
+RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """R, m."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-GAMES_PER_RUN = 10
+GAMES_PER_RUN = 20
 """How many games of t = 0 are enumerated for each run."""
 CLOCKS = Poisson(rate=10.0)
+HEARTBEAT = 0.3
+"""s"""
 PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
     {
         "component": (SpatialAdaptivePlay(schedule=CLOCKS, utility=Component()), Flooding(hops=N)),
@@ -94,11 +96,12 @@ class Pursuits:
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
     """Return the scenario of the paper with a team that hears each other up to a range (m)."""
     chosen, spread = PROTOCOLS[protocol]
+    said = {} if spread is None else {"spread": spread}
     return Scenario(
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],
         protocol=chosen,
-        announce=Announcements() if spread is None else Announcements(spread=spread),
+        announce=Announcements(heartbeat=HEARTBEAT, **said),
         network=Links(range=range, latency=Constant(value=0.005)),
     )
 
@@ -217,7 +220,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     counts.legend(fontsize=7, loc="upper right")
 
 
-@study("range", __doc__, runs=40)
+@study("range", __doc__, runs=20)
 def main(options: Options) -> None:
     """Measure, enumerate, show."""
     pursuits = measure(options)
