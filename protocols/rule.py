@@ -2,8 +2,8 @@
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator: each `next` is a turn, what it yields is the
 action (0: stay, 1: chase), and its local variables are what the pursuer remembers. Who has no choice but to stay is not
-asked. A `LearningRule` chooses by what
-the actions are worth to it, and so has a utility, too. Any rule runs under any schedule, network and dissemination.
+asked. A `LearningRule` chooses by what the actions are worth to it, and so has a utility, too. Any rule runs under any
+schedule, network and dissemination.
 """
 
 from collections.abc import Iterator
