@@ -58,16 +58,17 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(table, path):
     Just past the first fault, if there is one. That no message goes astray is watched in every test.
     """
     scenario = load(path, [f"protocol={table}", "record.messages=true"])
-    until = first_fault(scenario) + 0.15
+    until = first_fault(scenario) + 0.1
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
     before = np.random.get_state()[1].tolist(), random.getstate()  # noqa: NPY002
-    first, other, again = (lines(scenario, seed, until) for seed in (3, 4, 3))
+    first, other, again = lines(scenario, 3, until), lines(scenario, 4, 0.1), lines(scenario, 3, until)
+    first_part = first if until == 0.1 else lines(scenario, 3, 0.1)
     assert first == again
     if (
         "schedule" in type(scenario.protocol).model_fields or scenario.team.positions is None
     ):  # else nothing is by chance
-        assert first != other
+        assert first_part != other
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
 
 
@@ -121,8 +122,8 @@ def outcome(result):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_on_the_complete_ideal_network_every_protocol_ends_in_the_relay_profile(kind):
-    """30 random games each, 10 of rules that average, the undecided left out; the centralised one ends in the same."""
-    kept, cases = 0, 10 if kind in AVERAGING else 30
+    """12 random games each, 5 of rules that average, the undecided left out; the centralised one ends in the same."""
+    kept, cases = 0, 5 if kind in AVERAGING else 12
     for seed in range(cases):
         case = settled(kind, seed)
         profile, phi = outcome(run(case))
@@ -135,8 +136,8 @@ def test_on_the_complete_ideal_network_every_protocol_ends_in_the_relay_profile(
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ONE_LEADER])
 def test_in_each_part_of_a_team_that_is_cut_in_two_one_pursuer_chases(kind):
-    """20 random games each, 6 of rules that average: the least phi of each part that would be in time."""
-    for seed in range(6 if kind in AVERAGING else 20):
+    """8 random games each, 4 of rules that average: the least phi of each part that would be in time."""
+    for seed in range(4 if kind in AVERAGING else 8):
         whole = settled(kind, seed)
         size = whole.team.count
         group = tuple(np.flatnonzero(np.random.default_rng(seed).random(size) < 0.5).tolist()) or (0,)
