@@ -182,7 +182,7 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
             draw_pursuits(grid[0, column], [each for each in pursuits if each.team == team])
             draw_games(grid[1, column], [each for each in static if each.team == team])
             grid[0, column].set_title(team, fontsize=9)
-        grid[0, 0].legend(fontsize=8)
+        grid[0, -1].legend(fontsize=8)
         grid[0, 0].set_ylabel("sum of active times (s)")
         grid[1, 0].set_ylabel("games of neighbours\nwithout equilibrium (%)", color=plots.SERIES[1])
         for axes in grid[1]:
@@ -211,13 +211,14 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
     axes.fill_between(RANGES, share[:, 1], share[:, 2], color=plots.SERIES[1], alpha=0.25, lw=0)
     axes.plot(RANGES, share[:, 0], color=plots.SERIES[1], marker="o", ms=3, lw=1.2)
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 60)
     counts = axes.twinx()
     counts.spines["right"].set_visible(True)
     for name, style, label in (("components", "--", "components"), ("independent", ":", "greedy independent set")):
         counts.plot(RANGES, [getattr(each, name) for each in static], style, color=plots.GREY, label=label)
     counts.set(ylabel="number", ylim=(0, N))
-    counts.legend(fontsize=7, loc="upper right")
+    if static[0].team == next(iter(TEAMS)):
+        counts.legend(fontsize=7, loc="upper right")
 
 
 @study("range", __doc__, runs=20)
