@@ -3,7 +3,6 @@
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -13,34 +12,10 @@ from pydantic import BaseModel, Discriminator, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from desim.kernel.presets import PRESETS
 from desim.scenario import Scenario
+from desim.source import ScenarioError, Source, holds
 from desim.toml_lines import Place, key_lines
 from desim.value import OneOf, choices_of, markers_of, models_in
-
-
-class ScenarioError(ValueError):
-    """A scenario is not valid; the text has one line per fault."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """A scenario as it was written: its tables, and where each key came from."""
-
-    name: str
-    tables: dict[str, Any]
-    lines: dict[Place, int]
-    overrides: dict[Place, str] = field(default_factory=dict)
-
-    def where(self, place: Place) -> str:
-        """Return where a key was set: `file:line`, or the override that set it."""
-        within = [place[:end] for end in range(len(place), 0, -1)]
-        set_by = [text for key, text in self.overrides.items() if key in within]
-        if not set_by and place not in self.lines:  # an override may have made the table
-            set_by = [text for key, text in self.overrides.items() if key[: len(place)] == place]
-        if set_by:
-            return f"--set {set_by[-1]}"
-        return f"{self.name}:{next((self.lines[each] for each in within if each in self.lines), 1)}"
 
 
 def load(file: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -66,7 +41,7 @@ def read(file: str | Path, overrides: Sequence[str] = ()) -> Source:
         raise ScenarioError(_syntax_fault(file, str(error), text)) from error
     source = Source(str(file), tables, key_lines(text))
     for override in overrides:
-        _apply(override, source)
+        source.override(override)
     return source
 
 
@@ -82,68 +57,6 @@ def validate(source: Source) -> Scenario:
 def dump(scenario: Scenario) -> str:
     """Return a scenario as TOML with every default filled in."""
     return tomli_w.dumps(scenario.model_dump(exclude_none=True))
-
-
-def _apply(override: str, source: Source) -> None:
-    """Set one key of a source to another value; tables that are not there begin with the kind they have by default."""
-    name, equals, text = override.partition("=")
-    place: Place = ()
-    node: Any = source.tables
-    default: Any = _defaults(source.tables)
-    *parents, last = name.strip().split(".")
-    if not equals or not all((*parents, last)):
-        raise ScenarioError(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
-    for part in parents:
-        key = _key(part, node)
-        default = default.get(key) if isinstance(default, dict) else None
-        if isinstance(node, dict) and key not in node:
-            node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
-        node = node[key] if _holds(node, key) else None
-        place += (key,)
-    key = _key(last, node)
-    if not isinstance(node, dict) and not _holds(node, key):
-        raise ScenarioError(f"--set {override}: {name} is not a key of a table")
-    try:
-        node[key] = _parsed(text.strip())
-    except ScenarioError as error:
-        raise ScenarioError(f"--set {override}: {error}") from error
-    source.overrides.pop((*place, key), None)  # the last one counts
-    source.overrides[*place, key] = override
-
-
-def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return what holds where tables say nothing: the default scenario, with the network's preset if it has one."""
-    default = Scenario().model_dump()
-    network = tables.get("network")
-    preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
-    return default if preset is None else default | {"network": default["network"] | preset}
-
-
-def _key(part: str, node: Any) -> str | int:
-    """Return a part of a dotted name as the key of a table or the position in a list."""
-    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
-
-
-def _holds(node: Any, key: Any) -> bool:
-    """Return whether a table has a key, or a list a position."""
-    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
-
-
-def _parsed(text: str) -> Any:
-    """Return a TOML value; text that does not begin like one is a string.
-
-    Raises:
-        ScenarioError: if it begins like a TOML value and is none, or is more than one.
-    """
-    try:
-        tables = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError as error:
-        if text.startswith(('"', "'", "[", "{")):
-            raise ScenarioError(f"{text!r} is not a TOML value") from error
-        return text
-    if len(tables) > 1:
-        raise ScenarioError(f"{text!r} is more than one value")
-    return tables["value"]
 
 
 def _text(file: Path) -> str:
@@ -201,7 +114,7 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
     while path:
         part = path.pop(0)
         place += (part,)
-        node = node[part] if _holds(node, part) else None
+        node = node[part] if holds(node, part) else None
         if isinstance(part, str):
             owner, info = inner, inner.model_fields.get(part) if inner else None
         inner = _model_of(info, node) if info else None

@@ -68,7 +68,8 @@ ALLOWED = {
     "desim.assumptions": {"desim.kernel", "desim.scenario"},
     "desim.warnings": {"desim.assumptions", "desim.kernel", "desim.scenario"},
     "desim.toml_lines": set(),
-    "desim.scenario_file": {"desim.kernel.presets", "desim.scenario", "desim.toml_lines", "desim.value"},
+    "desim.source": {"desim.kernel.presets", "desim.scenario", "desim.toml_lines", "desim.value"},
+    "desim.scenario_file": {"desim.scenario", "desim.source", "desim.toml_lines", "desim.value"},
     "desim.world": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.value"},
     "desim.simulation": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.world"},
     "desim.analysis": {

@@ -16,7 +16,8 @@ from desim.kernel.latency import Constant as ConstantLatency
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Speeds, Team
-from desim.scenario_file import ScenarioError, Source, dump, load, read, validate
+from desim.scenario_file import dump, load, read, validate
+from desim.source import ScenarioError, Source
 from desim.toml_lines import key_lines
 from desim.warnings import warnings
 from protocols.centralised import Centralised

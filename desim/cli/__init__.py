@@ -1,0 +1,29 @@
+"""The command line. Whatever takes time to import is imported by the command that needs it."""
+
+import click
+
+from desim.cli.about import check, keys, protocols, schema
+from desim.cli.one import run
+from desim.cli.options import INTERRUPTED
+
+
+class Commands(click.Group):
+    """Commands that end with 130 when they are interrupted, as a shell expects."""
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            ctx.exit(INTERRUPTED)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="pursuit-desim")
+def main() -> None:
+    """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
+
+
+for command in (run, check, keys, protocols, schema):
+    main.add_command(command)

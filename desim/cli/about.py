@@ -1,0 +1,62 @@
+"""What there is to know without a run: `desim check`, `schema`, `keys`, `protocols`."""
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from desim.cli.options import FILE, SET, refuse, scenario_of
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+
+@click.command()
+@FILE
+@SET
+def check(file: Path, overrides: tuple[str, ...]) -> None:
+    """Validate a scenario and print it with every default filled in."""
+    from desim.scenario_file import dump
+
+    click.echo(dump(scenario_of(file, overrides)), nl=False)
+
+
+@click.command()
+def schema() -> None:
+    """Print the JSON schema of scenario files, for editors."""
+    from desim.scenario import Scenario
+
+    document = json.dumps(Scenario.model_json_schema())
+    strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
+    click.echo(json.dumps(strict, indent=2))
+
+
+@click.command()
+@click.argument("table", required=False)
+def keys(table: str | None) -> None:
+    """List the keys of scenario files with defaults, units and kinds: all, or those of a TABLE like network."""
+    from desim.scenario import Scenario
+    from desim.value import described
+
+    lines = list(described(Scenario, "scenario"))
+    tops = [k for k, line in enumerate(lines) if re.match(r" {4}\w", line)]
+    if table is not None:
+        names = [re.split(r"\W", lines[k].strip())[0] for k in tops]
+        if table not in names:
+            refuse(f"there is no table {table!r}; allowed: {', '.join(names)}")
+        first = tops[names.index(table)]
+        lines = lines[first : next((k for k in tops if k > first), len(lines))]
+    click.echo("\n".join(lines))
+
+
+@click.command()
+def protocols() -> None:
+    """List the installed protocols and their parameters."""
+    from desim.scenario import PROTOCOLS
+    from desim.value import described
+
+    known: set[type[BaseModel]] = set()  # what several may hold is described once
+    for kind, protocol in PROTOCOLS.choices().items():
+        click.echo("\n".join(described(protocol, kind, known=known)) + "\n")

@@ -1,0 +1,72 @@
+"""What the commands share: their options, their scenario, and how they refuse what is wrong."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+if TYPE_CHECKING:
+    from desim.scenario import Scenario
+    from desim.source import Source
+
+FAILED = 3
+"""Exit code of many runs of which some failed."""
+WRONG_INPUT = 2
+"""Exit code of a bad file or option."""
+INTERRUPTED = 130
+"""Exit code of Ctrl-C."""
+
+FILE = click.argument("file", type=click.Path(path_type=Path))
+SET = click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key, e.g. network.latency.value=0.05."
+)
+SEED = click.option(
+    "-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's."
+)
+JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
+
+
+def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
+    """Return what a file says and its scenario, warn of what is hardly meant, and end the program if it is wrong."""
+    from desim.scenario_file import read, validate
+    from desim.source import ScenarioError
+    from desim.warnings import warnings
+
+    try:
+        source = read(file, overrides)
+        scenario = validate(source)
+    except ScenarioError as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"{file}: cannot be read: {error.strerror}")
+    for key, why in warnings(scenario):
+        place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+        click.echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
+    return source, scenario
+
+
+def scenario_of(file: Path, overrides: tuple[str, ...]) -> "Scenario":
+    """Return the scenario of a file; see `source_of`."""
+    return source_of(file, overrides)[1]
+
+
+def make_folder(folder: Path) -> None:
+    """Make the output folder, or end the program if it cannot be written."""
+    from desim.analysis.folder import can_plot
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        refuse(f"--out {folder}: cannot be written: {error.strerror}")
+    if not can_plot():
+        click.echo("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+
+
+def refuse(text: str) -> NoReturn:
+    """End the program: what it was given is wrong."""
+    click.echo(text, err=True)
+    sys.exit(WRONG_INPUT)

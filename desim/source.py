@@ -1,0 +1,176 @@
+"""What a scenario is validated from: its tables as they were given, and where each key was set."""
+
+import tomllib
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from desim.kernel.presets import PRESETS
+from desim.scenario import Scenario
+from desim.toml_lines import Place
+from desim.value import Value, choices_of
+
+
+class ScenarioError(ValueError):
+    """A scenario is not valid; the text has one line per fault."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scenario as it was given: its tables, and where each key came from."""
+
+    name: str
+    """The file, if it is one."""
+    tables: dict[str, Any]
+    lines: dict[Place, int] | None = None
+    """The line of each key; None if it was no text."""
+    origins: dict[Place, str] = field(default_factory=dict)
+    """What set a key after the tables were given, in the words of whoever did."""
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Return what a scenario of a script was constructed from."""
+        tables = _tables(scenario)
+        preset = scenario.network.preset
+        if preset is not None:  # what it stands for was not given, or another preset would not replace it
+            given, stands_for = scenario.network, type(scenario.network)(preset=preset)
+            for key in PRESETS[preset]:
+                if getattr(given, key) == getattr(stands_for, key):
+                    tables["network"].pop(key, None)
+        return cls("the scenario", tables)
+
+    def where(self, place: Place) -> str:
+        """Return where a key was set: `file:line`, or whatever set it since."""
+        lines = self.lines or {}
+        within = [place[:end] for end in range(len(place), 0, -1)]
+        set_by = [text for key, text in self.origins.items() if key in within]
+        if not set_by and place not in lines:  # an override may have made the table
+            set_by = [text for key, text in self.origins.items() if key[: len(place)] == place]
+        if set_by:
+            return set_by[-1]
+        if self.lines is None:
+            return self.name
+        return f"{self.name}:{next((lines[each] for each in within if each in lines), 1)}"
+
+    def copy(self) -> Self:
+        """Return one that can be set without a change of this one."""
+        return type(self)(self.name, _copied(self.tables), self.lines, dict(self.origins))
+
+    def override(self, text: str) -> None:
+        """Set a key to a value: "key.key=value", the value in TOML.
+
+        Raises:
+            ScenarioError: if the text is none of that kind, or the key none of a table.
+        """
+        origin = f"--set {text}"
+        name, equals, value = text.partition("=")
+        if not equals or not all(name.strip().split(".")):
+            raise ScenarioError(f"{origin}: should be KEY=VALUE, for instance network.latency.value=0.05")
+        try:
+            self.set(name.strip(), _parsed(value.strip()), origin)
+        except ScenarioError as error:
+            raise ScenarioError(f"{origin}: {error}") from error
+
+    def set(self, name: str, value: Any, origin: str) -> None:
+        """Set a key, its parts joined by dots; tables that are not there begin with the kind they have by default.
+
+        Raises:
+            ScenarioError: if it is not a key of a table.
+        """
+        place: Place = ()
+        node: Any = self.tables
+        default: Any = _defaults(self.tables)
+        *parents, last = parts = name.split(".")
+        for depth, part in enumerate(parents, start=1):
+            key = _key(part, node)
+            default = default.get(key) if isinstance(default, dict) else None
+            if isinstance(node, dict) and key not in node:
+                node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
+            if holds(node, key) and isinstance(node[key], Value):
+                node[key] = _replaced(node[key], parts[depth:], value)
+                self.origins[*place, key] = origin
+                return
+            node = node[key] if holds(node, key) else None
+            place += (key,)
+        key = _key(last, node)
+        if not isinstance(node, dict) and not holds(node, key):
+            raise ScenarioError(f"{name} is not a key of a table")
+        node[key] = value
+        self.origins.pop((*place, key), None)  # the last one counts
+        self.origins[*place, key] = origin
+
+
+def holds(node: Any, key: Any) -> bool:
+    """Return whether a table has a key, or a list a position."""
+    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
+
+
+def _tables(model: Value) -> dict[str, Any]:
+    """Return what a model was constructed from; a model of no installed kind stays as it is."""
+    fields = type(model).model_fields
+    return {
+        name: _table(getattr(model, name), fields[name])
+        for name in fields
+        if name in model.model_fields_set or name == "kind"
+    }
+
+
+def _table(value: Any, info: FieldInfo) -> Any:
+    """Return the value of a field as a table, if it is a model, or as a list, if it is several."""
+    if isinstance(value, tuple):
+        return [_table(each, info) for each in value]
+    choices = choices_of(info)
+    known = not choices or any(type(value) in choice.choices().values() for choice in choices)
+    return _tables(value) if isinstance(value, Value) and known else value
+
+
+def _replaced(model: Any, parts: list[str], value: Any) -> Any:
+    """Return a model with another value of a key, in it or in one that it holds."""
+    name, *rest = parts
+    if not isinstance(model, Value) or name not in type(model).model_fields:
+        raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
+    fields = {each: getattr(model, each) for each in model.model_fields_set}
+    fields[name] = _replaced(getattr(model, name), rest, value) if rest else value
+    try:
+        return type(model)(**fields)
+    except ValidationError as error:
+        raise ScenarioError("; ".join(f"{name}: {each['msg']}" for each in error.errors())) from error
+
+
+def _copied(tables: Any) -> Any:
+    """Return tables and lists that can be changed without a change of these; what they hold is shared."""
+    if isinstance(tables, dict):
+        return {key: _copied(each) for key, each in tables.items()}
+    return [_copied(each) for each in tables] if isinstance(tables, list) else tables
+
+
+def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
+    """Return what holds where tables say nothing: the default scenario, with the network's preset if it has one."""
+    default = Scenario().model_dump()
+    network = tables.get("network")
+    preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
+    return default if preset is None else default | {"network": default["network"] | preset}
+
+
+def _key(part: str, node: Any) -> str | int:
+    """Return a part of a dotted name as the key of a table or the position in a list."""
+    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
+
+
+def _parsed(text: str) -> Any:
+    """Return a TOML value; text that does not begin like one is a string.
+
+    Raises:
+        ScenarioError: if it begins like a TOML value and is none, or is more than one.
+    """
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError as error:
+        if text.startswith(('"', "'", "[", "{")):
+            raise ScenarioError(f"{text!r} is not a TOML value") from error
+        return text
+    if len(tables) > 1:
+        raise ScenarioError(f"{text!r} is more than one value")
+    return tables["value"]
