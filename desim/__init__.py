@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from desim.scenario import Scenario
     from desim.scenario_file import load
     from desim.simulation import Result, run
+    from desim.study.sweep import sweep
 
-__all__ = ["Result", "Scenario", "load", "run", "summary"]
+__all__ = ["Result", "Scenario", "load", "run", "summary", "sweep"]
 
 _HOMES = {
     "Result": "desim.simulation",
@@ -23,6 +24,7 @@ _HOMES = {
     "load": "desim.scenario_file",
     "run": "desim.simulation",
     "summary": "desim.analysis.metrics",
+    "sweep": "desim.study.sweep",
 }
 
 

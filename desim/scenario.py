@@ -5,7 +5,16 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from desim.kernel.faults import FAULTS
@@ -155,6 +164,35 @@ class Recording(Value):
     """Whether every message is recorded, or only their number."""
 
 
+def _flat(grid: Any, above: str = "") -> Any:
+    """Return a grid with dotted keys, also if its keys were not quoted, which in TOML makes tables of them."""
+    if not isinstance(grid, dict):
+        return grid
+    flat: dict[str, Any] = {}
+    for key, each in grid.items():
+        name = f"{above}{key}"
+        flat |= _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
+    return flat
+
+
+class Sweep(Value):
+    """Many runs of a scenario: over a grid of its keys, and over seeds (`desim sweep`)."""
+
+    reps: Annotated[int, Field(ge=1, le=1_000_000_000, strict=True)] = 30
+    """Number of runs of each configuration."""
+    seeds: Literal["common", "independent"] = "common"
+    """common: run k of every configuration has seed s + k, so that differences between configurations are not those
+    between seeds; independent: every run has a seed of its own."""
+    grid: Annotated[dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]], BeforeValidator(_flat)] = Field(
+        default_factory=dict
+    )
+    """Keys of the scenario, dotted as in --set, and for each a list of the values it takes; each combination is a
+    configuration."""
+
+    def __hash__(self) -> int:  # what a key takes may be tables
+        return hash((self.reps, self.seeds, tuple(self.grid)))
+
+
 def _default_protocol() -> Any:
     installed = PROTOCOLS.choices()
     if "sap" not in installed:
@@ -186,6 +224,7 @@ class Scenario(Value):
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
     """What breaks."""
     record: Recording = Recording()
+    sweep: Sweep = Sweep()
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 from pydantic import ValidationError
@@ -28,6 +29,8 @@ class Source:
     """The line of each key; None if it was no text."""
     origins: dict[Place, str] = field(default_factory=dict)
     """What set a key after the tables were given, in the words of whoever did."""
+    folder: Path | None = None
+    """Where the files and modules that it names lie; None if beside the file."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -56,7 +59,7 @@ class Source:
 
     def copy(self) -> Self:
         """Return one that can be set without a change of this one."""
-        return type(self)(self.name, _copied(self.tables), self.lines, dict(self.origins))
+        return type(self)(self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder)
 
     def override(self, text: str) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.

@@ -6,13 +6,14 @@ from Python any callable will do.
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
 from inspect import signature
 from math import inf
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Annotated, Any, get_args
 
 from pydantic import (
@@ -116,10 +117,15 @@ class OneOf:
         self.needs = needs
         self.takes = takes
 
-    def choices(self) -> dict[str, type[BaseModel]]:
+    def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return the models by kind, those of this distribution first."""
+        return self._choices
+
+    @cached_property
+    def _choices(self) -> Mapping[str, type[BaseModel]]:
         installed = sorted(entry_points(group=self.group), key=lambda point: point.name) if self.group else []
-        return {kind_of(model): model for model in self.models} | {point.name: point.load() for point in installed}
+        own = {kind_of(model): model for model in self.models}
+        return MappingProxyType(own | {point.name: point.load() for point in installed})
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         choices = self.choices()

@@ -16,11 +16,11 @@ import tomli_w
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.pursuit.state import Points
 from desim.scenario import Capture, Evader, Recording, Scenario, Team
+from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from desim import Result, load, run
-from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import activity
 from desim.analysis.tables import aligned
+from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS, Options, study
 
 if TYPE_CHECKING:

@@ -17,7 +17,6 @@ import networkx as nx
 import numpy as np
 
 from desim import Scenario
-from desim.analysis.batch import seeds_from
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate, wilson
 from desim.analysis.tables import aligned
@@ -29,6 +28,7 @@ from desim.pursuit.game import equilibria, greedy_maximal_independent_set
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
 from desim.pursuit.word import Announcements
 from desim.scenario import Team
+from desim.study.batch import seeds_from
 from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin
 from protocols.sap import SpatialAdaptivePlay

@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from desim import Scenario, load
-from desim.analysis.batch import run_many, seeds_from
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned, number
 from desim.pursuit.agent import Behaviour
 from desim.scenario import Motion
+from desim.study.batch import run_many, seeds_from
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed

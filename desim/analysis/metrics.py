@@ -99,6 +99,8 @@ class Metric:
     """Whether it has a row in the table of several runs."""
     silent_at_0: bool = False
     """Whether tables leave it out if it is 0."""
+    is_number: bool = True
+    """Whether its mean over several runs says something; that of a truth is a share."""
 
     def __call__(self, result: Result) -> Any:
         """Return the number; None if there is nothing to measure or nothing was found."""
@@ -115,10 +117,10 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown
 class Summary:
     """The numbers of one run, in the order of tables; None for what did not happen or was not measured."""
 
-    seed: int = entry(lambda result: result.seed, in_tables=False)
+    seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     captured: bool = entry(captured, in_tables=False)
     capture_time: float | None = entry(capture_time, "s")
-    capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False)
+    capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
     end_time: float = entry(end_time, "s")
     active_time: float = entry(active_time, "s", "summed over the pursuers")
     idle_time: float = entry(idle_time, "s", "nobody active")
@@ -148,7 +150,7 @@ class Summary:
         note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run.messages_lost_by.items())),
         label="  lost",
     )
-    messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by)
+    messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by, is_number=False)
     messages_in_flight: int = entry(
         lambda result: messages(result).in_flight, note="when the run ended", label="  in flight"
     )

@@ -1,0 +1,236 @@
+"""Many runs: `desim sweep`, `merge`, `export`."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from desim.cli.options import FAILED, FILE, INTERRUPTED, JOBS, JSON, SEED, SET, refuse, source_of
+
+if TYPE_CHECKING:
+    from desim.scenario import Scenario
+    from desim.study.result import SweepResult
+    from desim.study.store import Store
+    from desim.study.sweep import Job, Plan
+
+STORE = "sweep.sqlite"
+"""The name of a store in a folder."""
+
+
+class Shard(click.ParamType[tuple[int, int]]):
+    """K/N: one part of several."""
+
+    name = "K/N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Return the part and their number."""
+        part, slash, parts = str(value).partition("/")
+        if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
+            self.fail(f"should be 1/N to N/N, 3/20 for instance, got {value!r}", param, ctx)
+        return int(part), int(parts)
+
+
+class Precision(click.ParamType[tuple[str, float]]):
+    """METRIC:HALFWIDTH."""
+
+    name = "METRIC:HALFWIDTH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+        """Return the metric and the half width."""
+        from desim.study.sweep import check_target
+
+        metric, _, width = str(value).rpartition(":")
+        try:
+            target = metric, float(width)
+            check_target(*target)
+        except ValueError as error:
+            self.fail(f"should be METRIC:HALFWIDTH, active_time:0.1 for instance, got {value!r}: {error}", param, ctx)
+        return target
+
+
+@click.command()
+@FILE
+@click.option("-n", "--runs", type=click.IntRange(min=1), help="Runs of each configuration; default: sweep.reps.")
+@SEED
+@JOBS
+@click.option("--cluster", metavar="tcp://...", help="Run on the workers of a Dask scheduler (the extra `cluster`).")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
+@click.option(
+    "--until", type=Precision(), help="As many runs as this half width of a 95 % interval takes, at least 30."
+)
+@click.option("--shard", type=Shard(), default=None, help="Only every N-th run, from the K-th on; see `desim merge`.")
+@click.option("--dry-run", is_flag=True, help="Say what would be run, and run nothing.")
+@click.option("--fail-fast", is_flag=True, help="End with the first run that fails.")
+@click.option(
+    "--metric", "metrics", multiple=True, metavar="NAME", help="Show this metric; may be given several times."
+)
+@JSON
+@SET
+def sweep(
+    file: Path,
+    runs: int | None,
+    seed: int | None,
+    jobs: int,
+    cluster: str | None,
+    out: Path | None,
+    until: tuple[str, float] | None,
+    shard: tuple[int, int] | None,
+    dry_run: bool,
+    fail_fast: bool,
+    metrics: tuple[str, ...],
+    as_json: bool,
+    overrides: tuple[str, ...],
+) -> None:
+    """Run a scenario over the grid of its table `sweep`, many times; go on where it stopped."""
+    from desim.source import ScenarioError
+    from desim.study.result import SHOWN
+    from desim.study.store import Store
+    from desim.study.sweep import MOST_RUNS, Plan, RunError, carry_out
+    from desim.study.workers import workers_for
+
+    source, scenario = source_of(file, overrides)
+    shown = _known(metrics) or SHOWN
+    if until and shard:
+        refuse("--until needs all runs, and --shard does a part of them: they exclude each other")
+    try:
+        plan = Plan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
+    except ScenarioError as error:
+        refuse(str(error))
+    folder = out or Path("out") / scenario.name
+    path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
+    jobs_of_plan = plan.shard(*(shard or (1, 1)))
+    start = time.perf_counter()
+    with _stores(), Store(path if path.exists() or not dry_run else None) as store:
+        before = len(store)
+        if dry_run:
+            click.echo(_plan_text(plan, jobs_of_plan, store, until))
+            return
+        plan.enter(store)
+        _note(folder, scenario, plan, file)
+        try:
+            with workers_for(cluster or jobs) as workers:
+                found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
+        except KeyboardInterrupt:
+            click.echo(f"interrupted: {len(store)} runs are in {path}; the same command goes on", err=True)
+            sys.exit(INTERRUPTED)
+        except RunError as error:
+            click.echo(f"{error}{len(store)} runs are in {path}", err=True)
+            sys.exit(FAILED)
+        done = len(store) - before
+    table = found.table(shown)
+    click.echo(json.dumps(found.document(shown), indent=2) if as_json else table)
+    took = time.perf_counter() - start
+    click.echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
+    if not shard:
+        _show(found, shown[0], folder, table)
+    if found.failed:
+        click.echo(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
+        sys.exit(FAILED)
+
+
+@click.command()
+@click.argument("stores", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the store with all of them."
+)
+def merge(stores: tuple[Path, ...], out: Path) -> None:
+    """Put the runs of several stores (files or folders) of one sweep together."""
+    from desim.study.store import Store
+
+    with _stores(), Store(out / STORE) as store:
+        for path in _files(stores):
+            with Store(path, must_exist=True) as other:
+                store.take(other)
+        click.echo(f"{len(store)} runs are in {out / STORE}")
+
+
+@click.command()
+@click.argument("store", type=click.Path(path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path))
+def export(store: Path, file: Path) -> None:
+    """Write the runs of a STORE (a file or its folder) to FILE, a row each: .csv or .parquet."""
+    from desim.study.result import SweepResult
+    from desim.study.store import Store
+
+    (path,) = _files((store,))
+    with _stores(), Store(path, must_exist=True) as kept:
+        result = SweepResult.of(kept)
+    try:
+        result.write(file)
+    except OSError as error:
+        refuse(f"{file}: cannot be written: {error.strerror}")
+    except (ImportError, ValueError) as error:
+        refuse(str(error))
+    click.echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
+
+
+def _files(stores: tuple[Path, ...]) -> list[Path]:
+    """Return the files of stores of which some are named by their folder, with all its shards."""
+    return [
+        file
+        for each in stores
+        for file in ((sorted(each.glob("sweep*.sqlite")) or [each / STORE]) if each.is_dir() else [each])
+    ]
+
+
+@contextmanager
+def _stores() -> Iterator[None]:
+    """End the program if a store or a folder cannot be used, or a cluster does not answer."""
+    try:
+        yield
+    except OSError as error:
+        refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
+    """Return metrics that are numbers, or end the program."""
+    from desim.analysis.metrics import METRICS
+
+    numbers = [name for name, each in METRICS.items() if each.is_number]
+    for name in metrics:
+        if name not in numbers:
+            refuse(f"--metric {name}: there is no such metric; there are {', '.join(numbers)}")
+    return metrics
+
+
+def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str, float] | None) -> str:
+    """Return what would be run, and how much of it a store has."""
+    from desim.analysis.tables import aligned
+
+    there = {(cell.key, row.replication) for cell in plan.cells for row in store.runs(cell.key, plan.root) if row.ok}
+    wanted = [(cell.key, k) for cell, k in jobs]
+    done = [each for each in wanted if each in there]
+    rows = [("runs", "there", *plan.cells[0].settings)]
+    for cell in plan.cells:
+        counts = (sum(key == cell.key for key, _ in each) for each in (wanted, done))
+        rows.append((*map(str, counts), *map(str, cell.columns.values())))
+    least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
+    head = f"{plan.name}: {len(plan.cells)} configurations, {len(wanted)} runs{least}"
+    return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
+
+
+def _note(folder: Path, scenario: "Scenario", plan: "Plan", file: Path) -> None:
+    """Write down where the results of a sweep come from."""
+    from desim import provenance
+
+    made = provenance.document(
+        "sweep", scenario, seed=plan.root, runs=len(plan.cells) * plan.reps, folder=file.parent, reps=plan.reps
+    )
+    provenance.write(folder, made)
+
+
+def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
+    """Write the table and the picture of a sweep to its folder."""
+    from desim.analysis.folder import can_plot
+
+    (folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
+    if can_plot():
+        from desim.analysis.plots import save
+        from desim.study.pictures import means
+
+        save(means(found, metric), folder / "sweep")

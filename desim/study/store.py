@@ -1,0 +1,234 @@
+"""The store of a sweep: a file of SQLite with a row per run, to which only the driver writes.
+
+What has been committed outlives a driver that is killed. A row belongs to its configuration, replication and root
+seed, so that a run that is there is not done again. `SELECT * FROM results` has a column per metric.
+"""
+
+import json
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import wraps
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, ParamSpec, Self, TypeVar
+
+from desim.analysis.metrics import METRICS, Summary
+from desim.study.cells import Cell
+
+Status = Literal["ok", "error", "crashed"]
+FORMAT = "1"
+"""Of the tables below."""
+TABLES = f"""
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS configurations (
+    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS runs (
+    configuration TEXT NOT NULL REFERENCES configurations,
+    replication INTEGER NOT NULL,
+    root_seed TEXT NOT NULL,
+    seed TEXT NOT NULL,
+    status TEXT NOT NULL CHECK (status IN ('ok', 'error', 'crashed')),
+    summary TEXT,
+    traceback TEXT NOT NULL,
+    PRIMARY KEY (configuration, replication, root_seed)
+);
+CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, status, traceback,
+    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in METRICS)}
+    FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
+"""
+"""Seeds are texts, for they may have more than 64 bits."""
+Arguments = ParamSpec("Arguments")
+Returned = TypeVar("Returned")
+
+
+class StoreError(OSError):
+    """A store cannot be read or written, or does not belong to the sweep; the text names its file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A run of a sweep."""
+
+    replication: int
+    """Its number within its configuration, 0, 1, ..."""
+    seed: int
+    status: Status
+    """ok; error: it raised something; crashed: it ended its worker."""
+    summary: Summary | None = None
+    """What was measured, if ok."""
+    traceback: str = ""
+    """Where it raised what, if it did."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether it ended and was measured."""
+        return self.status == "ok"
+
+    @property
+    def error(self) -> str:
+        """What it raised, in a line."""
+        return self.traceback.strip().rpartition("\n")[2]
+
+
+def _told(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """Let errors of SQLite name the file."""
+
+    @wraps(method)
+    def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+        try:
+            return method(*args, **kwargs)
+        except sqlite3.Error as error:
+            raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
+
+    return call
+
+
+class Store:
+    """The runs of one sweep, of a shard of it, or of several merged.
+
+    Args:
+        path: of the file, which is made if it is not there; None: in memory.
+        must_exist: whether it is an error if it is not there.
+
+    Raises:
+        StoreError: if it is no store, or one of another version.
+    """
+
+    def __init__(self, path: Path | None = None, *, must_exist: bool = False):
+        self.path: Any = path or "the store in memory"
+        if must_exist and not (path and path.is_file()):
+            raise StoreError(f"{path}: there is no such store")
+        self._open(path)
+
+    @_told
+    def _open(self, path: Path | None) -> None:
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        self._database = sqlite3.connect(path or ":memory:", timeout=30.0)
+        self._database.execute("PRAGMA journal_mode = WAL")
+        self._database.execute("PRAGMA synchronous = NORMAL")
+        self._database.executescript(TABLES)
+        self.tell({"format": FORMAT, "metrics": json.dumps(list(METRICS))})
+
+    @property
+    def about(self) -> Mapping[str, str]:
+        """What sweep it is of, by name."""
+        return MappingProxyType(dict(self._database.execute("SELECT name, value FROM about")))
+
+    @_told
+    def tell(self, about: Mapping[str, str]) -> None:
+        """Write down what sweep it is of.
+
+        Raises:
+            StoreError: if it is of another.
+        """
+        mine = self.about
+        for name, value in about.items():
+            if mine.get(name, value) != value:
+                raise StoreError(f"{self.path}: was made {_differs(name, mine[name], value)}")
+        with self._database:
+            self._database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
+
+    @_told
+    def enter(self, cells: Sequence[Cell]) -> None:
+        """Write down configurations, before those that are there."""
+        rows = [
+            (cell.key, k, json.dumps(cell.columns), cell.scenario.model_dump_json()) for k, cell in enumerate(cells)
+        ]
+        with self._database:
+            self._database.execute("UPDATE configurations SET place = place + ?", (len(cells),))
+            self._database.executemany(
+                "INSERT INTO configurations VALUES (?, ?, ?, ?)"
+                " ON CONFLICT (configuration) DO UPDATE SET place = excluded.place",
+                rows,
+            )
+
+    @_told
+    def add(self, key: str, root: int, row: Row) -> None:
+        """Write down a run of a configuration and a root seed; one that failed is replaced."""
+        numbers = None if row.summary is None else json.dumps(asdict(row.summary))
+        values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
+        with self._database:
+            self._database.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?)", values)
+
+    @_told
+    def runs(self, key: str, root: int) -> list[Row]:
+        """Return the runs of a configuration and a root seed, in the order of replications."""
+        found = self._database.execute(
+            "SELECT replication, seed, status, summary, traceback FROM runs"
+            " WHERE configuration = ? AND root_seed = ? ORDER BY replication",
+            (key, str(root)),
+        )
+        return [
+            Row(replication, int(seed), status, numbers and Summary(**json.loads(numbers)), trace)
+            for replication, seed, status, numbers, trace in found
+        ]
+
+    @_told
+    def configurations(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return the key and the settings of each configuration, in order."""
+        found = self._database.execute("SELECT configuration, settings FROM configurations ORDER BY place")
+        return [(key, json.loads(settings)) for key, settings in found]
+
+    @_told
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return int(self._database.execute("SELECT count(*) FROM runs").fetchone()[0])
+
+    @_told
+    def take(self, other: "Store") -> None:
+        """Add the runs of another store of the same sweep; one that failed here and not there is replaced.
+
+        Raises:
+            StoreError: if it is of another sweep.
+        """
+        self.tell(other.about)
+        self._database.execute("ATTACH ? AS other", (str(other.path),))
+        try:
+            with self._database:
+                self._database.execute("INSERT OR IGNORE INTO configurations SELECT * FROM other.configurations")
+                self._database.execute(
+                    "INSERT INTO runs SELECT * FROM other.runs WHERE true"
+                    " ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,"
+                    " status = excluded.status, summary = excluded.summary, traceback = excluded.traceback"
+                    " WHERE runs.status != 'ok' AND excluded.status = 'ok'"
+                )
+        finally:
+            self._database.execute("DETACH other")
+
+    @_told
+    def check(self) -> str:
+        """Return "ok", or what SQLite finds wrong with the file."""
+        return str(self._database.execute("PRAGMA integrity_check").fetchone()[0])
+
+    def close(self) -> None:
+        """Let go of the file; what is in its journal goes into it."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _differs(name: str, one: str, other: str) -> str:
+    """Return in what two sweeps differ, given what is written down of each."""
+    if name in {"format", "metrics"}:
+        return "by another version of desim"
+    if name == "scenario":
+        old, new = flat(json.loads(one)), flat(json.loads(other))
+        keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
+        told = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
+        return f"by another configuration: {told or 'the code of its own parts has changed'}"
+    return f"by another sweep: {name} was {one}, is {other}"
+
+
+def flat(table: Any, above: str = "") -> dict[str, Any]:
+    """Return what is in a table and its tables, by dotted key."""
+    inner = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list) else None
+    if inner is None:
+        return {above.removesuffix("."): table}
+    return {key: each for name, value in inner for key, each in flat(value, f"{above}{name}.").items()}
