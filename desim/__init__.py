@@ -14,13 +14,15 @@ if TYPE_CHECKING:
     from desim.scenario import Scenario
     from desim.scenario_file import load
     from desim.simulation import Result, run
+    from desim.study.explain import explain
     from desim.study.sweep import sweep
 
-__all__ = ["Result", "Scenario", "load", "run", "summary", "sweep"]
+__all__ = ["Result", "Scenario", "explain", "load", "run", "summary", "sweep"]
 
 _HOMES = {
     "Result": "desim.simulation",
     "Scenario": "desim.scenario",
+    "explain": "desim.study.explain",
     "load": "desim.scenario_file",
     "run": "desim.simulation",
     "summary": "desim.analysis.metrics",

@@ -12,21 +12,10 @@ from typing import Annotated, ClassVar
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from desim.value import LONGEST, OneOf, Value
-from protocols.mutex import LocalMutex
-from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
-from protocols.token import TokenRing, TokenWalk
+from protocols.schedules import Rounds, Schedule, SharedSeed
+from protocols.together import ONE_AT_A_TIME, Together
 
-SCHEDULES = OneOf(
-    SharedSeed,
-    Poisson,
-    Rounds,
-    Periodic,
-    TokenRing,
-    TokenWalk,
-    LocalMutex,
-    needs=("mean_slot",),
-    takes=("me", "revise"),
-)
+SCHEDULES = OneOf(*ONE_AT_A_TIME, Rounds, Together, needs=("mean_slot",), takes=("me", "revise"))
 
 
 class Rule(Value):

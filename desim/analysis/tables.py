@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from math import isnan
+from typing import Any
 
 from desim.analysis.metrics import METRICS, Summary, words
-from desim.analysis.statistics import estimate, wilson
+from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.scenario import Scenario
 
 
@@ -55,6 +56,21 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
 def number(value: float, digits: int = 3) -> str:
     """Return a number with thousands separators, or a dash if there is none."""
     return "-" if isnan(value) else f"{value:,.{digits}f}"
+
+
+def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
+    """Return a mean +- half its 95 % interval, with the number of values if they are not one per run."""
+    if not found.count:
+        return "-"
+    digits = 3 if abs(found.mean) < 100.0 else 1
+    few = f" ({found.count})" if found.count != runs else ""
+    return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{few}"
+
+
+def as_json(found: Estimate) -> dict[str, Any]:
+    """Return an estimate as JSON has it: null where there is none."""
+    numbers = {"mean": found.mean, "half_width": found.half_width}
+    return {name: None if isnan(value) else value for name, value in numbers.items()} | {"runs": found.count}
 
 
 def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
