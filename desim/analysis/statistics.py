@@ -1,13 +1,33 @@
-"""Means and their uncertainty."""
+"""Means and their uncertainty, and how many runs a wanted precision takes.
+
+Intervals are of 95 %. How often they cover a known mean, in %, of 200,000 simulated samples each (s.e. at most 0.11),
+and where looks at a growing sequence end (40,000 sequences, s.e. at most 0.22), for the target that 20 runs would have:
+
+    law                                        t of 2     of 5    of 30    looks from 3    from 30
+    normal                                       94.9     95.0     95.0            91.6       95.2
+    exponential                                  91.1     88.3     92.6            79.9       92.6
+    lognormal, sigma = 1                         89.4     82.2     88.3            73.6       88.4
+    0, but exponential in one of ten runs        18.6     36.8     75.4             25.7       75.6
+    a probability (Wilson), all equally likely   95.7     95.5     95.2
+
+The skewer the law, the more runs it takes; the last but one is like a paired difference that most seeds do not show.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import ceil, isnan, nan, sqrt
+from typing import TypeGuard
 
 import numpy as np
 
 NORMAL_975 = 1.959963984540054
 """The quantile of the normal law beyond which 2.5 % lie."""
+FIRST_LOOK = 30
+"""How many values there are when `next_look` first judges their precision.
+
+Few values that lie close together by chance look precise: who looks from 3 on stops too early, and an interval of
+95 % covers the mean of normal values 92 times in 100, of exponential ones 80 times.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +60,30 @@ def estimate(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.mean(values)), error, count)
 
 
+def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
+    """Return the mean difference values - others of runs with common random numbers, pair by pair.
+
+    Its variance is (var + var' - 2 cov) / n, less than that of independent runs if what makes one run long makes
+    the other long too (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
+
+    A pair of which one is missing (None or nan, such as the time of a capture that did not happen) is left out. What is
+    found then holds for the seeds with which both exist; beside it belongs how often each does. If no pair is left, the
+    count is 0 and the mean nan: that nobody was ever captured is an outcome, not a mistake.
+
+    Where few seeds make most of the difference, its law is far from normal and the t interval of few pairs is too
+    narrow. Active time of 8 pursuers with and without a latency of 0.2 s: 30 pairs cover the difference 82 times in
+    100, 100 pairs 88, 300 pairs 93 (3000 seeds resampled).
+
+    Raises:
+        ValueError: if one is longer than the other.
+    """
+    if len(values) != len(others):
+        raise ValueError(f"should be pairs, got {len(values)} values and {len(others)} others")
+    pairs = zip(values, others, strict=True)
+    differences = [float(one) - float(other) for one, other in pairs if _is_there(one) and _is_there(other)]
+    return estimate(differences) if differences else Estimate(nan, nan, 0)
+
+
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Return the 95 % interval of a probability, given how many of so many independent trials were a success.
 
@@ -57,3 +101,76 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     low = (middle - half) / (1.0 + z2) if successes else 0.0
     high = (middle + half) / (1.0 + z2) if successes < trials else 1.0
     return low, high
+
+
+def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
+    """Return how many runs a half width of `target` takes: where the looks at a growing sequence of runs end.
+
+    If the values do not reach that far, the next look: as many runs there should be before anybody looks again. Looks
+    are at the same sizes however many runs are there already, so that a study that was interrupted ends where it
+    would have ended anyway. Arguments as of `next_look`.
+    """
+    look = next_look((), target, at_most=at_most, first_look=first_look)
+    while look <= len(values):
+        following = next_look(values[:look], target, at_most=at_most, first_look=first_look)
+        if following == look:
+            break
+        look = following
+    return look
+
+
+def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
+    """Return how many runs there should be next, given the values of the first n; n if that is enough.
+
+    A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
+    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"), in lots as large as
+    the values so far predict, n (half width / target)^2, but from a tenth more to twice as many: a bad first guess of
+    the variance costs at most half of the runs, and there are few looks at which to stop too early.
+
+    The half width is that of the t interval; of truth values (captured or not), that of Wilson's. A missing value
+    (None or nan) is a run but says nothing about the mean: until there are `first_look` values, no look can end it.
+    Values that are all equal have an interval of no width, and stop.
+
+    Assumes independent runs in the order of their seeds, not in the order in which they end, which would favour short
+    ones. The coverage is nominal only in the limit of a small target.
+
+    Args:
+        values: of the n runs so far.
+        target: the half width to reach, in the unit of the values.
+        at_most: the largest number of runs, however imprecise.
+        first_look: the number of values at which precision is first judged, at least 2.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    if not target > 0.0:
+        raise ValueError(f"the half width to reach should be positive, got {target}")
+    if at_most < 1 or first_look < 2:
+        raise ValueError(f"should be at most 1 run or more, a first look at 2 or more, got {at_most} and {first_look}")
+    count, present = len(values), [each for each in values if _is_there(each)]
+    if count >= at_most:
+        return count
+    if count < first_look:
+        return min(first_look, at_most)
+    wanted = float(first_look)
+    if len(present) >= first_look:
+        half_width = _half_width(present)
+        if half_width <= target:
+            return count
+        ratio = half_width / target
+        wanted = len(present) * ratio * ratio
+    predicted = count * wanted / max(len(present), 1)
+    least, most = count + ceil(count / 10), 2 * count
+    return min(max(least, ceil(min(most, predicted))), at_most)
+
+
+def _is_there(value: float | None) -> TypeGuard[float]:
+    return value is not None and not isnan(value)
+
+
+def _half_width(values: Sequence[float]) -> float:
+    """Return half the width of the 95 % interval of the mean: Wilson's of truth values, else the t interval."""
+    if all(isinstance(value, bool | np.bool_) for value in values):
+        low, high = wilson(int(sum(values)), len(values))
+        return (high - low) / 2.0
+    return estimate(values).half_width
