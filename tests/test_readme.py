@@ -3,12 +3,17 @@
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from desim.scenario_file import read
+from desim.study.cells import cells
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+TABLES = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -22,7 +27,7 @@ def test_the_python_of_the_readme_runs_block_after_block():
 
 def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(tmp_path):
     (rule,) = [block for block in BLOCKS if "class Stubborn" in block]
-    (table,) = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    (table,) = [each for each in TABLES if "my_rules" in each]
     assert len(rule.splitlines()) < 60
     (tmp_path / "my_rules.py").write_text(rule)
     (tmp_path / "mine.toml").write_text(table)
@@ -36,6 +41,13 @@ def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(tmp_path):
         )
         assert done.returncode == 0, done.stderr
         assert "mine: 20 pursuers" in done.stdout or "inertia = 0.5" in done.stdout
+
+
+def test_the_grid_of_the_readme_is_one_of_its_example():
+    (table,) = [each for each in TABLES if "sweep.grid" in each]
+    base = read(ROOT / "scenarios/imperfect.toml")
+    grid = tomllib.loads(table)["sweep"]["grid"]
+    assert len(cells(base, grid)) == 4 * 3 * 2
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", README))))
@@ -58,6 +70,8 @@ def test_every_study_the_readme_names_has_help(module):
 def test_every_command_the_readme_names_runs(command, tmp_path):
     words = [str(tmp_path / "out") if word.startswith("out/") else word for word in command[1:] if word != ">"]
     words = [word for word in words if word != "scenario.schema.json"]
+    if words[0] in {"sweep", "explain"}:
+        words += ["-n", "2", "-o", str(tmp_path / "out")]
     done = subprocess.run(
         [sys.executable, "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=ROOT
     )

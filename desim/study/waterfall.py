@@ -33,7 +33,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         _mark(axes, at, level, step, "+.2f")
         level += step.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
-    axes.set_xticks(range(len(names)), [name.replace(" ", "\n", 1) for name in names], fontsize=7)
+    axes.set_xticks(range(len(names)), names, fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
     axes.margins(y=0.08)
 
 

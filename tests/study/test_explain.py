@@ -185,7 +185,7 @@ def test_bad_options_are_refused(file, arguments, complaint):
 def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     figure = waterfall(explain(BAD, 3))
     for axes in figure.axes:
-        names = [label.get_text().replace("\n", " ") for label in axes.get_xticklabels()]
+        names = [label.get_text() for label in axes.get_xticklabels()]
         assert names == ["ideal", *IMPERFECTIONS, "interaction", "as it is"]
         ends = [bar.get_y() + bar.get_height() for bar in axes.patches]
         assert ends[-1] == pytest.approx(ends[1])  # the last step ends where the bar of the scenario as it is does
