@@ -47,8 +47,9 @@ def read(file: str | Path, overrides: Sequence[str] = ()) -> Source:
 
 def validate(source: Source) -> Scenario:
     """Return the scenario that a source describes; raise ScenarioError with all its faults, sorted by place."""
+    folder = Path(source.name).parent if source.folder is None else source.folder
     try:
-        return Scenario.model_validate(source.tables, context={"folder": Path(source.name).parent})
+        return Scenario.model_validate(source.tables, context={"folder": folder})
     except ValidationError as error:
         faults = [fault for each in error.errors() for fault in _explain(each, source)]
         raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error

@@ -47,6 +47,10 @@ class Source:
     def where(self, place: Place) -> str:
         """Return where a key was set: `file:line`, or whatever set it since."""
         lines = self.lines or {}
+        dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
+        known = lines.keys() | self.origins.keys()
+        if place not in known and dotted in known:  # TOML makes tables of a dotted key without quotes
+            place = dotted
         within = [place[:end] for end in range(len(place), 0, -1)]
         set_by = [text for key, text in self.origins.items() if key in within]
         if not set_by and place not in lines:  # an override may have made the table
@@ -85,10 +89,12 @@ class Source:
         place: Place = ()
         node: Any = self.tables
         default: Any = _defaults(self.tables)
-        *parents, last = parts = name.split(".")
+        *parents, last = parts = self._parts(name)
         for depth, part in enumerate(parents, start=1):
             key = _key(part, node)
             default = default.get(key) if isinstance(default, dict) else None
+            if isinstance(default, tuple) and not holds(node, key):
+                raise ScenarioError(f"{name}: the list {'.'.join(map(str, (*place, key)))} is empty")
             if isinstance(node, dict) and key not in node:
                 node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
             if holds(node, key) and isinstance(node[key], Value):
@@ -103,6 +109,24 @@ class Source:
         node[key] = value
         self.origins.pop((*place, key), None)  # the last one counts
         self.origins[*place, key] = origin
+
+    def _parts(self, name: str) -> list[str]:
+        """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
+        parts = name.split(".")
+        within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
+        spread = [*within, *key.split(".")]
+        if within != ["sweep", "grid"] or not parts[2:]:
+            return parts
+        return spread if _has(self.tables, spread) else [*within, key]
+
+
+def _has(tables: Any, parts: list[str]) -> bool:
+    """Return whether there is a key below the keys of tables."""
+    for part in parts:
+        if not isinstance(tables, dict) or part not in tables:
+            return False
+        tables = tables[part]
+    return True
 
 
 def holds(node: Any, key: Any) -> bool:
@@ -139,7 +163,8 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
     try:
         return type(model)(**fields)
     except ValidationError as error:
-        raise ScenarioError("; ".join(f"{name}: {each['msg']}" for each in error.errors())) from error
+        why = "; ".join(each["msg"].replace("Input should", "should") for each in error.errors())
+        raise ScenarioError(f"{name}: {why}") from error
 
 
 def _copied(tables: Any) -> Any:

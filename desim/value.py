@@ -7,6 +7,7 @@ from Python any callable will do.
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -136,7 +137,11 @@ class OneOf:
             if type(value) in choices.values():
                 return write(value)
             home = value if isinstance(value, FunctionType) else type(value)
-            parameters = value.model_dump() if isinstance(value, BaseModel) else {}
+            parameters = {}
+            if isinstance(value, BaseModel):
+                parameters = value.model_dump()
+            elif is_dataclass(value):
+                parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
             return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
 
         return core_schema.with_info_wrap_validator_function(

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from desim.analysis.batch import run_many, seeds_from
+from desim import provenance
 from desim.analysis.folder import can_plot
+from desim.study.batch import run_many, seeds_from
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,12 +42,18 @@ class Options:
         return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
-        """Print the table, or the document if JSON was asked for, and write both and the figure to the folder."""
+        """Print the table, or the document if JSON was asked for, and write both and the figure to the folder.
+
+        NAME.run.json beside them says where they come from; several studies may share the folder.
+        """
         text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
         click.echo(text if self.as_json else table)
         self.out.mkdir(parents=True, exist_ok=True)
         stem = self.out / self.name
         stem.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+        provenance.write(
+            self.out, provenance.document(self.name, seed=self.seed, runs=self.runs), f"{self.name}.{provenance.FILE}"
+        )
         stem.with_suffix(".txt").write_text(table + "\n", encoding="utf-8")
         if figure is None:
             return

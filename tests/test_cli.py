@@ -1,5 +1,6 @@
 """The command line: what it refuses and in which words, and what it prints and writes."""
 
+import csv
 import json
 import re
 import subprocess
@@ -10,11 +11,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from desim.analysis import batch
-from desim.analysis.batch import run_many
 from desim.cli import main
 from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
+from desim.study import batch
+from desim.study.batch import run_many
 from desim.value import Value
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
@@ -118,7 +119,7 @@ def file(tmp_path):
 # What is refused.
 
 KINDS = f"allowed: {', '.join(sorted(PROTOCOLS.choices()))}"
-TOP = "allowed: announce, capture, evader, fault, horizon, motion, name, network, protocol, prune, record, seed, team"
+TOP = f"allowed: {', '.join(sorted(Scenario.model_fields))}"
 
 FAULTS = {
     "unknown key at the top": ('name = "x"\nhorizn = 3.0', 2, "horizn", ["did you mean 'horizon'?", TOP]),
@@ -520,6 +521,8 @@ def resolved(schema: dict, node: dict, value: object) -> dict:
 
 def unknown_keys(schema: dict, node: dict, tables: dict) -> list[str]:
     """Return the keys that a JSON schema does not allow."""
+    if "properties" not in node:  # any keys, such as those of a grid
+        return []
     properties = node["properties"]
     unknown = [] if node["additionalProperties"] else [key for key in tables if key not in properties]
     for key, value in tables.items():
@@ -725,10 +728,10 @@ def test_the_number_of_workers_changes_nothing_that_is_printed_or_written(file, 
         files = sorted(each for each in out.rglob("*") if each.is_file())
         written.append((printed, {str(each.relative_to(out)): each.read_bytes() for each in files}))
     assert written[0] == written[1]
-    assert len(written[0][1]) == 4 * len(FILES)
+    assert len(written[0][1]) == 4 * len(FILES) + 1
 
 
-FILES = ["scenario.toml", "summary.json", "trace.jsonl", "trajectory.png", "trajectory.svg"]
+FILES = ["run.json", "scenario.toml", "summary.json", "trace.jsonl", "trajectory.png", "trajectory.svg"]
 
 
 def names(folder: Path) -> list[str]:
@@ -751,7 +754,7 @@ def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     accepted("run", file(LUCK), "-s", 11, "--set", "evader.speed=0.5", "-o", first)
     accepted("run", first / "scenario.toml", "-o", second)
-    for name in FILES:
+    for name in FILES[1:]:
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
     assert load(first / "scenario.toml").seed == 11
 
@@ -761,7 +764,7 @@ def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
     path = file(LUCK)
     accepted("run", path, "-n", 2, "-o", tmp_path / "both")
     accepted("run", path, "-s", 8, "-o", tmp_path / "alone")
-    assert names(tmp_path / "both") == ["seed-7", "seed-8"]
+    assert names(tmp_path / "both") == ["run.json", "seed-7", "seed-8"]
     assert names(tmp_path / "both" / "seed-7") == FILES
     for name in FILES:
         assert (tmp_path / "both" / "seed-8" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), name
@@ -769,14 +772,14 @@ def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
 
 def test_without_recorded_positions_there_is_no_picture(file, tmp_path):
     result = accepted("run", file(LUCK), "--set", "record.trajectory=0", "-o", tmp_path / "out")
-    assert names(tmp_path / "out") == FILES[:3]
+    assert names(tmp_path / "out") == FILES[:4]
     assert result.stderr == ""
 
 
 def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
     result = accepted("run", file(LUCK), "-o", tmp_path / "out")
-    assert names(tmp_path / "out") == FILES[:3]
+    assert names(tmp_path / "out") == FILES[:4]
     assert result.stderr == "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'\n"
 
 
@@ -899,3 +902,239 @@ def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_is_warned_of():
     (said,) = accepted("check", lora, "--set", override).stderr.splitlines()
     assert said.startswith(f"warning: --set {override}: network.medium: it is given, and is not that of the preset")
     assert accepted("check", lora).stderr == ""
+
+
+# Sweeps: options, output, and what is refused.
+
+COINS = """\
+name = "coins"
+seed = 5
+horizon = 0.5
+team = { count = 3, box = [9.0, 11.0] }
+motion.step = 0.05
+
+[sweep]
+reps = 3
+
+[sweep.grid]
+"network.range" = [1.0, inf]
+protocol.kind = ["sap", "best_response"]
+"""
+
+
+def swept(*args: object) -> dict:
+    """Return the document of a sweep."""
+    return strict_json(accepted("sweep", *args, "--json").stdout)
+
+
+def seeds_of(table: Path) -> list[tuple[str, ...]]:
+    """Return range, kind and seed of each run in a file."""
+    with table.open(newline="") as stream:
+        return [(row["network.range"], row["protocol.kind"], row["seed"]) for row in csv.DictReader(stream)]
+
+
+def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(file, tmp_path):
+    result = accepted("sweep", file(COINS), "-o", tmp_path / "out")
+    means, differences = result.stdout.split("\n\n")
+    assert means.startswith("coins: 4 configurations, 12 runs; ")
+    assert [line.split()[:3] for line in means.splitlines()[2:]] == [
+        ["1", "sap", "3"],
+        ["1", "best_response", "3"],
+        ["inf", "sap", "3"],
+        ["inf", "best_response", "3"],
+    ]
+    assert differences.startswith("difference from network.range = 1, protocol.kind = sap, ")
+    assert len(differences.splitlines()) == 5
+    assert re.fullmatch(
+        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 were there; all are in {tmp_path}/out/sweep.sqlite\n", result.stderr
+    )
+    assert names(tmp_path / "out") == ["run.json", "sweep.png", "sweep.sqlite", "sweep.svg", "sweep.txt"]
+    assert (tmp_path / "out" / "sweep.txt").read_text() == result.stdout
+
+
+def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = file(COINS)
+    first = accepted("sweep", path, "-n", 2)
+    assert "8 runs in" in first.stderr
+    second = accepted("sweep", path)
+    assert second.stderr.startswith("4 runs in")
+    assert "8 were there; all are in out/coins/sweep.sqlite" in second.stderr
+    assert accepted("sweep", path, "-o", tmp_path / "anew").stdout == second.stdout
+
+
+def test_the_runs_of_a_sweep_have_the_seeds_of_the_option(file, tmp_path):
+    accepted("sweep", file(COINS), "-o", tmp_path / "out", "-s", 40, "-n", 2)
+    accepted("export", tmp_path / "out", tmp_path / "x.csv")
+    assert seeds_of(tmp_path / "x.csv") == [
+        (reach, kind, seed) for reach in ("1.0", "inf") for kind in ("sap", "best_response") for seed in ("40", "41")
+    ]
+
+
+def test_a_sweep_as_json_is_one_document_on_stdout(file, tmp_path):
+    made = swept(file(COINS), "-o", tmp_path / "out", "--metric", "energy", "--metric", "switches")
+    assert (made["name"], made["grid"]) == ("coins", ["network.range", "protocol.kind"])
+    assert [each["settings"]["network.range"] for each in made["configurations"]] == [1.0, 1.0, "Infinity", "Infinity"]
+    assert {tuple(each["metrics"]) for each in made["configurations"]} == {("energy", "switches")}
+    (runs,) = {each["metrics"]["energy"]["runs"] for each in made["configurations"]}
+    assert runs == 3
+
+
+def test_a_sweep_does_as_many_runs_as_a_precision_takes(file, tmp_path):
+    made = swept(file(COINS), "-o", tmp_path / "out", "--until", "active_time:0.5")
+    assert {each["runs"] for each in made["configurations"]} == {30}
+    few = swept(file(COINS), "-o", tmp_path / "few", "--until", "active_time:1e-9", "-n", 5)
+    assert {each["runs"] for each in few["configurations"]} == {5}
+
+
+def test_overrides_reach_the_grid_and_what_is_varied(file, tmp_path):
+    options = ("--set", "sweep.reps=2", "--set", "sweep.grid.network.range=[3.0]", "--set", "horizon=0.2")
+    made = swept(file(COINS), "-o", tmp_path / "out", *options, "--metric", "end_time")
+    assert [each["settings"]["network.range"] for each in made["configurations"]] == [3.0, 3.0]
+    assert {each["runs"] for each in made["configurations"]} == {2}
+    assert all(each["metrics"]["end_time"]["mean"] <= 0.2 for each in made["configurations"])
+
+
+def test_what_would_be_run_is_said_and_nothing_is_written(file, tmp_path):
+    out = tmp_path / "out"
+    result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 are there, 12 are to be done\n")
+    assert not out.exists()
+    accepted("sweep", file(COINS), "-o", out, "-n", 1)
+    before = {each.name: each.read_bytes() for each in out.iterdir()}
+    result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 are there, 8 are to be done\n")
+    assert [line.split() for line in result.stdout.splitlines()[2:]] == [
+        ["3", "1", "1.0", "sap"],
+        ["3", "1", "1.0", "best_response"],
+        ["3", "1", "inf", "sap"],
+        ["3", "1", "inf", "best_response"],
+    ]
+    assert {each.name: each.read_bytes() for each in out.iterdir()} == before
+
+
+def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path):
+    """12 runs in parts of 3, 3, 2, 2, 2: five stores, merged, and then nothing is left to be done."""
+    path, parts = file(COINS), tmp_path / "parts"
+    for k in range(1, 6):
+        accepted("sweep", path, "-o", parts, "--shard", f"{k}/5")
+    assert names(parts) == ["run.json", *(f"sweep.{k}-of-5.sqlite" for k in range(1, 6))]
+    merged = accepted("merge", *sorted(parts.glob("*.sqlite")), "-o", tmp_path / "all")
+    assert merged.stdout == f"12 runs are in {tmp_path}/all/sweep.sqlite\n"
+    rest = accepted("sweep", path, "-o", tmp_path / "all")
+    assert rest.stderr.startswith("0 runs in")
+    assert rest.stdout == accepted("sweep", path, "-o", tmp_path / "whole").stdout
+    for folder in ("all", "whole"):
+        accepted("export", tmp_path / folder, tmp_path / f"{folder}.csv")
+    assert (tmp_path / "all.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def test_runs_are_exported_a_row_each(file, tmp_path):
+    import pandas as pd
+
+    accepted("sweep", file(COINS), "-o", tmp_path / "out")
+    for name in ("x.csv", "x.parquet"):
+        result = accepted("export", tmp_path / "out", tmp_path / name)
+        assert result.stderr == f"wrote 12 runs to {tmp_path / name}\n"
+    table, frame = pd.read_csv(tmp_path / "x.csv"), pd.read_parquet(tmp_path / "x.parquet")
+    assert len(table) == len(frame) == 12
+    assert list(table) == list(frame)
+    assert table["active_time"].tolist() == frame["active_time"].tolist()
+    assert table["network.range"].tolist() == frame["network.range"].tolist()
+
+
+REFUSED_SWEEPS = {
+    "metric": (["--metric", "energi"], r"--metric energi: there is no such metric; there are captured, .*"),
+    "metric that is no number": (["--metric", "capturer"], r"--metric capturer: there is no such metric; .*"),
+    "part and precision": (["--until", "energy:1", "--shard", "1/2"], r"--until .* exclude each other"),
+    "key": (
+        ["--set", "sweep.grid.horizn=[1.0]"],
+        r"--set sweep\.grid\.horizn=\[1\.0\]: sweep\.grid: horizn: unknown key, did you mean 'horizon'\?.*",
+    ),
+    "no grid": (["--set", "sweep.grid={}"], r"--set sweep\.grid=\{\}: sweep\.grid: should have at least one key.*"),
+}
+
+
+@pytest.mark.parametrize(("options", "why"), REFUSED_SWEEPS.values(), ids=REFUSED_SWEEPS)
+def test_a_sweep_that_makes_no_sense_is_refused_before_anything_is_written(file, tmp_path, options, why):
+    (line,) = refused("sweep", file(COINS), "-o", tmp_path / "out", *options)
+    assert re.fullmatch(why, line)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_without_a_grid_is_refused(file, tmp_path):
+    (line,) = refused("sweep", file(LUCK), "-o", tmp_path / "out")
+    assert line.startswith(f"{file(LUCK)}:1: sweep.grid: should have at least one key of the scenario")
+
+
+def test_all_faults_of_a_grid_are_told_with_their_lines(file, tmp_path):
+    path = file(COINS + 'prune = "inf"\n')
+    assert refused("sweep", path) == [f"{path}:13: sweep.grid.prune: should be a list (got 'inf')"]
+    path = file(COINS + "motion.steps = [0.1]\nhorizon.x = [1.0]\nprune = ['inf', 'fin']\nseed = [1, 2]\n")
+    lines = refused("sweep", path)
+    assert [re.split(", did|; | 'none'", line)[0] for line in lines] == [
+        f"{path}:13: sweep.grid: motion.steps: unknown key",
+        f"{path}:14: sweep.grid: horizon.x: horizon.x is not a key of a table",
+        f"{path}:15: sweep.grid: prune: should be",
+        f"{path}:16: sweep.grid: seed: cannot be swept",
+    ]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["-n", 0],
+        ["-s", -1],
+        ["-j", -1],
+        ["--shard", "0/2"],
+        ["--shard", "3/2"],
+        ["--shard", "2"],
+        ["--until", "energy"],
+        ["--until", "energi:1"],
+        ["--until", "energy:0"],
+        ["--until", "energy:x"],
+        ["--until", "capturer:1"],
+    ],
+)
+def test_an_option_of_a_sweep_out_of_range_is_refused(file, options):
+    assert any("Invalid value for" in line for line in refused("sweep", file(COINS), *options))
+
+
+def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_path):
+    path, out = file(COINS), tmp_path / "out"
+    accepted("sweep", path, "-o", out, "-n", 1)
+    store = out / "sweep.sqlite"
+    assert refused("sweep", path, "-o", out, "--set", "horizon=0.6") == [
+        f"{store}: was made by another configuration: horizon was 0.5, is 0.6"
+    ]
+    assert refused("sweep", path, "-o", out, "-s", 6) == [f"{store}: was made by another sweep: root seed was 5, is 6"]
+    accepted("sweep", path, "-o", tmp_path / "other", "-n", 1, "-s", 6)
+    assert refused("merge", out, tmp_path / "other", "-o", tmp_path / "all") == [
+        f"{tmp_path}/all/sweep.sqlite: was made by another sweep: root seed was 5, is 6"
+    ]
+
+
+def test_what_is_no_store_is_refused(file, tmp_path):
+    (tmp_path / "hello.sqlite").write_text("hello")
+    (tmp_path / "empty.sqlite").write_text("")
+    (tmp_path / "folder").mkdir()
+    target = tmp_path / "x.csv"
+    assert refused("export", tmp_path / "none.sqlite", target) == [f"{tmp_path}/none.sqlite: there is no such store"]
+    assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder/sweep.sqlite: there is no such store"]
+    assert refused("export", tmp_path / "hello.sqlite", target) == [f"{tmp_path}/hello.sqlite: file is not a database"]
+    assert refused("export", tmp_path / "empty.sqlite", target) == [f"{tmp_path}/empty.sqlite: is empty"]
+    assert not target.exists()
+
+
+def test_a_file_that_cannot_be_exported_to_is_refused(file, tmp_path):
+    accepted("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
+    (why,) = refused("export", tmp_path / "out", tmp_path / "x.txt")
+    assert why == f"{tmp_path}/x.txt: should end in .csv or .parquet"
+    (why,) = refused("export", tmp_path / "out", tmp_path / "none" / "x.csv")
+    assert why == f"{tmp_path}/none/x.csv: cannot be written: No such file or directory"
+
+
+def test_without_matplotlib_a_sweep_has_no_picture(file, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    accepted("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
+    assert names(tmp_path / "out") == ["run.json", "sweep.sqlite", "sweep.txt"]

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import dataclass, field
 from math import inf, nan
 from typing import Annotated, Any, Literal
 
@@ -122,6 +123,21 @@ def test_plain_is_what_strict_json_has():
     plain = Drawing(shape=Square()).plain()
     assert plain == {"kind": "drawing", "shape": {"kind": "square", "side": 2.0}, "reach": "Infinity"}
     assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+
+
+@dataclass
+class Blob:
+    area: float
+    edges: int = field(init=False, default=0)
+
+    def __call__(self):
+        return self.area
+
+
+def test_a_dataclass_of_ones_own_is_written_with_what_it_was_made_of_and_read_again():
+    plain = Drawing(shape=Blob(area=2.0)).plain()["shape"]
+    assert plain == {"kind": f"{__name__}:Blob", "area": 2.0}
+    assert Drawing(shape=plain).shape == Blob(area=2.0)
 
 
 def test_kind_of_a_model_is_its_default():

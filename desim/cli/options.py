@@ -21,30 +21,39 @@ FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key, e.g. network.latency.value=0.05."
 )
-SEED = click.option(
-    "-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's."
-)
+SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
 
 
 def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
-    """Return what a file says and its scenario, warn of what is hardly meant, and end the program if it is wrong."""
-    from desim.scenario_file import read, validate
+    """Return what a file says and its scenario; see `valid`."""
+    from desim.scenario_file import read
     from desim.source import ScenarioError
-    from desim.warnings import warnings
 
     try:
         source = read(file, overrides)
-        scenario = validate(source)
     except ScenarioError as error:
         refuse(str(error))
     except OSError as error:
         refuse(f"{file}: cannot be read: {error.strerror}")
+    return source, valid(source)
+
+
+def valid(source: "Source") -> "Scenario":
+    """Return the scenario of a source, warn of what is hardly meant, and end the program if it is wrong."""
+    from desim.scenario_file import validate
+    from desim.source import ScenarioError
+    from desim.warnings import warnings
+
+    try:
+        scenario = validate(source)
+    except ScenarioError as error:
+        refuse(str(error))
     for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
         click.echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
-    return source, scenario
+    return scenario
 
 
 def scenario_of(file: Path, overrides: tuple[str, ...]) -> "Scenario":

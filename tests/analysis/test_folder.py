@@ -6,13 +6,14 @@ from dataclasses import asdict
 
 import pytest
 
+from desim import provenance
 from desim.analysis.folder import can_plot, write, write_below
 from desim.analysis.metrics import summary
 from desim.scenario import Recording, Scenario, Team
 from desim.scenario_file import load
 from desim.simulation import run
 
-DATA = {"trace.jsonl", "summary.json", "scenario.toml"}
+DATA = {"trace.jsonl", "summary.json", "scenario.toml", "run.json"}
 PICTURES = {"trajectory.svg", "trajectory.png"}
 SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3), record=Recording(trajectory=0.0))
 
@@ -51,6 +52,18 @@ def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
     assert write_below(tmp_path, result) == summary(result)
     assert names(tmp_path) == {"seed-5"}
     assert names(tmp_path / "seed-5") == DATA
+
+
+def test_the_folder_says_where_the_run_of_a_script_comes_from(result, tmp_path):
+    write(result, tmp_path)
+    assert provenance.read(tmp_path / "run.json") == provenance.document("run", SCENARIO, seed=5)
+
+
+def test_the_folder_of_one_of_several_runs_says_where_that_run_comes_from(result, tmp_path):
+    made = provenance.document("run", SCENARIO, seed=4, runs=3, folder=tmp_path) | {"argv": ["desim", "run", "x"]}
+    write_below(tmp_path, result, made)
+    written = provenance.read(tmp_path / "seed-5" / "run.json")
+    assert written == made | {"seed": 5, "runs": 1, "scenario": SCENARIO.plain() | {"seed": 5}}
 
 
 @pytest.fixture
