@@ -22,11 +22,14 @@ def _conserved(request):
     if item.get_closest_marker("own_trace") or BENCHMARKS in item.path.parents:
         yield
         return
-    begin = Trace.__init__
+    begin, all_watchers = Trace.__init__, []
 
     def watched(self, watchers=(), **options):
-        begin(self, (*watchers, Conservation()), **options)
+        all_watchers.append(Conservation())
+        begin(self, (*watchers, all_watchers[-1]), **options)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Trace, "__init__", watched)
         yield
+    for watcher in all_watchers:
+        watcher.judge()

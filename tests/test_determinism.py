@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from desim import Scenario, load, run, simulation
-from desim.analysis.batch import run_many
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.scenario import Team
+from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed
 from scenarios.study import SCENARIOS

@@ -2,9 +2,12 @@
 
 import random
 from importlib import import_module
+from itertools import combinations, product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from desim import Scenario, load, run
 from desim.kernel.clock import SECOND
@@ -22,15 +25,33 @@ from scenarios.study import SCENARIOS
 
 KINDS = PROTOCOLS.choices()
 SCHEDULED = [kind for kind, model in KINDS.items() if "schedule" in model.model_fields]
-TABLES = [
-    *(
-        f"{{ kind = '{kind}', schedule = {{ kind = '{schedule}' }} }}"
-        for kind in SCHEDULED
-        for schedule in SCHEDULES.choices()
-    ),
-    *(f"{{ kind = '{kind}' }}" for kind in KINDS if kind not in SCHEDULED),
+FILES = {path.stem: path for path in sorted(SCENARIOS.glob("*.toml"))}
+
+
+def covering(*axes):
+    """Return some of the triples of three axes, so that each pair of values of any two axes is in one at least.
+
+    Numbered on each axis, they are those whose sum is a multiple of m, the length of the shortest axis: of two values
+    that are given, any m that follow one another on the third axis have one. Of the two other axes every pair is in
+    just one triple, so that none can be spared.
+    """
+    shortest = min(map(len, axes))
+    numbered = product(*map(enumerate, axes))
+    return [tuple(value for _, value in each) for each in numbered if sum(k for k, _ in each) % shortest == 0]
+
+
+def uncovered(triples, *axes):
+    """Return the pairs of values of two of three axes that are in no triple."""
+    met = {pair for triple in triples for pair in combinations(enumerate(triple), 2)}
+    named = [[(number, value) for value in axis] for number, axis in enumerate(axes)]
+    return {pair for one, other in combinations(named, 2) for pair in product(one, other)} - met
+
+
+AXES = SCHEDULED, list(SCHEDULES.choices()), list(FILES)
+CELLS = [
+    *covering(*AXES),
+    *((kind, None, file) for kind in KINDS if kind not in SCHEDULED for file in FILES),
 ]
-FILES = sorted(SCENARIOS.glob("*.toml"))
 EQUAL_SPEEDS = {"voronoi"}
 """Who assumes them."""
 AVERAGING = {"fictitious_play", "regret_matching"}
@@ -50,14 +71,14 @@ def first_fault(scenario):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-@pytest.mark.parametrize("table", TABLES)
-def test_a_protocol_keeps_the_contract_in_every_scenario(table, path):
+@pytest.mark.parametrize(("kind", "schedule", "file"), CELLS)
+def test_a_protocol_keeps_the_contract_in_every_scenario(kind, schedule, file):
     """Same seed, same bytes, whatever ran between; another seed, another run; the global generators stay untouched.
 
     Just past the first fault, if there is one. That no message goes astray is watched in every test.
     """
-    scenario = load(path, [f"protocol={table}", "record.messages=true"])
+    table = f"{{ kind = '{kind}', schedule = {{ kind = '{schedule}' }} }}" if schedule else f"{{ kind = '{kind}' }}"
+    scenario = load(FILES[file], [f"protocol={table}", "record.messages=true"])
     until = first_fault(scenario) + 0.1
     np.random.seed(1)  # noqa: NPY002
     random.seed(1)
@@ -90,7 +111,9 @@ def settled(kind, seed, **changes):
     speeds = 1.5 if kind in EQUAL_SPEEDS else rng.uniform(0.8, 2.0, count).tolist()
     rate = 30.0 if kind in AVERAGING else 10.0
     settings = {"schedule": {"kind": "poisson", "rate": rate}} if kind in SCHEDULED else {}
-    given = {
+    if "slot" in KINDS[kind].model_fields:
+        settings["slot"] = 0.1
+    fixed = {
         "seed": seed,
         "horizon": 30.0,
         "team": Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
@@ -99,7 +122,7 @@ def settled(kind, seed, **changes):
         "announce": Announcements(heartbeat=0.5, warm_start=bool(rng.random() < 0.5)),
         "record": Recording(trajectory=0.0),
     }
-    return Scenario(**(given | changes))
+    return Scenario(**(fixed | changes))
 
 
 def undecided(kind, phi, horizon):
@@ -153,9 +176,31 @@ def test_in_each_part_of_a_team_that_is_cut_in_two_one_pursuer_chases(kind):
 
 
 def test_the_contract_covers_every_protocol_and_every_schedule():
-    assert len(TABLES) == len(SCHEDULED) * len(SCHEDULES.choices()) + len(KINDS) - len(SCHEDULED)
+    """Each two of protocol, schedule and file meet, and every protocol meets every file; no cell could be spared."""
+    cells = [cell for cell in CELLS if cell[1] is not None]
+    assert uncovered(cells, *AXES) == set()
+    assert all(uncovered([other for other in cells if other != cell], *AXES) for cell in cells[:: len(cells) // 20])
+    assert {(kind, file) for kind, _, file in CELLS} == set(product(KINDS, FILES))
     assert {"sap", "local_min", "centralised"} <= set(KINDS)
     assert Poisson in SCHEDULES.choices().values()
+    assert len(FILES) > 10
+
+
+def test_the_pairs_that_no_triple_covers_are_found():
+    """(a, x, 1) and (b, y, 1) have (a, x), (b, y), (a, 1), (b, 1), (x, 1) and (y, 1) of twelve pairs."""
+    axes = "ab", "xy", (1, 2)
+    lacking = {("a", "y"), ("b", "x"), ("a", 2), ("b", 2), ("x", 2), ("y", 2)}
+    found = uncovered([("a", "x", 1), ("b", "y", 1)], *axes)
+    assert {(one, other) for (_, one), (_, other) in found} == lacking
+    assert uncovered(covering(*axes), *axes) == set()
+    assert len(covering(*axes)) == 4
+
+
+@given(st.tuples(*[st.integers(1, 8)] * 3))
+def test_triples_are_as_few_as_the_pairs_of_the_two_longest_axes(sizes):
+    axes = tuple(range(size) for size in sizes)
+    assert uncovered(covering(*axes), *axes) == set()
+    assert len(covering(*axes)) == np.prod(sorted(sizes)[1:])
 
 
 PARTS = [*KINDS.values(), *SCHEDULES.choices().values(), *DISSEMINATIONS.choices().values()]

@@ -5,24 +5,28 @@ Faults come first at an instant: what arrives as a crash begins is lost, what ar
 """
 
 from collections import Counter
-from collections.abc import Iterable
-from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Any
 
 from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, Queued, Sent, Tally
 from desim.kernel.faults import Began, Crash, Fault, Over, Partition
 
-Message = tuple[int, int]
-"""Flight and receiver."""
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+SOME = 64
+"""How many transmissions are left unjudged at least; more, if more are in flight."""
 
 
 class Conservation:
-    """A watcher of one run that raises AssertionError as soon as an invariant is broken.
+    """A watcher of one run that raises AssertionError if an invariant is broken, before the next tally is over.
 
     - What was sent is delivered, lost or in flight, as the tally says: in total, and by each cause.
     - Nothing leaves before it was created or arrives before it left; time does not run backwards.
     - A message is lost once at most: while it waits, as it leaves, or as it arrives.
     - Nobody whose radio is down says anything, and nothing is delivered to it.
     - Nothing is delivered across a partition that was open as it left or is open as it arrives.
+
+    Deliveries are judged together, before a fault begins or ends and whenever many have been made.
 
     Args:
         fifo: whether no message may overtake an earlier one of its link, either.
@@ -32,82 +36,122 @@ class Conservation:
         self._fifo = fifo
         self._now = self._sent = self._delivered = 0
         self._lost: Counter[Cause] = Counter()
-        self._waiting: set[Message] = set()
-        self._flying: dict[Message, tuple[int, Broadcast | Sent]] = {}
-        self._due: list[tuple[int, bool, Message]] = []
-        """A heap: when each arrives or, if it never does, leaves; whether it arrives."""
-        self._latest: dict[Message, int] = {}
+        self._waiting: dict[int, set[int]] = {}
+        """Who is to receive each flight."""
+        self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
+        """How each flight left, and when it arrives at whom, or `LOST`."""
+        self._latest: dict[tuple[int, int], int] = {}
         """The last arrival on each link, from sender to receiver."""
         self._faults: list[Fault] = []
+        self._room = SOME
+        self._notices: dict[type, Callable[[Any], None]] = {
+            Broadcast: self._broadcast,
+            Sent: lambda sent: self._depart(sent, {sent.dst: sent.arrival}),
+            Queued: self._queue,
+            Lost: self._lose,
+            Began: self._begin,
+            Over: self._end,
+            Tally: self._count,
+        }
 
     def __call__(self, event: Event) -> None:
         """Take notice of an event."""
         _require(event.t >= self._now, "time does not run backwards", event)
-        self._settle(event.t)
         self._now = event.t
-        match event:
-            case Broadcast():
-                arrivals = event.arrival * len(event.dst) if len(event.arrival) == 1 else event.arrival
-                self._depart(event, zip(event.dst, arrivals, strict=True))
-            case Sent():
-                self._depart(event, [(event.dst, event.arrival)])
-            case Queued():
-                _require(not self._down(event.src), "who is down says nothing", event)
-                self._sent += len(event.dst)
-                self._waiting |= {(event.flight, dst) for dst in event.dst}
-            case Lost():
-                self._lose(event, (event.flight, event.dst))
-            case Began():
-                self._faults.append(event.fault)
-            case Over():
-                _require(event.fault in self._faults, "only what began is over", event)
-                self._faults.remove(event.fault)
-            case Tally():
-                self._settle(event.t + 1)
-                found = (self._sent, self._delivered, self._lost.total(), len(self._flying) + len(self._waiting))
-                same = found == event[1:5] and self._lost == Counter(event.lost_by)
-                _require(same, f"sent, delivered, lost, in flight are {found}, lost are {dict(self._lost)}", event)
+        notice = self._notices.get(type(event))
+        if notice is not None:
+            notice(event)
 
-    def _depart(self, event: Broadcast | Sent, fates: Iterable[tuple[int, int]]) -> None:
+    def _broadcast(self, event: Broadcast) -> None:
+        alike = len(event.arrival) == 1
+        fates = (
+            dict.fromkeys(event.dst, event.arrival[0]) if alike else dict(zip(event.dst, event.arrival, strict=True))
+        )
+        _require(len(fates) == len(event.dst), "a message leaves once", event)
+        self._depart(event, fates)
+
+    def _depart(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
         _require(event.created <= event.t, "nothing leaves before it was created", event)
-        _require(not self._down(event.src), "who is down says nothing", event)
-        for dst, arrival in fates:
-            message, arrives = (event.flight, dst), arrival != LOST
-            _require(message not in self._flying, "a message leaves once", event)
-            self._sent += message not in self._waiting
-            self._waiting.discard(message)
-            if arrives:
-                _require(arrival >= event.t, "nothing arrives before it left", event)
-            if arrives and self._faults:
-                _require(not self._cut(event.src, dst), "nothing leaves across an open partition", event)
-            if arrives and self._fifo:
+        if fates and min(fates.values()) < event.t:
+            early = any(arrival < event.t for arrival in fates.values() if arrival != LOST)
+            _require(not early, "nothing arrives before it left", event)
+        if self._faults:
+            _require(not self._down(event.src), "who is down says nothing", event)
+            across = any(self._cut(event.src, dst) for dst, arrival in fates.items() if arrival != LOST)
+            _require(not across, "nothing leaves across an open partition", event)
+        if self._fifo:
+            self._follow(event, fates)
+        self._sent += len(fates)
+        if event.flight in self._waiting:
+            waiting = self._waiting[event.flight]
+            self._sent -= len(waiting & fates.keys())
+            waiting.difference_update(fates)
+        if event.flight in self._flying:
+            left, flying = self._flying[event.flight]
+            _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message leaves once", event)
+            fates = flying | fates
+        self._flying[event.flight] = event, fates
+        if len(self._flying) > self._room:
+            self._settle(event.t)
+            self._room = SOME + 2 * len(self._flying)
+
+    def _follow(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
+        for dst, arrival in fates.items():
+            if arrival != LOST:
                 _require(arrival >= self._latest.get((event.src, dst), 0), "nothing overtakes on a link", event)
                 self._latest[event.src, dst] = arrival
-            due = arrival if arrives else event.t
-            self._flying[message] = (due, event)
-            heappush(self._due, (due, arrives, message))
 
-    def _lose(self, event: Lost, message: Message) -> None:
+    def _queue(self, event: Queued) -> None:
+        _require(not self._down(event.src), "who is down says nothing", event)
+        self._sent += len(event.dst)
+        self._waiting.setdefault(event.flight, set()).update(event.dst)
+
+    def _lose(self, event: Lost) -> None:
         self._lost[event.cause] += 1
-        if message in self._waiting:
-            self._waiting.remove(message)
+        waiting = self._waiting.get(event.flight, set())
+        if event.dst in waiting:
+            waiting.remove(event.dst)
         else:
-            _require(message in self._flying, "only what is on its way is lost, and once", event)
-            due, _ = self._flying.pop(message)
-            _require(event.t == due, "a message is lost as it leaves or as it arrives", event)
+            left, flying = self._flying.get(event.flight, (event, {}))
+            arrival = flying.pop(event.dst, None)
+            due = left.t if arrival == LOST else arrival
+            _require(due is not None and due >= event.t, "only what is on its way is lost, and once", event)
+            _require(due == event.t, "a message is lost as it leaves or as it arrives", event)
+
+    def _begin(self, event: Began) -> None:
+        self._settle(event.t)
+        self._faults.append(event.fault)
+
+    def _end(self, event: Over) -> None:
+        self._settle(event.t)
+        _require(event.fault in self._faults, "only what began is over", event)
+        self._faults.remove(event.fault)
+
+    def _count(self, event: Tally) -> None:
+        self._settle(event.t + 1)
+        in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
+        found = (self._sent, self._delivered, self._lost.total(), in_flight)
+        same = found == event[1:5] and self._lost == Counter(event.lost_by)
+        _require(same, f"sent, delivered, lost, in flight are {found}, lost are {dict(self._lost)}", event)
+
+    def judge(self) -> None:
+        """Judge what was delivered before the last event."""
+        self._settle(self._now)
 
     def _settle(self, before: int) -> None:
         """Count as delivered what arrived before an instant; no fault has begun or ended since it arrived."""
-        while self._due and self._due[0][0] < before:
-            _, arrives, message = heappop(self._due)
-            if message in self._flying:
-                _, event = self._flying.pop(message)
-                self._delivered += 1
-                _require(arrives, "what never arrives is lost", event)
-                if self._faults:
-                    node = message[1]
+        for flight, (event, flying) in list(self._flying.items()):
+            if event.t < before:
+                _require(LOST not in flying.values(), "what never arrives is lost", event)
+                reached = [dst for dst, arrival in flying.items() if arrival < before]
+                self._delivered += len(reached)
+                for node in reached if self._faults else ():
                     _require(not self._down(node), f"nothing reaches {node}, whose radio is down", event)
                     _require(not self._cut(event.src, node), f"nothing reaches {node} across an open partition", event)
+                if len(reached) == len(flying):
+                    del self._flying[flight]
+                else:
+                    self._flying[flight] = event, {dst: arrival for dst, arrival in flying.items() if arrival >= before}
 
     def _down(self, node: int) -> bool:
         return any(isinstance(fault, Crash) and fault.node == node for fault in self._faults)

@@ -1,5 +1,6 @@
 """The watcher of the invariants: it lets right histories pass and notices each kind of wrong one."""
 
+from contextlib import nullcontext
 from math import inf
 
 import networkx as nx
@@ -68,6 +69,10 @@ RIGHT = {
     "lost to a crash": [sent(1, 5), Began(5, CRASH), lost(5, "crash"), tally(9, crash=1)],
     "a partition while it flies": [sent(1, 5), Began(2, PARTITION), Over(5, PARTITION), tally(9, 1)],
     "a partition healed as it leaves": [Began(0, PARTITION), Over(1, PARTITION), sent(1, 5), tally(9, 1)],
+    "one of all lost as it arrives": [told(1, (5,)), lost(5, "reach"), tally(9, 1, reach=1)],
+    "one of all waits no more": [queued(1, dst=(1, 2)), lost(2), told(3, (5,), dst=(2,)), tally(9, 1, loss=1)],
+    "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), tally(6, 1, 1)],
+    "a fault begins as it is lost": [sent(1, LOST, dst=2), Began(1, CRASH), lost(1, dst=2), tally(4, loss=1)],
     "within a group": [Began(0, PARTITION), sent(1, 5, src=1, dst=2), tally(9, 1)],
     "jamming": [Began(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), tally(9, 1)],
     "overtaking": [sent(1, 9), sent(2, 5, flight=1), tally(9, 2)],
@@ -87,6 +92,10 @@ WRONG = {
     "leaves before it was created": ("before it was created", [sent(5, 6, created=7)]),
     "time runs backwards": ("backwards", [sent(5, 6), sent(4, 6, flight=1)]),
     "leaves twice": ("once", [sent(1, 5), sent(2, 5)]),
+    "leaves twice at once": ("once", [sent(1, 5), sent(1, 6)]),
+    "leaves twice for one of all": ("once", [told(1, (5,), dst=(2, 2))]),
+    "leaves now and then": ("once", [sent(1, 5), sent(2, 5, dst=2)]),
+    "lost later than it left": ("on its way|is lost", [sent(1, LOST), lost(2), tally(2, loss=1)]),
     "never arrives, is not lost": ("is lost", [sent(1, LOST), tally(2, loss=1)]),
     "lost twice": ("once", [sent(1, 5), lost(5), lost(5)]),
     "lost twice while it waits": ("once", [queued(1), lost(2), lost(2)]),
@@ -130,6 +139,27 @@ def test_a_wrong_history_is_noticed(words, events):
     with pytest.raises(AssertionError, match=words) as failure:
         watch(events)
     assert any(str(event) in str(failure.value) for event in events)
+
+
+def test_what_was_delivered_is_judged_soon_and_at_the_end_without_a_tally():
+    """64 transmissions are left unjudged if all arrive at once; at the end, none that arrived before the last event."""
+    with pytest.raises(AssertionError, match="is lost"):
+        watch([sent(0, LOST), *(sent(k, k, flight=k) for k in range(1, 65))])
+    for last, wrong in [(5, False), (6, True)]:
+        watcher = Conservation()
+        for event in [Began(0, CRASH), sent(1, 5), sent(last, last, flight=1, dst=2)]:
+            watcher(event)
+        with pytest.raises(AssertionError, match="reaches 1") if wrong else nullcontext():
+            watcher.judge()
+
+
+def test_what_is_long_in_flight_is_judged_when_it_arrives():
+    """300 transmissions that take 1000 ns, sent one after the other."""
+    events = [sent(k, k + 1000, flight=k) for k in range(300)]
+    watch([*events, tally(999, 0, 300)])
+    watch([*events, tally(1100, 101, 199)])
+    with pytest.raises(AssertionError, match="in flight"):
+        watch([*events, tally(1100, 100, 200)])
 
 
 def test_overtaking_is_noticed_on_links_that_are_first_in_first_out():

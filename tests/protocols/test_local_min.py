@@ -96,8 +96,8 @@ ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "p
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
-    """120 random graphs for each schedule (30 for the slowest): settled by the middle of the 10 s, whoever decides."""
-    for number in range(30 if clock == "local_mutex" else 120):
+    """60 random graphs for each schedule (30 for the slowest): settled by the middle of the 10 s, whoever decides."""
+    for number in range(30 if clock == "local_mutex" else 60):
         graph, phi = random_graph(number)
         profile, times = changes_of(run(static_game(LocalMin(schedule=ANY_CLOCK[clock]), graph, phi, number)))
         assert profile == greedy_maximal_independent_set(phi, 10.0, who_is_heard(graph)), f"graph {number}"
@@ -108,16 +108,16 @@ def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ONE_AT_A_TIME)
 def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set(clock):
-    """120 random graphs for each of four schedules; not always in the greedy one, which is the control."""
-    greedy = 0
-    for number in range(120):
+    """60 random graphs for each schedule (30 for the slowest); not always in the greedy one, which is the control."""
+    greedy, graphs = 0, 30 if clock == "local_mutex" else 60
+    for number in range(graphs):
         graph, phi = random_graph(number)
         protocol = BestResponse(utility=EdgePenalty(), schedule=ONE_AT_A_TIME[clock])
         profile, times = changes_of(run(static_game(protocol, graph, phi, number)))
         assert is_maximal_independent(profile, timely(phi, graph)), f"graph {number}"
         assert max(times, default=0.0) < 6.0, f"graph {number}"
         greedy += profile == greedy_maximal_independent_set(phi, 10.0, who_is_heard(graph))
-    assert 20 < greedy < 100
+    assert graphs / 6 < greedy < 5 * graphs / 6
 
 
 def test_all_at_once_best_responses_to_a_penalty_go_round_in_circles():

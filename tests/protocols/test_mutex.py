@@ -6,6 +6,7 @@ from itertools import pairwise
 import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from desim import Scenario, run
 from desim.kernel.events import Sent
@@ -21,6 +22,8 @@ from protocols.mutex import Later, LocalMutex, Reply, Request, Section
 from protocols.schedules import Poisson
 
 SECOND = 1_000_000_000
+EXPLORING = not settings.default.derandomize
+"""More plans, with --hypothesis-profile=explore."""
 
 
 def frozen(protocol, *, count=7, horizon=10.0, latency=0.0, loss=0.0, faults=(), trigger="never", graph=None):
@@ -193,12 +196,14 @@ def test_after_a_partition_all_exclude_each_other_again():
 
 @pytest.mark.slow
 def test_no_storm_ends_in_a_deadlock():
-    """150 plans of crashes, partitions, jamming and losses until 3 s: everybody decides from then on, and knows.
+    """60 plans of crashes, partitions, jamming and losses until 3 s: everybody decides from then on, and knows.
+
+    What goes wrong in one plan of 20 is seen with 1 - (19 / 20)^60 = 0.954; 300 plans to explore.
 
     A neighbour is given up in 10 x 2.5 L, and at most once more for each; all is well again after another second.
     """
     stuck, mistaken = {}, {}
-    for seed in range(150):
+    for seed in range(300 if EXPLORING else 60):
         rng = np.random.default_rng([seed, 6])
         count, graph = int(rng.integers(2, 8)), (Complete(), Grid(columns=3), Star())[rng.integers(3)]
         latency = (Lognormal(mean=0.02, cv=1.0), Constant(value=0.02), Constant())[rng.integers(3)]

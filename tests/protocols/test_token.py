@@ -11,6 +11,7 @@ from math import inf
 import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from desim import Scenario, run
 from desim.kernel.events import Sent
@@ -23,23 +24,26 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import best_response, relay_profile
 from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Team
+from desim.scenario import Motion, Team
 from protocols.circulation import Station, circulate
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
 from protocols.token_messages import Receipt, Sign, Token, present
+from tests.law import RELAY, measured, static_game
 
 SECOND = 1_000_000_000
+EXPLORING = not settings.default.derandomize
+"""More plans, with --hypothesis-profile=explore."""
 
 
-def frozen(protocol, *, count=5, horizon=10.0, latency=0.0, faults=(), trigger="never", team=None, **links):
+def frozen(protocol, *, count=5, horizon=10.0, latency=0.0, faults=(), trigger="never", **links):
     """Return a game that stands still, negotiated by a protocol."""
     model = Constant(value=latency) if isinstance(latency, float) else latency
     return Scenario(
         horizon=horizon,
-        team=team or Team(count=count, speeds=2.0),
+        team=Team(count=count, speeds=2.0),
         motion=Motion(frozen=True),
         protocol=protocol,
         network=Links(latency=model, **links),
@@ -165,9 +169,10 @@ def test_decisions_by_timers_are_stale_on_a_slow_network():
 @pytest.mark.parametrize("latency", [0.0, 0.3, 1.0])
 def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
     """Every decision of three rounds is the best response to the exact profile, and the relay profile results."""
+    until = 25 * (0.01 + latency) * SECOND
     for seed in range(5):
         play = SpatialAdaptivePlay(schedule=TokenRing(), tau=ConstantTau(value=1e-12))
-        result = run(frozen(play, count=8, latency=latency, horizon=25.0), seed)
+        result = run(frozen(play, count=8, latency=latency, horizon=25.0), seed, lambda event: event.t > until)
         start = result.trace.of(Started)[0]
         phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
         profile = list(start.active)
@@ -180,27 +185,19 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("schedule", [TokenRing(hold=0.002), TokenWalk(hold=0.002)])
+@pytest.mark.parametrize("schedule", [TokenRing(hold=0.004), TokenWalk(hold=0.004)])
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
-    """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, whoever revises one at a time; 12 seeds, 5 s.e.
+    """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, whoever revises one at a time, within 4 s.e.
 
-    The control, everybody at once, would have .4930.
+    10 seeds of 2,500 decisions: 1.4 / sqrt(25,000) = .009 if owners are drawn (`test_paper`). The control, everybody at
+    once, would have .4930, 10 s.e. away.
     """
-    team = Team(positions=tuple((phi + 0.1, 0.0) for phi in (1.0, 2.0, 4.0, 8.0)), speeds=1.9)
     play = SpatialAdaptivePlay(schedule=schedule, tau=ConstantTau(value=0.5))
-    scenario = frozen(play, team=team, latency=0.003, horizon=25.0)
-    scenario = scenario.model_copy(update={"evader": Evader(position=(0.0, 0.0))})
-    shares = []
-    for seed in range(12):
-        profile, hits = [True] * 4, []
-        for d in decided(run(scenario, seed)):
-            profile[d.pursuer] = d.active
-            hits.append(profile == [True, False, False, False])
-        shares.append(np.mean(hits[100:]))
-    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
-    assert error < 0.015
-    assert abs(np.mean(shares) - 0.6041) < 5 * error
-    assert abs(np.mean(shares) - 0.4930) > 5 * error
+    scenario = static_game(play, Links(latency=Constant(value=0.006)))
+    law, errors = measured(scenario.model_copy(update={"announce": Announcements(trigger="never")}), seeds=10)
+    assert errors[RELAY] < 0.015
+    assert abs(law[RELAY] - 0.6041) < 4 * errors[RELAY]
+    assert abs(law[RELAY] - 0.4930) > 5 * errors[RELAY]
 
 
 def test_a_hop_takes_two_messages():
@@ -272,24 +269,24 @@ def plain_walk(me, revise):
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", [Star(), Ring()])
 def test_everybody_has_the_walking_token_equally_often(graph):
-    """Shares of 5 pursuers over 12 runs of 2,000 decisions: 1/5 each, within 5 s.e.; the plain walk's on the star not.
+    """Shares of 5 pursuers over 8 runs of 1,000 decisions: 1/5 each, within 5 s.e. (at most 0.011).
 
-    A plain walk on the star is at its centre every second time; on a cycle it is uniform, too.
+    The control, a plain walk on the star, is at its centre every second time.
     """
 
     def shares(schedule):
         counts = [
-            Counter(d.pursuer for d in decided(run(frozen(flips(schedule), horizon=20.0, graph=graph), seed)))
-            for seed in range(12)
+            Counter(d.pursuer for d in decided(run(frozen(flips(schedule), graph=graph), seed))) for seed in range(8)
         ]
         found = np.array([[each[j] / each.total() for j in range(5)] for each in counts])
-        return found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(12)
+        return found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(8)
 
     mean, error = shares(TokenWalk())
-    assert (error < 0.02).all()
+    assert (error < 0.015).all()
     assert (abs(mean - 0.2) < 5 * error).all()
-    mean, error = shares(plain_walk)
-    assert mean[0] == pytest.approx(0.5 if isinstance(graph, Star) else 0.2, abs=0.02)
+    if isinstance(graph, Star):
+        mean, _ = shares(plain_walk)
+        assert mean[0] == pytest.approx(0.5, abs=0.02)
 
 
 # With faults.
@@ -452,23 +449,17 @@ def faults_after(seed):
 
 
 @pytest.mark.slow
-def test_one_token_is_left_in_each_component_after_a_few_storms():
-    assert {seed: found for seed in range(1000, 1060) if (found := faults_after(seed))} == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("block", range(20 if EXPLORING else 5))
 def test_one_token_is_left_in_each_component_after_every_storm(block):
-    """A thousand random plans."""
-    assert {seed: found for seed in range(100 * block, 100 * block + 100) if (found := faults_after(seed))} == {}
+    """250 random plans: what goes wrong in one plan of 80 is seen with 1 - (79 / 80)^250 = 0.957; 1000 to explore."""
+    assert {seed: found for seed in range(50 * block, 50 * block + 50) if (found := faults_after(seed))} == {}
 
 
 @pytest.mark.slow
 def test_the_watcher_notices_a_token_that_is_never_replaced(monkeypatch):
     """A negative control: with endless patience some of 20 storms leave a component without a token."""
     monkeypatch.setattr(Station, "patience", property(lambda self: 1e6))
-    found = [fault for seed in range(20) for fault in faults_after(seed)]
-    assert any(fault.startswith("no token") for fault in found)
+    assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 
 @pytest.mark.slow
@@ -489,8 +480,7 @@ def test_the_watcher_notices_tokens_whose_epoch_nobody_heeds(monkeypatch):
 
     monkeypatch.setattr(Station, "_hear", hear)
     monkeypatch.setattr(Station, "_notice", notice)
-    found = [fault for seed in range(40) for fault in faults_after(seed)]
-    assert any(fault.startswith("two tokens") for fault in found)
+    assert any(fault.startswith("two tokens") for seed in range(40) for fault in faults_after(seed))
 
 
 @pytest.mark.slow

@@ -157,6 +157,9 @@ def few(monkeypatch, tmp_path):
     monkeypatch.setattr(rivals, "WORLDS", {"paper": rivals.WORLDS["paper"]})
     monkeypatch.setattr(rivals, "LATENCIES", (0.0, 0.2))
     monkeypatch.setattr(ranges, "RANGES", (0.5, 8.0, 30.0))
+    monkeypatch.setattr(ranges, "N", 6)
+    small = {name: team.model_copy(update={"count": 6}) for name, team in ranges.TEAMS.items()}
+    monkeypatch.setattr(ranges, "TEAMS", small)
     return tmp_path
 
 
