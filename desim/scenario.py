@@ -1,6 +1,7 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Set
+from types import FunctionType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import (
     Field,
     Tag,
     ValidationInfo,
+    field_serializer,
     field_validator,
     model_validator,
 )
@@ -166,13 +168,49 @@ class Recording(Value):
 
 def _flat(grid: Any, above: str = "") -> Any:
     """Return a grid with dotted keys, also if its keys were not quoted, which in TOML makes tables of them."""
-    if not isinstance(grid, dict):
+    if not isinstance(grid, Mapping):
         return grid
     flat: dict[str, Any] = {}
     for key, each in grid.items():
         name = f"{above}{key}"
-        flat |= _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
+        found = _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
+        if twice := flat.keys() & found.keys():
+            raise ValueError(f"{min(twice)} is there twice")
+        flat |= found
     return flat
+
+
+def _in_order(values: Any) -> Any:
+    if isinstance(values, Set):
+        raise ValueError("should be a list: a set has no order")
+    return values
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with Python's numbers and lists for those of numpy."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _named(value: Any) -> Any:
+    """Return what JSON may have for a value: a function or a model of a script is told by its name."""
+    if isinstance(value, Value):
+        return value.model_dump()
+    if isinstance(value, dict):
+        return {key: _named(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_named(each) for each in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    home = value if isinstance(value, FunctionType) else type(value)
+    return {"kind": f"{home.__module__}:{home.__qualname__}"}
+
+
+Values = Annotated[tuple[Annotated[Any, BeforeValidator(_plain)], ...], Field(min_length=1), BeforeValidator(_in_order)]
+"""What a key takes, one after the other."""
 
 
 class Sweep(Value):
@@ -183,11 +221,13 @@ class Sweep(Value):
     seeds: Literal["common", "independent"] = "common"
     """common: run k of every configuration has seed s + k, so that differences between configurations are not those
     between seeds; independent: every run has a seed of its own."""
-    grid: Annotated[dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]], BeforeValidator(_flat)] = Field(
-        default_factory=dict
-    )
+    grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
     """Keys of the scenario, dotted as in --set, and for each a list of the values it takes; each combination is a
     configuration."""
+
+    @field_serializer("grid")
+    def _written(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
+        return {key: _named(values) for key, values in grid.items()}
 
     def __hash__(self) -> int:  # what a key takes may be tables
         return hash((self.reps, self.seeds, tuple(self.grid)))

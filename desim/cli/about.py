@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import FILE, SET, refuse, scenario_of
+from desim.cli.options import FILE, SET, refuse, source_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -17,10 +17,19 @@ if TYPE_CHECKING:
 @FILE
 @SET
 def check(file: Path, overrides: tuple[str, ...]) -> None:
-    """Validate a scenario and print it with every default filled in."""
+    """Validate a scenario, and its grid if it has one, and print it with every default filled in."""
     from desim.scenario_file import dump
 
-    click.echo(dump(scenario_of(file, overrides)), nl=False)
+    source, scenario = source_of(file, overrides)
+    if scenario.sweep.grid:
+        from desim.source import ScenarioError
+        from desim.study.cells import cells
+
+        try:
+            cells(source)
+        except ScenarioError as error:
+            refuse(str(error))
+    click.echo(dump(scenario), nl=False)
 
 
 @click.command()

@@ -3,11 +3,13 @@
 import hashlib
 import inspect
 import json
-import sys
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
+from math import prod
+from types import CodeType, FunctionType
 from typing import Any
 
 from pydantic import BaseModel
@@ -15,22 +17,26 @@ from pydantic import BaseModel
 from desim.scenario import Scenario
 from desim.scenario_file import validate
 from desim.source import ScenarioError, Source
-from desim.study.shipping import strangers
 
 Grid = Mapping[str, Sequence[Any]]
 """Keys of a scenario, dotted, and the values that each takes."""
+Settings = Mapping[str, Any]
+"""The value of each key of a grid."""
 UNSWEPT = ("seed", "name", "sweep")
 """What does not tell one configuration from another."""
+INSTALLED = ("desim", "protocols", "builtins")
+"""Packages whose code does not count: the version of desim does."""
 MOST_FAULTS = 20
 """How many faults of a grid are told of."""
+MOST_CELLS = 100_000
+"""How many configurations a grid may have: to validate one takes about 2 ms."""
 
 
 @dataclass(frozen=True)
 class Cell:
     """A configuration: one combination of the values of a grid."""
 
-    settings: Mapping[str, Any]
-    """The value of each key of the grid."""
+    settings: Settings
     scenario: Scenario
 
     @cached_property
@@ -45,98 +51,202 @@ class Cell:
         return {key: each if isinstance(each, plain) else label(each) for key, each in self.settings.items()}
 
     def __str__(self) -> str:
-        return ", ".join(f"{key} = {label(value)}" for key, value in self.settings.items())
+        return told(self.settings)
 
 
-def cells(source: Source, grid: Grid) -> list[Cell]:
-    """Return the configurations of a grid over a scenario; the last key changes fastest.
+def cells(source: Source, grid: Grid | None = None) -> list[Cell]:
+    """Return the configurations of a grid over a scenario, its own if none is given; the last key changes fastest.
 
     Raises:
         ScenarioError: with all that is wrong with keys and values; if there are none, or some are the same.
     """
+    if grid is not None:
+        source = _with_grid(source, grid)
+    grid = validate(source).sweep.grid
     if not grid:
         raise ScenarioError(
             f"{source.where(('sweep', 'grid'))}: sweep.grid: should have at least one key of the scenario, and a list"
             ' of values for it, "network.latency.value" = [0.0, 0.1] for instance'
         )
-    for key, values in grid.items():
-        if key.partition(".")[0] in UNSWEPT:
-            raise ScenarioError(f"{_where(source, key)}: {key} cannot be swept; the number of seeds is sweep.reps")
-        if not isinstance(values, list | tuple) or not values:
-            raise ScenarioError(
-                f"{_where(source, key)}: {key}: should be a list of at least one value (got {values!r})"
-            )
+    if (size := prod(map(len, grid.values()))) > MOST_CELLS:
+        where = source.where(("sweep", "grid"))
+        raise ScenarioError(f"{where}: sweep.grid: should have at most {MOST_CELLS:,} configurations, has {size:,}")
     found: list[Cell] = []
-    faults: dict[str, None] = {}  # in order, each once
+    faults: dict[str, list[Settings]] = {}
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
             found.append(Cell(settings, _set(source, settings)))
         except ScenarioError as error:
-            faults |= dict.fromkeys(str(error).splitlines())
+            for line in str(error).splitlines():
+                faults.setdefault(line, []).append(settings)
     if faults:
-        more = [f"... and {len(faults) - MOST_FAULTS} more"] if len(faults) > MOST_FAULTS else []
-        raise ScenarioError("\n".join([*list(faults)[:MOST_FAULTS], *more]))
-    seen: dict[str, Cell] = {}
-    for cell in found:
-        if seen.setdefault(cell.key, cell) is not cell:
-            raise ScenarioError(
-                f"{_where(source, next(iter(grid)))}: '{cell}' is the same configuration as '{seen[cell.key]}'"
-            )
+        lines = sorted((_explained(line, among, grid) for line, among in faults.items()), key=_line)
+        more = [f"... and {len(lines) - MOST_FAULTS} more"] if len(lines) > MOST_FAULTS else []
+        raise ScenarioError("\n".join([*lines[:MOST_FAULTS], *more]))
+    _check_distinct(found, source, grid)
     return found
 
 
-def _where(source: Source, key: str) -> str:
-    return f"{source.where(('sweep', 'grid', key))}: sweep.grid"
+def _check_distinct(found: Sequence[Cell], source: Source, grid: Grid) -> None:
+    """Raise ScenarioError if two configurations are the same, or are called the same."""
+    keys: dict[str, Cell] = {}
+    names: dict[str, Cell] = {}
+    for cell in found:
+        same, namesake = keys.setdefault(cell.key, cell), names.setdefault(json.dumps(cell.columns), cell)
+        other = namesake if same is cell else same
+        if other is cell:
+            continue
+        differing = [key for key, each in cell.settings.items() if each != other.settings[key]]
+        repeated = [key for key, values in grid.items() if any(values.count(each) > 1 for each in values)]
+        why = (
+            f"'{cell}' is the same configuration as '{other}'"
+            if same is not cell
+            else f"'{cell}' stands for several: what differs should have a name of its own (__name__), or be a model"
+        )
+        raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
 
 
-def _set(source: Source, settings: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with some keys set to other values."""
+def _with_grid(source: Source, grid: Grid) -> Source:
+    """Return a source with another grid."""
     changed = source.copy()
+    changed.tables["sweep"] = {"grid": grid}
+    changed.origins["sweep", "grid"] = "the grid"
+    return changed
+
+
+def _where(source: Source, key: str) -> str:
+    return f"{source.where(('sweep', 'grid', key))}: sweep.grid: {key}"
+
+
+def _set(source: Source, settings: Settings) -> Scenario:
+    """Return a scenario with some keys set to other values; a sweep is no part of it."""
+    changed = source.copy()
+    changed.tables.pop("sweep", None)
+    faults: list[str] = []
+    for key, value in settings.items():
+        where = _where(source, key)
+        if key.partition(".")[0] in UNSWEPT:
+            faults.append(f"{where}: cannot be swept; the number of seeds is sweep.reps")
+            continue
+        try:
+            changed.set(key, value, where.removesuffix(f": {key}"))
+        except ScenarioError as error:
+            faults.append(f"{where}: {str(error).removeprefix(f'{key}: ')}")
     try:
-        for key, value in settings.items():
-            changed.set(key, value, _where(source, key))
+        scenario = validate(changed)
     except ScenarioError as error:
-        raise ScenarioError(f"{_where(source, key)}: {error}") from error
-    try:
-        return validate(changed)
-    except ScenarioError as error:  # what is wrong elsewhere is so with these values
-        given = ", ".join(f"{key} = {label(value)}" for key, value in settings.items())
-        lines = str(error).splitlines()
-        raise ScenarioError(
-            "\n".join(line if ": sweep.grid: " in line else f"{line} (with {given})" for line in lines)
-        ) from error
+        faults += str(error).splitlines()
+    if faults:
+        raise ScenarioError("\n".join(faults))
+    return scenario
+
+
+def _explained(line: str, among: Sequence[Settings], grid: Grid) -> str:
+    """Return a fault with the settings that it takes, given all with which it was found, unless its line tells them."""
+    taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
+    if re.search(": sweep.grid: ", line) and len(taken) < 2:
+        return line
+    return f"{line} (with {told(taken or among[0])})"
+
+
+def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
+    return any(each not in values for each in all_values)
+
+
+def _line(fault: str) -> int:
+    found = re.match(r".*?:(\d+): ", fault)
+    return int(found[1]) if found else 0
 
 
 def identity(scenario: Scenario) -> str:
     """Return what tells configurations apart: a hash of the scenario without its name, seed and sweep.
 
-    What is not installed but comes from a script, a notebook or a file counts with its source, so that nobody takes
-    the results of another version of it for those of this one.
+    What is not installed but comes from a script, a notebook or a file counts with its source, and with what it holds,
+    so that nobody takes the results of another version of it for those of this one. What it imports does not count, nor
+    do globals that it reads.
     """
-    text = json.dumps(resolved(scenario), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return _hash(json.dumps(resolved(scenario), sort_keys=True))
 
 
 def resolved(scenario: Scenario) -> dict[str, Any]:
     """Return all that a run of a scenario depends on but its seed, as JSON has it."""
-    code = sorted({hashlib.sha256(_code(each).encode()).hexdigest()[:16] for each in strangers(scenario)})
-    return {name: each for name, each in scenario.plain().items() if name not in UNSWEPT} | {"code": code}
+    held = sorted(_hash(text) for each in parts(scenario) if (text := _held(each)))
+    tables = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
+    return {**tables, "code": code(scenario), "held": held}
 
 
-def _code(home: Any) -> str:
+def code(scenario: Scenario) -> dict[str, str]:
+    """Return a hash of the source of each class and function in a scenario that is not desim's, by its name."""
+    sources: dict[str, set[str]] = {}  # several lambdas have one name
+    for home in (_home(each) for each in parts(scenario) if not isinstance(each, partial)):
+        if home.__module__.partition(".")[0] not in INSTALLED:
+            sources.setdefault(f"{home.__module__}:{home.__qualname__}", set()).add(_source(home))
+    return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
+
+
+def parts(value: Any) -> Iterator[Any]:
+    """Yield what is called in a value, or in what it is made of."""
+    inner: Any = ()
+    if isinstance(value, BaseModel):
+        inner = (getattr(value, name) for name in type(value).model_fields)
+    elif isinstance(value, tuple | list):
+        inner = value
+    elif isinstance(value, partial):
+        inner = (value.func, *value.args, *value.keywords.values())
+    if callable(value):
+        yield value
+    for each in inner:
+        yield from parts(each)
+
+
+def _home(value: Any) -> Any:
+    """Return the function that a value is, or else its class."""
+    return value if isinstance(value, FunctionType) else type(value)
+
+
+def _held(value: Any) -> str:
+    """Return what a value holds that its model does not tell: of an object or a function."""
+    if isinstance(value, BaseModel):
+        return ""
+    held: Any = vars(value) if hasattr(value, "__dict__") else value
+    if isinstance(value, FunctionType):
+        held = inspect.getclosurevars(value).nonlocals, value.__defaults__, value.__kwdefaults__
+    elif isinstance(value, partial):
+        held = value
+    return re.sub(r" at 0x\w+", "", repr(held))
+
+
+def _source(home: Any) -> str:
     """Return the source of a class or function: its own if it is of a script, else that of its module."""
+    functions = [home] if isinstance(home, FunctionType) else vars(home).values()
+    compiled = "".join(_compiled(each.__code__) for each in functions if isinstance(each, FunctionType))
     try:
-        return inspect.getsource(home if home.__module__ == "__main__" else sys.modules[home.__module__])
+        text = inspect.getsource(home if home.__module__ == "__main__" else inspect.getmodule(home) or home)
     except (OSError, TypeError):  # typed at a prompt
-        return repr(getattr(getattr(home, "__code__", None), "co_code", home.__qualname__))
+        return compiled
+    return text + compiled if "<lambda>" in home.__qualname__ else text  # there may be another one in its line
+
+
+def _compiled(compiled: CodeType) -> str:
+    constants = [_compiled(each) if isinstance(each, CodeType) else repr(each) for each in compiled.co_consts]
+    return f"{compiled.co_code.hex()} {compiled.co_names} {constants}"
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def told(settings: Settings) -> str:
+    """Return settings as a text of one line."""
+    return ", ".join(f"{key} = {label(value)}" for key, value in settings.items())
 
 
 def label(value: Any) -> str:
     """Return a value of a grid as a short text; a model as its kind and what was given of it."""
     if isinstance(value, BaseModel):
         kind = getattr(value, "kind", type(value).__name__)
-        value = {"kind": kind} | {k: getattr(value, k) for k in sorted(value.model_fields_set - {"kind"})}
+        value = {"kind": kind} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}
     if isinstance(value, dict):
         inner = ", ".join(f"{key}={label(each)}" for key, each in value.items() if key != "kind")
         kind = str(value.get("kind", ""))
@@ -145,6 +255,11 @@ def label(value: Any) -> str:
         return f"[{', '.join(map(label, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
+    if value is None:
+        return "none"
     if isinstance(value, int | float | str):
         return f"{value:g}" if isinstance(value, float) and value == float(f"{value:g}") else str(value)
-    return getattr(value, "__name__", type(value).__name__)
+    if isinstance(value, partial):
+        given = [*map(label, value.args), *(f"{key}={label(each)}" for key, each in value.keywords.items())]
+        return f"{label(value.func)}({', '.join(given)})"
+    return str(getattr(value, "__name__", type(value).__name__))

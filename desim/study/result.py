@@ -40,7 +40,7 @@ class Group:
         return [row for row in self.rows if not row.ok]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SweepResult:
     """The runs of a sweep by configuration."""
 
@@ -88,23 +88,40 @@ class SweepResult:
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
         """Return means and half widths, and below them the differences from the first configuration, as text."""
-        runs = sum(len(group.rows) for group in self.groups)
-        head = f"{self.name}: {len(self.groups)} configurations, {runs} runs; +- is half a 95 % t interval"
-        parts = [f"{head}, captured with Wilson's\n{aligned(self._means(metrics), len(self.keys))}"]
-        if self.common and len(self.groups) > 1:
-            first = ", ".join(f"{key} = {text(each)}" for key, each in self.groups[0].settings.items())
-            parts.append(
-                f"less that with {first}, in runs of the same seed\n{aligned(self._gaps(metrics), len(self.keys))}"
-            )
-        parts += [f"{len(self.failed)} runs failed; the first: {self.failed[0].error}"] if self.failed else []
-        return "\n\n".join(parts)
+        tables = [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
+        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in tables]
+        return "\n\n".join([*parts, *self._failures()])
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self._head(()).partition(';')[0]}, over {', '.join(self.keys)}>"
 
     def _repr_html_(self) -> str:
-        """Return the means as a table of a notebook."""
-        head, *rows = self._means(SHOWN)
-        lines = [_html_row(head, "th"), *(_html_row(row, "td") for row in rows)]
-        note = f"{html.escape(self.name)}; &plusmn; is half a 95&nbsp;% t interval"
-        return f"<table><caption>{note}</caption>{''.join(lines)}</table>"
+        """Return the same as tables of a notebook."""
+        tables = [(self._head(SHOWN), self._means(SHOWN)), *self._compared(SHOWN)]
+        parts = [_html_table(title, rows) for title, rows in tables]
+        return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in self._failures())])
+
+    def _head(self, metrics: Sequence[str]) -> str:
+        runs = sum(len(group.rows) for group in self.groups)
+        found = [group.values(metric) for group in self.groups for metric in metrics]
+        some_lack = any(0 < values.count(None) < len(values) for values in found)
+        return (
+            f"{self.name}: {_counted(len(self.groups), 'configuration')}, {_counted(runs, 'run')}; +- is half a 95 % t"
+            f" interval, captured with Wilson's{'; (n): there in n runs only' if some_lack else ''}"
+        )
+
+    def _compared(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
+        """Yield the table of differences, if there is something to compare, and its title."""
+        if self.common and len(self.groups) > 1:
+            first = ", ".join(f"{key} = {text(each)}" for key, each in self.groups[0].settings.items())
+            yield f"difference from {first}, run by run with the same seed", self._gaps(metrics)
+
+    def _failures(self) -> Iterator[str]:
+        if self.failed:
+            yield f"{_counted(len(self.failed), 'run')} failed; the first: {self.failed[0].error}"
 
     def _means(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         """Return rows of text: settings, number of runs, share that captured, and the mean of each metric."""
@@ -115,8 +132,7 @@ class SweepResult:
         for k, group in enumerate(self.groups):
             captured = group.values("captured")
             share = _share(captured) if captured else "-"
-            lost = (str(len(group.failed)),) if self.failed else ()
-            counts = (str(len(group.rows)), *lost)
+            counts = (str(len(group.rows)), *([str(len(group.failed))] if self.failed else []))
             means = (_cell(each[k], len(captured)) for each in found)
             rows.append((*map(text, group.settings.values()), *counts, share, *means))
         return rows
@@ -129,6 +145,10 @@ class SweepResult:
             means = (_cell(each[k], pairs, sign="+") for each in found)
             rows.append((*map(text, group.settings.values()), str(pairs), *means))
         return rows
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
+        return (*self.keys, "replication", "status", *METRICS, "error")
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield each run as a flat record: settings, replication, seed, status, metrics, and what it raised."""
@@ -175,11 +195,9 @@ class SweepResult:
             import pandas as pd
         except ImportError as error:
             raise ImportError("pandas is missing: pip install 'pursuit-desim[frame]'") from error
-        frame = pd.DataFrame(list(self.records()))
-        for name, metric in METRICS.items():
-            if metric.is_number and name in frame and frame[name].isna().all():
-                frame[name] = frame[name].astype(float)  # or what nobody measured would be no number
-        return frame
+        records = list(self.records())
+        columns = {name: [record[name] for record in records] for name in self._columns}
+        return pd.DataFrame({name: pd.Series(*_typed(values)) for name, values in columns.items()})
 
     def write(self, file: Path) -> None:
         """Write a row per run to a file: .csv, or .parquet (the extra `frame`).
@@ -193,12 +211,9 @@ class SweepResult:
             self.to_frame().to_parquet(file, index=False)
         elif file.suffix == ".csv":
             with file.open("w", encoding="utf-8", newline="") as stream:
-                writer: csv.DictWriter[str] | None = None
-                for record in self.records():
-                    if writer is None:
-                        writer = csv.DictWriter(stream, record, lineterminator="\n")
-                        writer.writeheader()
-                    writer.writerow(record)
+                writer = csv.DictWriter(stream, self._columns, lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(self.records())
         else:
             raise ValueError(f"{file}: should end in .csv or .parquet")
 
@@ -254,6 +269,32 @@ def text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _counted(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
+    """Return a column with one type of all that is there, as arguments of a series; integers stay integers."""
+    kinds = {type(each) for each in values} - {type(None)}
+    gaps = None in values
+    if kinds == {bool}:
+        return values, None, "boolean" if gaps else "bool"
+    if kinds == {int} and all(each is None or abs(each) < 2**63 for each in values):
+        return values, None, "Int64" if gaps else "int64"
+    if kinds <= {int, float} and kinds != {int}:
+        return values, None, "float64"
+    return [each if each is None else text(each) for each in values], None, "str"
+
+
+def _html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
+    head, *body = rows
+    lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
+    return f"<table><caption>{_html(title)}</caption>{lines}</table>"
+
+
 def _html_row(cells: Sequence[str], tag: str) -> str:
-    inner = "".join(f"<{tag}>{html.escape(cell).replace('+-', '&plusmn;')}</{tag}>" for cell in cells)
-    return f"<tr>{inner}</tr>"
+    return f"<tr>{''.join(f'<{tag}>{_html(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _html(text: str) -> str:
+    return html.escape(text).replace("+-", "&plusmn;")

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import count, takewhile
+from operator import index
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,7 +18,7 @@ from desim.analysis.statistics import runs_needed
 from desim.scenario import Scenario
 from desim.scenario_file import validate
 from desim.source import Source
-from desim.study.cells import Cell, Grid, cells, resolved
+from desim.study.cells import Cell, Grid, cells, code, resolved
 from desim.study.driver import drive
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
@@ -56,24 +57,29 @@ class Plan:
 
         Raises:
             ScenarioError: with all that is wrong with the grid.
-            ValueError: if there are no runs.
+            ValueError: if there are no runs, or the seed is negative.
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
-        reps = base.sweep.reps if reps is None else reps
+        reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
         if reps < 1:
             raise ValueError(f"there should be at least one run of each configuration, got {reps}")
-        grid = base.sweep.grid if grid is None else grid
+        if root < 0:
+            raise ValueError(f"the seed should be at least 0, got {root}")
         found = tuple(cells(source, grid))
-        swept = tuple(f"{key}." for key in grid)
-        fixed = {key: each for key, each in flat(resolved(base)).items() if not f"{key}.".startswith(swept)}
+        keys = list(found[0].settings)
+        given = {key: each for key, each in resolved(base).items() if key not in {"code", "held"}}
+        swept = tuple(f"{key}." for key in keys)
+        fixed = {key: each for key, each in flat(given).items() if not f"{key}.".startswith(swept)}
+        codes = {name: each for cell in found for name, each in code(cell.scenario).items() if "<" not in name}
         return cls(
             base.name,
             found,
             reps,
-            base.seed if seed is None else seed,
+            root,
             base.sweep.seeds == "common",
-            {"scenario": fixed, "grid": list(grid), "seeds": base.sweep.seeds},
+            {"scenario": fixed, "grid": keys, "seeds": base.sweep.seeds}
+            | {f"the code of {name}": each for name, each in codes.items()},
         )
 
     def seed(self, cell: Cell, replication: int) -> int:
@@ -118,9 +124,14 @@ def sweep(
 ) -> SweepResult:
     """Run each configuration of a grid over a scenario, many times, and return what was measured.
 
+        found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
+        print(found)
+        found.to_frame().groupby("network.range").active_time.mean()
+
     Args:
         scenario: what is varied.
-        grid: keys of the scenario, dotted, and the values that each takes; those of `scenario.sweep` if None.
+        grid: keys of the scenario, dotted, and the values that each takes: numbers, texts, also arrays, tables,
+            protocols and functions of a notebook; the grid of `scenario.sweep` if None.
         reps: runs of each configuration; those of `scenario.sweep` if None.
         executor: a number of worker processes (1: all happens here; 0: one per core), the address of a Dask scheduler
             ("tcp://host:8786"), or any executor of `concurrent.futures`, which stays open.
@@ -137,7 +148,9 @@ def sweep(
         ConnectionError: if a scheduler does not answer.
         RunError: if a run fails, and `fail_fast`.
     """
-    plan = Plan.of(scenario, grid, (reps or MOST_RUNS) if until else reps, seed)
+    if until is not None:
+        check_target(*until)
+    plan = Plan.of(scenario, grid, MOST_RUNS if until and reps is None else reps, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.enter(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast)

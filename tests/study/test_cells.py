@@ -1,0 +1,539 @@
+"""The configurations of a grid: what each is, what is refused and in which words, and what tells one from another."""
+
+import re
+import subprocess
+import sys
+from functools import partial
+from math import inf
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.scenario import Scenario, Sweep, Team
+from desim.scenario_file import load, read
+from desim.source import ScenarioError, Source
+from desim.study import cells as module
+from desim.study.cells import cells, code, identity, label
+from desim.value import Value
+from protocols.best_response import BestResponse
+from protocols.rule import Rule
+from protocols.sap import SpatialAdaptivePlay
+from protocols.temperature import ConstantTau, PaperTau
+
+BASE = 'horizon = 1.0\nteam.count = 2\nnetwork.latency = { kind = "constant", value = 0.02 }\n'
+
+
+class Warmth(Value):
+    """A temperature that is not installed."""
+
+    kind: Literal["warmth"] = "warmth"
+    level: float = 0.5
+
+    def __call__(self, eta):
+        return self.level
+
+
+class Own(Rule):
+    """A protocol that is not installed, with a part that is not either."""
+
+    kind: Literal["own"] = "own"
+    gain: float = 1.0
+    warmth: Warmth = Warmth()
+
+    def actions(self, me):
+        yield True
+
+
+def chase(me):
+    return iter(())
+
+
+def wait(me):
+    return iter([])
+
+
+class Plain:
+    """A protocol that is no model."""
+
+    def __init__(self, gain):
+        self.gain = gain
+
+    def __call__(self, me):
+        return iter(())
+
+
+def of(grid, scenario=None):
+    """Return the configurations of a grid over a scenario of a script."""
+    return cells(Source.of(scenario or Scenario(horizon=1.0, team=Team(count=2))), grid)
+
+
+@pytest.fixture
+def refused(tmp_path):
+    """Return a function that returns what is wrong with the grid of a file, and where, line by line."""
+
+    def lines(text: str, base: str = BASE) -> list[str]:
+        path = tmp_path / "f.toml"
+        path.write_text(f"{base}[sweep.grid]\n{text}\n")
+        with pytest.raises(ScenarioError) as error:
+            cells(read(path))
+        return str(error.value).replace(str(path), "f").splitlines()
+
+    return lines
+
+
+# What a grid is.
+
+
+def test_each_combination_is_a_configuration_and_the_last_key_changes_fastest():
+    found = of({"horizon": [1.0, 2.0], "network.range": [3.0, 4.0, inf]})
+    settings = [(cell.settings["horizon"], cell.settings["network.range"]) for cell in found]
+    assert settings == [(1.0, 3.0), (1.0, 4.0), (1.0, inf), (2.0, 3.0), (2.0, 4.0), (2.0, inf)]
+    assert [(cell.scenario.horizon, cell.scenario.network.range) for cell in found] == settings
+    assert len({cell.key for cell in found}) == 6
+
+
+@given(st.lists(st.floats(0.1, 9.0), min_size=1, max_size=3, unique=True), st.booleans())
+def test_a_configuration_is_the_scenario_that_one_would_write(values, frozen):
+    found = of({"horizon": values, "motion.frozen": [frozen]})
+    assert [cell.scenario for cell in found] == [
+        Scenario(horizon=each, team=Team(count=2), motion={"frozen": frozen}) for each in values
+    ]
+
+
+def test_the_grid_of_a_file_is_that_of_a_script(tmp_path):
+    path = tmp_path / "f.toml"
+    path.write_text(f'{BASE}[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\nnetwork.range = [4.0, inf]\n')
+    grid = {"network.latency.value": [0.0, 0.1], "network.range": [4.0, inf]}
+    scenario = Scenario(horizon=1.0, team=Team(count=2), network=Links(latency=Constant(value=0.02)))
+    assert [cell.key for cell in cells(read(path))] == [cell.key for cell in of(grid, scenario)]
+    assert [cell.key for cell in cells(read(path), {"network.range": [1.0]})] == [
+        cell.key for cell in of({"network.range": [1.0]}, scenario)
+    ]
+
+
+def test_a_grid_that_is_given_replaces_that_of_the_scenario():
+    scenario = Scenario(sweep=Sweep(grid={"horizon": [1.0, 2.0]}))
+    assert [dict(cell.settings) for cell in of(None, scenario)] == [{"horizon": 1.0}, {"horizon": 2.0}]
+    assert [dict(cell.settings) for cell in of({"team.count": [3]}, scenario)] == [{"team.count": 3}]
+    assert scenario.sweep.grid == {"horizon": (1.0, 2.0)}
+
+
+def test_a_configuration_holds_no_sweep():
+    """Or what is swept would travel to the workers with every run."""
+    (cell,) = of({"horizon": [2.0]}, Scenario(sweep=Sweep(reps=5)))
+    assert cell.scenario.sweep == Sweep()
+
+
+NUMBERS = {
+    "linspace": np.linspace(0.5, 1.5, 3),
+    "list of numpy's": list(np.linspace(0.5, 1.5, 3)),
+    "float32": np.array([0.5, 1.0, 1.5], dtype=np.float32),
+    "tuple": (0.5, 1.0, 1.5),
+    "generator": (each / 2.0 for each in (1, 2, 3)),
+}
+
+
+@pytest.mark.parametrize("values", NUMBERS.values(), ids=NUMBERS)
+def test_numbers_of_numpy_and_lists_of_any_kind_are_those_of_python(values):
+    found = of({"horizon": values})
+    assert [cell.key for cell in found] == [cell.key for cell in of({"horizon": [0.5, 1.0, 1.5]})]
+    assert [cell.columns for cell in found] == [{"horizon": 0.5}, {"horizon": 1.0}, {"horizon": 1.5}]
+    assert {type(cell.columns["horizon"]) for cell in found} == {float}
+
+
+@pytest.mark.parametrize("counts", [range(1, 4), np.arange(1, 4), [np.int64(1), np.int32(2), 3]], ids=str)
+def test_integers_of_numpy_and_ranges_are_integers(counts):
+    found = of({"team.count": counts})
+    assert [cell.columns["team.count"] for cell in found] == [1, 2, 3]
+    assert {type(cell.columns["team.count"]) for cell in found} == {int}
+    assert [cell.key for cell in found] == [cell.key for cell in of({"team.count": [1, 2, 3]})]
+
+
+def test_truths_points_and_tables_may_hold_what_numpy_makes():
+    (cell,) = of({"motion.frozen": [np.bool_(True)], "team.positions": np.zeros((1, 2, 2))})
+    assert cell.scenario.motion.frozen is True
+    assert cell.scenario.team.positions == ((0.0, 0.0), (0.0, 0.0))
+    (cell,) = of({"network.latency": [{"kind": "constant", "value": np.float64(0.5)}]})
+    assert cell.scenario.network.latency == Constant(value=0.5)
+    assert cell.columns == {"network.latency": "constant(value=0.5)"}
+    (cell,) = of({"team": [{"count": np.int64(2), "speeds": [np.float32(1.0), np.float32(2.0)]}]})
+    assert cell.scenario.team == Team(count=2, speeds=(1.0, 2.0))
+    (cell,) = of({"fault": [({"kind": "crash", "node": np.int64(1), "at": 0.5},)]})
+    assert cell.scenario.fault[0].node == 1
+
+
+def test_kinds_and_tables_are_swept_like_numbers():
+    kinds = of({"protocol.kind": ["sap", "best_response"]})
+    tables = of({"protocol": [{"kind": "sap"}, {"kind": "best_response"}]})
+    objects = of({"protocol": [SpatialAdaptivePlay(), BestResponse()]})
+    assert [cell.key for cell in kinds] == [cell.key for cell in tables] == [cell.key for cell in objects]
+    assert [cell.columns["protocol"] for cell in tables] == ["sap", "best_response"]
+    assert [cell.columns["protocol"] for cell in objects] == ["sap", "best_response"]
+
+
+def test_items_of_lists_are_swept():
+    fault = ({"kind": "crash", "node": 0, "at": 0.5}, {"kind": "crash", "node": 1, "at": 0.6})
+    scenario = Scenario(horizon=1.0, team=Team(count=2), fault=fault)
+    found = of({"fault.1.at": [0.1, 0.2]}, scenario)
+    assert [[each.at for each in cell.scenario.fault] for cell in found] == [[0.5, 0.1], [0.5, 0.2]]
+
+
+PRESETS = {"network.preset": ["wifi", "lora_sf7"], "network.range": [4.0, inf]}
+
+
+def test_a_preset_is_swept_from_a_script():
+    found = of(PRESETS, Scenario(network=Links(preset="wifi")))
+    assert [cell.scenario.network for cell in found] == [
+        Links(preset=preset, range=reach) for preset in PRESETS["network.preset"] for reach in PRESETS["network.range"]
+    ]
+
+
+def test_a_preset_is_swept_from_a_file(tmp_path):
+    path = tmp_path / "f.toml"
+    path.write_text('[network]\npreset = "wifi"\n[sweep.grid]\nnetwork.preset = ["wifi", "lora_sf7"]\n')
+    assert [cell.scenario.network for cell in cells(read(path))] == [Links(preset="wifi"), Links(preset="lora_sf7")]
+
+
+def test_functions_and_models_that_are_not_installed_are_swept_and_set_inside():
+    found = of({"protocol": [Own(), chase], "horizon": [1.0, 2.0]})
+    assert [cell.scenario.protocol for cell in found] == [Own(), Own(), chase, chase]
+    assert [cell.columns["protocol"] for cell in found] == ["own", "own", "chase", "chase"]
+    scenario = Scenario(protocol=Own(gain=2.0))
+    found = of({"protocol.gain": np.linspace(1.0, 2.0, 2), "protocol.warmth.level": [0.1, 0.2]}, scenario)
+    assert [cell.scenario.protocol for cell in found] == [
+        Own(gain=gain, warmth=Warmth(level=level)) for gain in (1.0, 2.0) for level in (0.1, 0.2)
+    ]
+
+
+# What is refused.
+
+
+def test_unknown_keys_are_told_with_their_lines_and_what_was_meant(refused):
+    lines = refused('horizn = [1.0, 2.0]\nmotion.steps = [1.0]\n"network.latency.valu" = [0.0]')
+    assert [line.split("; ")[0] for line in lines] == [
+        "f:5: sweep.grid: horizn: unknown key, did you mean 'horizon'?",
+        "f:6: sweep.grid: motion.steps: unknown key, did you mean 'step'?",
+        "f:7: sweep.grid: network.latency.valu: unknown key, did you mean 'value'?",
+    ]
+
+
+WRONG = {
+    "quoted": ('"team.count" = [0]', "team.count: should be greater than or equal to 1"),
+    "unquoted": ("team.count = [1, 0]", "team.count: should be greater than or equal to 1"),
+    "a truth for a number": ("horizon = [true]", "horizon: should be a number"),
+    "a number for a truth": ("motion.frozen = [1]", "motion.frozen: should be true or false"),
+    "kind": ('protocol.kind = ["sapp"]', "protocol.kind: there is no 'sapp', did you mean 'sap'?"),
+    "text for a table": ('protocol = ["sap"]', "protocol: should be a table with a kind"),
+    "inside a table": ('protocol = [{ kind = "sap", tua = 1 }]', "protocol.tua: unknown key, did you mean 'tau'?"),
+    "preset": ('network.preset = ["wify"]', "network.preset: "),
+    "list": ("team.positions = [[[0.0, 1.0]]]", "team.positions: should be one per pursuer: count is 2, there are 1"),
+    "item of no list": ("fault.0.at = [1.0]", "fault.0.at: the list fault is empty"),
+    "below a number": ("horizon.x = [1.0]", "horizon.x: horizon.x is not a key of a table"),
+}
+
+
+@pytest.mark.parametrize(("text", "why"), WRONG.values(), ids=WRONG)
+def test_a_wrong_value_is_told_with_the_line_of_its_key(refused, text, why):
+    (line,) = refused(f"network.range = [3.0, inf]\n{text}")
+    assert line.startswith(f"f:6: sweep.grid: {why}"), line
+    assert "(with " not in line
+
+
+LISTS = {
+    "scalar": ("horizon = 1.0", "f:5: sweep.grid.horizon: should be a list (got 1.0)"),
+    "text": ('prune = "inf"', "f:5: sweep.grid.prune: should be a list (got 'inf')"),
+    "empty": ("horizon = []", "f:5: sweep.grid.horizon: should have at least 1 items, has 0 (got [])"),
+    "empty, unquoted": (
+        "motion.step = []",
+        "f:5: sweep.grid.motion.step: should have at least 1 items, has 0 (got [])",
+    ),
+    "none": ("", "f:4: sweep.grid: should have at least one key of the scenario"),
+    "table": ("horizon = {}", "f:5: sweep.grid.horizon: should be a list (got {})"),
+}
+
+
+@pytest.mark.parametrize(("text", "why"), LISTS.values(), ids=LISTS)
+def test_what_is_no_list_of_values_is_refused(refused, text, why):
+    (line,) = refused(text)
+    assert line.startswith(why), line
+
+
+@pytest.mark.parametrize("grid", [{}, {"horizon": []}, {"horizon": 1.0}, {"prune": "inf"}, {"horizon": np.float64(1)}])
+def test_what_is_no_list_of_values_is_refused_in_a_script(grid):
+    with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid"):
+        of(grid)
+
+
+def test_a_set_is_refused_for_it_has_no_order():
+    with pytest.raises(ScenarioError, match="a set has no order"):
+        of({"prune": {"inf", "none"}})
+
+
+def test_several_faults_are_told_at_once_in_the_order_of_lines(refused):
+    """-1 and 0 occur in four configurations each, and are told once."""
+    lines = refused("horizon = [1.0, -1.0]\n\n\n\n\nteam.count = [2, 0]\nmotion.steps = [0.1, 0.2]")
+    assert [re.sub(r": should be|: unknown key.*", "", line)[:32].split(" g")[0] for line in lines] == [
+        "f:5: sweep.grid: horizon",
+        "f:10: sweep.grid: team.count",
+        "f:11: sweep.grid: motion.steps",
+    ]
+
+
+def test_of_many_faults_the_first_are_told(refused):
+    lines = refused(f"horizon = {[-1.0 - k for k in range(30)]}")
+    assert len(lines) == 21
+    assert lines[-1] == "... and 10 more"
+
+
+def test_values_that_do_not_fit_together_are_told_with_the_settings_that_do_not(refused):
+    """Of 8 configurations those with 2 pursuers and a crash of pursuer 3 are wrong, whatever the horizon."""
+    crash = '[{{ kind = "crash", node = {}, at = 0.5 }}]'.format
+    (line,) = refused(f"horizon = [1.0, 2.0]\nteam.count = [2, 4]\nfault = [{crash(1)}, {crash(3)}]")
+    assert line == (
+        "f:7: sweep.grid: fault.0.node: there is no pursuer 3: they are 0 .. 1"
+        " (with team.count = 2, fault = [crash(node=3, at=0.5)])"
+    )
+
+
+def test_what_does_not_fit_elsewhere_is_told_with_the_settings(refused):
+    base = BASE + 'fault = [{ kind = "crash", node = 1, at = 0.5 }]\n'
+    (line,) = refused("horizon = [1.0, 2.0]\nteam.count = [2, 1]", base)
+    assert line == "f:4: fault.0.node: there is no pursuer 1: they are 0 .. 0 (with team.count = 1)"
+
+
+@pytest.mark.parametrize("key", ["seed", "name", "sweep.reps", "sweep.grid"])
+def test_what_does_not_tell_configurations_apart_cannot_be_swept(refused, key):
+    assert refused(f'horizon = [1.0]\n"{key}" = [1, 2]') == [
+        f"f:6: sweep.grid: {key}: cannot be swept; the number of seeds is sweep.reps"
+    ]
+
+
+@pytest.mark.parametrize("values", ["[1.0, 2.0, 1.0]", "[1, 2, 1]", "[1, 2, 1.0]"])
+def test_the_same_value_twice_is_refused(refused, values):
+    """Its runs would count twice."""
+    assert refused(f"prune = ['inf']\nhorizon = {values}") == [
+        "f:6: sweep.grid: horizon: 'prune = inf, horizon = 1' is the same configuration as 'prune = inf, horizon = 1'"
+    ]
+
+
+def test_a_default_that_is_spelt_out_is_the_same_configuration():
+    with pytest.raises(
+        ScenarioError, match=r"'protocol = sap\(tau=paper\)' is the same configuration as 'protocol = sap'"
+    ):
+        of({"protocol": [SpatialAdaptivePlay(), SpatialAdaptivePlay(tau=PaperTau())]})
+
+
+def test_a_grid_of_too_many_configurations_is_refused_before_they_are_made():
+    many = {f"k{k}": range(1000) for k in range(10)}
+    with pytest.raises(ScenarioError, match=r"at most 100,000 configurations, has 1,000,000,000,000"):
+        of(many)
+
+
+def test_values_that_tables_could_not_tell_apart_are_refused():
+    with pytest.raises(ScenarioError, match=r"'protocol = Plain' stands for several"):
+        of({"protocol": [Plain(1.0), Plain(2.0)]})
+
+
+# What tells configurations apart.
+
+SAME = Scenario(horizon=2.0, team=Team(count=3))
+OTHERS = {
+    "horizon": {"horizon": 2.5},
+    "prune": {"prune": "none"},
+    "team": {"team": Team(count=4)},
+    "evader": {"evader": {"speed": 0.8}},
+    "capture": {"capture": {"radius": 0.2}},
+    "motion": {"motion": {"step": 0.02}},
+    "protocol": {"protocol": BestResponse()},
+    "protocol's parameter": {"protocol": SpatialAdaptivePlay(tau=ConstantTau(value=0.3))},
+    "announce": {"announce": {"heartbeat": 0.3}},
+    "network": {"network": Links(range=3.0)},
+    "fault": {"fault": ({"kind": "crash", "node": 0, "at": 1.0},)},
+    "record": {"record": {"messages": True}},
+}
+
+
+def test_the_fields_below_are_all_there_are():
+    assert {next(iter(each)) for each in OTHERS.values()} | {"name", "seed", "sweep"} == set(Scenario.model_fields)
+
+
+@pytest.mark.parametrize("change", OTHERS.values(), ids=OTHERS)
+def test_whatever_a_run_depends_on_tells_configurations_apart(change):
+    given = {"horizon": 2.0, "team": Team(count=3)}
+    assert identity(Scenario(**given | change)) != identity(SAME)
+
+
+@pytest.mark.parametrize("change", [{"name": "x"}, {"seed": 9}, {"sweep": Sweep(reps=3, grid={"horizon": [chase]})}])
+def test_name_seed_and_sweep_do_not_tell_configurations_apart(change):
+    assert identity(SAME.model_copy(update=change)) == identity(SAME)
+
+
+def test_what_is_the_same_in_a_file_and_a_script_is_the_same(tmp_path):
+    path = tmp_path / "f.toml"
+    path.write_text("horizon = 2\nteam = { count = 3 }\n")
+    assert identity(load(path)) == identity(SAME)
+
+
+RULE = """
+from desim.value import Value
+
+class Mine(Value):
+    kind: str = "mine"
+    gain: float = 1.0
+    def __call__(self, me):
+        yield from self.turns(me)
+    def turns(self, me):
+        return iter(({0},))
+
+def plain(me):
+    return iter(({0},))
+"""
+
+
+def other_process(folder: Path, seed: int, kind: str = "mine_of_cells:Mine") -> str:
+    """Return the identity of a scenario whose rule lies beside its file, as another process finds it."""
+    path = folder / "f.toml"
+    path.write_text(f'{BASE}protocol = {{ kind = "{kind}" }}\n')
+    script = (
+        "import sys; from desim.scenario_file import load; from desim.study.cells import identity;"
+        "print(identity(load(sys.argv[1])))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)],
+        env={"PYTHONHASHSEED": str(seed), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": ":".join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["mine_of_cells:Mine", "mine_of_cells:plain"])
+def test_the_code_of_a_rule_beside_the_file_counts_and_is_the_same_in_every_process(tmp_path, kind):
+    rule = tmp_path / "mine_of_cells.py"
+    rule.write_text(RULE.format("1"))
+    before = other_process(tmp_path, 1, kind)
+    assert re.fullmatch(r"[0-9a-f]{16}", before)
+    assert other_process(tmp_path, 2, kind) == before
+    rule.write_text(RULE.format("2"))
+    assert other_process(tmp_path, 1, kind) != before
+
+
+@pytest.mark.slow
+def test_an_installed_configuration_is_the_same_in_every_process(tmp_path):
+    assert len({other_process(tmp_path, seed, "sap") for seed in (1, 2)}) == 1
+
+
+def typed(text: str, name: str):
+    """Return what is defined by a text that nobody can look up any more, as at a prompt."""
+    space = {"__name__": "__main__", "Value": Value}
+    exec(text, space)
+    return space[name]
+
+
+def test_what_is_typed_at_a_prompt_counts_with_its_code():
+    function = "def rule(me, gain={}):\n    x = {}\n    return iter((x,))"
+    keys = [identity(Scenario(protocol=typed(function.format(*each), "rule"))) for each in [(1, 1), (1, 2), (3, 1)]]
+    assert len(set(keys)) == 3
+    assert identity(Scenario(protocol=typed(function.format(1, 1), "rule"))) == keys[0]
+    model = 'class R(Value):\n    kind: str = "r"\n    def __call__(self, me):\n        return iter(({},))'
+    keys = [identity(Scenario(protocol=typed(model.format(each), "R")())) for each in (1, 2, 1)]
+    assert keys[0] == keys[2] != keys[1]
+
+
+def made(gain):
+    def rule(me):
+        return iter((gain,))
+
+    return rule
+
+
+HELD = {
+    "closure": (made(1.0), made(2.0)),
+    "object": (Plain(1.0), Plain(2.0)),
+    "partial": (partial(lambda gain, me: iter(()), 1.0), partial(lambda gain, me: iter(()), 2.0)),
+    "partial's function": (partial(chase), partial(wait)),
+    "lambdas of a line": (lambda me: iter((1,)), lambda me: iter((2,))),
+    "default": (lambda me, gain=1.0: iter(()), lambda me, gain=2.0: iter(())),
+    "model": (Own(gain=1.0), Own(gain=2.0)),
+    "model inside": (SpatialAdaptivePlay(tau=Warmth(level=1.0)), SpatialAdaptivePlay(tau=Warmth(level=2.0))),
+}
+
+
+@pytest.mark.parametrize(("one", "other"), HELD.values(), ids=HELD)
+def test_what_a_rule_of_a_script_holds_tells_configurations_apart(one, other):
+    assert identity(Scenario(protocol=one)) != identity(Scenario(protocol=other))
+
+
+def test_what_a_rule_of_a_script_holds_does_not_depend_on_where_it_lies():
+    assert identity(Scenario(protocol=made(1.0))) == identity(Scenario(protocol=made(1.0)))
+    one, other = made(made(1.0)), made(made(1.0))
+    assert identity(Scenario(protocol=one)) == identity(Scenario(protocol=other))
+    assert identity(Scenario(protocol=Plain(1.0))) == identity(Scenario(protocol=Plain(1.0)))
+
+
+def test_the_graph_in_a_file_counts(tmp_path):
+    path = tmp_path / "graph.json"
+    text = '{"directed": false, "multigraph": false, "graph": {}, "nodes": [{"id": 0}, {"id": 1}], "edges": %s}'
+    keys = []
+    for edges in ('[{"source": 0, "target": 1}]', "[]"):
+        path.write_text(text % edges)
+        keys.append(identity(Scenario(team=Team(count=2), network=Links(graph={"kind": "edges", "file": str(path)}))))
+    assert keys[0] != keys[1]
+
+
+def test_each_of_several_lambdas_counts():
+    """They have one name, that of the pursuers and that of the evader."""
+    protocol, flee, circle = lambda me: iter(()), lambda state, rng: 1.0, lambda state, rng: 2.0
+    keys = [identity(Scenario(protocol=protocol, evader={"strategy": each})) for each in (flee, circle)]
+    assert keys[0] != keys[1]
+    other = lambda me: iter((1,))  # noqa: E731
+    assert identity(Scenario(protocol=other, evader={"strategy": flee})) not in keys
+
+
+def test_the_code_is_named_and_what_is_installed_has_none():
+    assert set(code(Scenario(protocol=Own()))) == {f"{__name__}:Own", f"{__name__}:Warmth"}
+    assert set(code(Scenario(protocol=partial(chase)))) == {f"{__name__}:chase"}
+    assert code(SAME) == {}
+
+
+# Labels.
+
+LABELS = [
+    (1, "1"),
+    (1.0, "1"),
+    (0.1, "0.1"),
+    (0.123456789, "0.123456789"),
+    (inf, "inf"),
+    (True, "true"),
+    (None, "none"),
+    ("wifi", "wifi"),
+    ([1.0, [2.0, False]], "[1, [2, false]]"),
+    ({"kind": "sap"}, "sap"),
+    ({"kind": "sap", "tau": {"kind": "constant", "value": 0.5}}, "sap(tau=constant(value=0.5))"),
+    ({"default": 1.0, "last": 2.0}, "(default=1, last=2)"),
+    (SpatialAdaptivePlay(), "sap"),
+    (SpatialAdaptivePlay(tau=ConstantTau(value=0.5)), "sap(tau=constant(value=0.5))"),
+    (Team(count=3), "Team(count=3)"),
+    (chase, "chase"),
+    (Plain(1.0), "Plain"),
+    (partial(chase, 1.0, gain=2.0), "chase(1, gain=2)"),
+]
+
+
+@pytest.mark.parametrize(("value", "text"), LABELS, ids=[text for _, text in LABELS])
+def test_a_value_has_a_short_name(value, text):
+    assert label(value) == text
+
+
+def test_a_configuration_is_told_by_its_settings():
+    (cell,) = of({"horizon": [2.0], "protocol": [{"kind": "sap"}]})
+    assert str(cell) == "horizon = 2, protocol = sap"
+    assert module.told(cell.settings) == str(cell)

@@ -1,0 +1,340 @@
+"""What came of a sweep: tables, frames, files and documents, also of runs that failed, of one run, and of none."""
+
+import csv
+import html
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from math import inf, nan
+
+import pytest
+
+from desim.analysis.metrics import METRICS, summary
+from desim.analysis.statistics import Estimate, estimate, paired, wilson
+from desim.scenario import Scenario, Team
+from desim.simulation import run
+from desim.study.result import SHOWN, Group, SweepResult
+from desim.study.store import Row, Store, StoreError
+
+RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
+TRACE = 'Traceback (most recent call last):\n  File "x.py", line 1\nValueError: no <b> today\n'
+
+
+def ok(replication, **numbers):
+    return Row(replication, 10 + replication, "ok", replace(RUN, seed=10 + replication, **numbers))
+
+
+def failed(replication, status="error"):
+    return Row(replication, 10 + replication, status, None, TRACE)
+
+
+def group(settings, *rows):
+    return Group(settings, rows)
+
+
+# Two configurations of three runs: the evader gets away in the second run of the second.
+PLAIN = SweepResult(
+    "a <b> & c",
+    ("network.range",),
+    (
+        group(
+            {"network.range": 4.0},
+            ok(0, captured=True, capture_time=1.0, active_time=1.0, messages_sent=1000),
+            ok(1, captured=True, capture_time=2.0, active_time=2.0, messages_sent=1000),
+            ok(2, captured=True, capture_time=3.0, active_time=3.0, messages_sent=1000),
+        ),
+        group(
+            {"network.range": inf},
+            ok(0, captured=True, capture_time=2.5, active_time=2.5, messages_sent=3000),
+            ok(1, captured=False, capture_time=None, active_time=3.0, messages_sent=3000),
+            ok(2, captured=True, capture_time=4.5, active_time=4.5, messages_sent=3000),
+        ),
+    ),
+)
+FAILING = SweepResult(
+    "failing",
+    ("protocol", "team.speeds"),
+    (
+        group({"protocol": "sap", "team.speeds": 1.5}, ok(0, active_time=1.0), failed(1), ok(2, active_time=3.0)),
+        group({"protocol": "<lambda>", "team.speeds": "[1, 2]"}, ok(0, active_time=2.0), ok(1), failed(2, "crashed")),
+    ),
+)
+ALL_FAILED = SweepResult("bad", ("x",), (group({"x": 1}, failed(0), failed(1)), group({"x": 2}, failed(0), failed(1))))
+ONE_RUN = SweepResult("one", ("x",), (group({"x": True}, ok(0, captured=False, capture_time=None)),))
+NOTHING = SweepResult("empty", ("x",), (group({"x": 1}), group({"x": 2})))
+ALL = {"plain": PLAIN, "failing": FAILING, "all failed": ALL_FAILED, "one run": ONE_RUN, "nothing": NOTHING}
+every = pytest.mark.parametrize("result", ALL.values(), ids=ALL)
+
+
+def strict_json(text):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+# Means and differences.
+
+
+def test_the_mean_of_a_metric_is_that_over_the_runs_in_which_it_exists():
+    assert PLAIN.estimates("capture_time") == [estimate([1.0, 2.0, 3.0]), estimate([2.5, 4.5])]
+    assert FAILING.estimates("active_time")[0] == estimate([1.0, 3.0])
+
+
+def test_differences_are_paired_by_seed_and_leave_out_what_one_lacks():
+    """2.5 - 1 and 4.5 - 3: both 1.5, so that the interval has no width."""
+    assert PLAIN.differences("capture_time") == [paired([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]), Estimate(1.5, 0.0, 2)]
+    assert PLAIN.differences("active_time")[1] == paired([2.5, 3.0, 4.5], [1.0, 2.0, 3.0])
+    assert PLAIN.differences("capture_time", reference=1)[0].mean == -1.5
+
+
+def test_runs_are_paired_by_number_not_by_place():
+    """The first lacks run 1, the second run 2: only run 0 is a pair, 2 - 1."""
+    found = FAILING.differences("active_time")[1]
+    assert (found.mean, found.count) == (1.0, 1)
+
+
+@pytest.mark.parametrize("result", [ALL_FAILED, NOTHING], ids=["all failed", "nothing"])
+def test_what_nobody_measured_has_no_mean(result):
+    for found in (*result.estimates("active_time"), *result.differences("active_time")):
+        assert found.count == 0
+        assert found.mean != found.mean
+
+
+# The table.
+
+
+def test_the_table_tells_means_intervals_and_differences():
+    """Half widths: t of 2 degrees 4.303 x 1/sqrt(3) = 2.484; of 1 degree 12.706 x 1 = 12.706, of 2.5 and 4.5."""
+    head, rest = PLAIN.table().split("\n", 1)
+    assert head.startswith("a <b> & c: 2 configurations, 6 runs; +- is half a 95 % t interval, captured with Wilson's")
+    assert head.endswith("; (n): there in n runs only")
+    assert rest == (
+        "network.range  runs                  captured  active time, s      capture time, s   messages sent\n"
+        "4                 3  100.0% (43.9% .. 100.0%)  2.000 +- 2.484       2.000 +- 2.484  1,000.0 +- 0.0\n"
+        "inf               3    66.7% (20.8% .. 93.9%)  3.333 +- 2.586  3.500 +- 12.706 (2)  3,000.0 +- 0.0\n"
+        "\n"
+        "difference from network.range = 4, run by run with the same seed\n"
+        "network.range  pairs      active time         capture time    messages sent\n"
+        "inf                3  +1.333 +- 0.717  +1.500 +- 0.000 (2)  +2,000.0 +- 0.0"
+    )
+    assert str(PLAIN) == PLAIN.table()
+
+
+def test_the_table_shows_the_metrics_that_are_named():
+    head = PLAIN.table(["energy"]).splitlines()[1].split()
+    assert head == ["network.range", "runs", "captured", "energy,", "m^2/s"]
+    assert "(n)" not in PLAIN.table(["energy"])
+
+
+def test_runs_that_failed_are_counted_and_the_first_is_told():
+    lines = FAILING.table().splitlines()
+    assert lines[1].split()[:4] == ["protocol", "team.speeds", "runs", "failed"]
+    assert [line.split("  ")[0] for line in lines[2:4]] == ["sap", "<lambda>"]
+    assert re.search(r"1\.5 +3 +1 ", lines[2])
+    assert lines[-1] == "2 runs failed; the first: ValueError: no <b> today"
+
+
+def test_a_single_run_has_no_interval():
+    (row,) = [line for line in ONE_RUN.table().splitlines() if line.startswith("true")]
+    assert re.search(r"\d \+- -", row)
+    assert "difference" not in ONE_RUN.table()
+    assert "1 configuration, 1 run;" in ONE_RUN.table()
+    assert "(n)" not in ONE_RUN.table()
+
+
+@pytest.mark.parametrize("result", [ALL_FAILED, NOTHING], ids=["all failed", "nothing"])
+def test_what_nobody_measured_is_a_dash(result):
+    rows = [line.split() for line in result.table().splitlines() if re.match(r"[12] ", line)]
+    assert {row[-1] for row in rows} == {"-"}
+    assert not re.search("nan", result.table())
+
+
+@every
+def test_the_short_form_says_what_there_is(result):
+    assert re.fullmatch(rf"<SweepResult of {re.escape(result.name)}: .* runs?, over .*>", repr(result))
+
+
+# The table of a notebook.
+
+
+class Reader(HTMLParser):
+    """Reads the tables of a document, and sees that every element is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tables, self.texts = [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in {"td", "th"}:
+            self.tables[-1][-1].append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        self.texts.append(text)
+        if self.open[-1] in {"td", "th"}:
+            self.tables[-1][-1][-1] += text
+
+
+@every
+def test_a_notebook_shows_the_cells_of_the_table_and_nothing_in_them_is_markup(result):
+    read = Reader(result._repr_html_())
+    cells = [cell.replace("±", "+-") for table in read.tables for row in table for cell in row]
+    text = " ".join(result.table().split())
+    assert " ".join(" ".join(cells).split()) in re.sub(r" difference .*? same seed ", " ", text)
+    assert {len(row) for row in read.tables[0]} == {len(read.tables[0][0])}
+    assert len(read.tables) == (1 if result is ONE_RUN else 2)
+
+
+def test_what_looks_like_markup_in_a_notebook_is_escaped():
+    assert "a &lt;b&gt; &amp; c" in PLAIN._repr_html_()
+    assert "&lt;lambda&gt;" in FAILING._repr_html_()
+    assert "no &lt;b&gt; today" in FAILING._repr_html_()
+    assert "<b>" not in PLAIN._repr_html_() + FAILING._repr_html_()
+    assert html.unescape(PLAIN._repr_html_()).count("±") > 4
+
+
+# JSON.
+
+
+@every
+def test_a_document_is_json_without_nan(result):
+    made = strict_json(json.dumps(result.document(), allow_nan=False))
+    assert len(made["configurations"]) == len(result.groups)
+
+
+def test_a_document_tells_what_the_table_does():
+    made = strict_json(json.dumps(PLAIN.document(), allow_nan=False))
+    first, second = made["configurations"]
+    assert (made["name"], made["grid"]) == ("a <b> & c", ["network.range"])
+    assert second["settings"] == {"network.range": "Infinity"}
+    assert (second["runs"], second["failed"]) == (3, 0)
+    assert second["captured"] == {"share": 2 / 3, "interval": list(wilson(2, 3))}
+    assert set(second["metrics"]) == set(SHOWN)
+    assert second["metrics"]["capture_time"] == {
+        "mean": 3.5,
+        "half_width": estimate([2.5, 4.5]).half_width,
+        "runs": 2,
+    }
+    assert second["less_the_first"]["capture_time"] == {"mean": 1.5, "half_width": 0.0, "runs": 2}
+    assert first["less_the_first"]["active_time"] == {"mean": 0.0, "half_width": 0.0, "runs": 3}
+
+
+def test_a_document_has_null_for_what_there_is_not():
+    first = ALL_FAILED.document()["configurations"][0]
+    assert first["captured"] == {"share": None, "interval": None}
+    assert first["metrics"]["active_time"] == {"mean": None, "half_width": None, "runs": 0}
+    assert (first["runs"], first["failed"]) == (2, 2)
+    (one,) = ONE_RUN.document()["configurations"]
+    assert one["metrics"]["active_time"]["half_width"] is None
+    assert one["metrics"]["active_time"]["mean"] == RUN.active_time
+
+
+# Frames and files.
+
+
+def test_a_record_is_a_run():
+    records = list(FAILING.records())
+    assert list(records[0]) == [
+        "protocol",
+        "team.speeds",
+        "replication",
+        "status",
+        "seed",
+        *(name for name in METRICS if name != "seed"),
+        "error",
+    ]
+    assert {tuple(each) for each in records} == {tuple(records[0])}
+    assert [(each["seed"], each["status"], each["error"]) for each in records[:2]] == [
+        (10, "ok", ""),
+        (11, "error", "ValueError: no <b> today"),
+    ]
+    assert records[1]["active_time"] is None
+    assert json.loads(records[0]["messages_lost_by"]) == RUN.messages_lost_by
+
+
+def test_a_frame_has_the_types_of_what_is_measured():
+    types = PLAIN.to_frame().dtypes.astype(str)
+    assert types[["network.range", "active_time", "capture_time", "age_mean"]].tolist() == ["float64"] * 4
+    assert types[["seed", "replication", "messages_sent"]].tolist() == ["int64"] * 3
+    assert types[["captured", "status", "messages_lost_by"]].tolist() == ["bool", "str", "str"]
+
+
+def test_a_frame_with_failures_keeps_integers_and_truths():
+    frame = FAILING.to_frame()
+    types = frame.dtypes.astype(str)
+    assert types[["messages_sent", "captured", "active_time"]].tolist() == ["Int64", "boolean", "float64"]
+    assert types[["seed", "status", "error"]].tolist() == ["int64", "str", "str"]
+    assert frame["team.speeds"].tolist() == ["1.5"] * 3 + ["[1, 2]"] * 3
+    assert frame["messages_sent"].isna().tolist() == [False, True, False, False, False, True]
+    assert frame.groupby("protocol").active_time.mean()["sap"] == 2.0
+
+
+def test_seeds_of_more_than_64_bits_are_texts_in_a_frame():
+    big = SweepResult("big", ("x",), (group({"x": 1}, replace(ok(0), seed=2**70)),))
+    assert big.to_frame()["seed"].tolist() == [str(2**70)]
+
+
+def test_settings_that_differ_in_type_are_texts():
+    values = [1, 0.5, inf, True, "a"]
+    mixed = SweepResult("m", ("x",), tuple(group({"x": each}, ok(0)) for each in values))
+    assert mixed.to_frame()["x"].tolist() == ["1", "0.5", "inf", "true", "a"]
+    numbers = SweepResult("m", ("x",), tuple(group({"x": each}, ok(0)) for each in [4, 0.5, inf]))
+    assert numbers.to_frame()["x"].tolist() == [4.0, 0.5, inf]
+
+
+@every
+def test_a_parquet_file_has_the_frame(result, tmp_path):
+    import pandas as pd
+
+    result.write(tmp_path / "x.parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "x.parquet"), result.to_frame())
+
+
+@every
+def test_a_csv_file_has_the_records(result, tmp_path):
+    result.write(tmp_path / "x.csv")
+    with (tmp_path / "x.csv").open(newline="") as stream:
+        read = list(csv.DictReader(stream))
+    assert read == [{key: "" if each is None else str(each) for key, each in row.items()} for row in result.records()]
+    assert b"\r" not in (tmp_path / "x.csv").read_bytes()
+
+
+def test_what_has_no_runs_has_columns(tmp_path):
+    NOTHING.write(tmp_path / "x.csv")
+    assert (tmp_path / "x.csv").read_text() == ",".join(NOTHING.to_frame().columns) + "\n"
+    assert list(NOTHING.to_frame().columns) == ["x", *list(next(PLAIN.records()))[1:]]
+
+
+@pytest.mark.parametrize("name", ["x.txt", "x", "parquet", ".csv"])
+def test_another_kind_of_file_is_refused(tmp_path, name):
+    with pytest.raises(ValueError, match=r"should end in \.csv or \.parquet"):
+        PLAIN.write(tmp_path / name)
+
+
+# From a store.
+
+
+def test_a_store_that_was_never_used_has_no_results():
+    with Store() as store, pytest.raises(StoreError, match="is empty"):
+        SweepResult.of(store)
+
+
+def test_the_failed_are_in_order():
+    assert [(row.replication, row.status) for row in FAILING.failed] == [(1, "error"), (2, "crashed")]
+    assert PLAIN.failed == []
+
+
+def test_nan_is_nothing_in_a_document():
+    odd = SweepResult("odd", ("x",), (group({"x": nan}, ok(0)), group({"x": -inf}, ok(0))))
+    assert [each["settings"]["x"] for each in odd.document()["configurations"]] == [None, "-Infinity"]

@@ -1,0 +1,384 @@
+"""Sweeps: which runs are done with which seeds, how many are needed, and what a store may be continued with."""
+
+import importlib
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from desim import run, summary
+from desim import sweep as sweep_of_package
+from desim.analysis.statistics import estimate, paired, runs_needed
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.scenario import Scenario, Sweep, Team
+from desim.scenario_file import read
+from desim.source import ScenarioError
+from desim.study import sweep as module
+from desim.study.store import Store, StoreError
+from desim.study.sweep import MOST_RUNS, Plan, RunError, sweep
+from protocols.rule import Rule
+
+# Chance in positions, slots and decisions; about 3 ms each.
+BASE = Scenario(name="coins", seed=5, horizon=0.5, team=Team(count=3, box=(9.0, 11.0)), motion={"step": 0.05})
+GRID = {"network.latency.value": [0.0, 0.2], "capture.radius": [0.05, 0.2]}
+
+
+class Moody(Rule):
+    """Refuses to work with every third seed."""
+
+    kind: str = "moody"
+
+    def actions(self, me):
+        if me.rng.bit_generator.seed_seq.entropy % 3 == 0:
+            raise ValueError("not today")
+        while True:
+            yield int(me.rng.random() < 0.5)
+
+
+def by_hand(seeds, **change):
+    """Return the summary of each run, done one by one."""
+    return [summary(run(BASE.model_copy(update=change), seed=seed)) for seed in seeds]
+
+
+# Seeds.
+
+
+def test_run_k_of_every_configuration_has_the_seed_of_the_first_plus_k():
+    found = sweep(BASE, GRID, 3)
+    assert [[row.seed for row in group.rows] for group in found.groups] == [[5, 6, 7]] * 4
+    assert [[row.seed for row in group.rows] for group in sweep(BASE, GRID, 2, seed=40).groups] == [[40, 41]] * 4
+
+
+def test_every_run_is_that_which_one_would_do_by_hand():
+    found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 3)
+    for value, group in zip([0.0, 0.2], found.groups, strict=True):
+        assert [row.summary for row in group.rows] == by_hand([5, 6, 7], network=Links(latency=Constant(value=value)))
+
+
+def test_paired_differences_are_those_of_runs_by_hand():
+    metric = "active_time"
+    found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 8).differences(metric)
+    without, with_latency = (
+        [getattr(each, metric) for each in by_hand(range(5, 13), network=Links(latency=Constant(value=value)))]
+        for value in (0.0, 0.2)
+    )
+    assert found[1] == paired(with_latency, without)
+    assert found[1].mean != 0.0
+    assert (found[0].mean, found[0].half_width) == (0.0, 0.0)
+
+
+def independent(seed=5, reps=4, grid=GRID):
+    plan = Plan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), grid, reps, seed)
+    return [plan.seed(cell, k) for cell in plan.cells for k in range(reps)]
+
+
+def test_independent_seeds_are_all_different_and_the_same_every_time():
+    """4 configurations x 4 runs x 3 roots: 48 of 2^56, stable however many runs and configurations there are."""
+    seeds = [each for root in (5, 6, 7) for each in independent(root)]
+    assert len(set(seeds)) == 48
+    assert independent() == independent()
+    assert set(independent(reps=2)) < set(independent())
+    assert set(independent(grid={**GRID, "capture.radius": [0.2]})) < set(independent())
+
+
+@pytest.mark.slow
+def test_independent_seeds_are_those_of_yesterday():
+    """Or a store could not be continued by another process."""
+    plan = Plan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID)
+    script = "from tests.study.test_sweep import *;print(independent())"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={"PYTHONHASHSEED": "3", "PYTHONPATH": ":".join([str(Path(__file__).parents[2]), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == str(independent())
+    assert not plan.common
+
+
+def test_independent_runs_are_no_pairs():
+    found = sweep(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID, 2)
+    with pytest.raises(ValueError, match="no pairs"):
+        found.differences("active_time")
+    assert "difference" not in found.table()
+    assert found.document()["configurations"][1]["less_the_first"] == {}
+
+
+@pytest.mark.slow
+def test_common_seeds_make_differences_precise():
+    """Of active time, between latencies of 0 and 0.02 s: var + var' of unpaired runs over the variance of pairs.
+
+    44 with these 150 pairs; of six other sets of 100 pairs at least 24 and at most 2150, for few seeds make most of the
+    difference. The control, run k paired with run k + 1, has 1 up to chance: 0.85 to 1.23.
+    """
+    found = sweep(BASE.model_copy(update={"horizon": 2.0}), {"network.latency.value": [0.0, 0.02]}, 150, seed=0)
+    one, other = (np.array(group.values("active_time")) for group in found.groups)
+    unpaired = one.var(ddof=1) + other.var(ddof=1)
+    assert unpaired / (other - one).var(ddof=1) > 10.0
+    assert 0.7 < unpaired / (np.roll(other, 1) - one).var(ddof=1) < 1.4
+
+
+# How many runs.
+
+
+@pytest.mark.slow
+def test_a_precision_takes_as_many_runs_as_the_rule_says_of_the_values():
+    target = ("active_time", 0.03)
+    found = sweep(BASE, GRID, 100, until=target)
+    for group in found.groups:
+        values = group.values("active_time")
+        assert len(values) == runs_needed(values, 0.03, at_most=100)
+        assert [row.replication for row in group.rows] == list(range(len(values)))
+    counts = [len(group.rows) for group in found.groups]
+    assert 30 < max(counts) <= 100
+    assert all(estimate(g.values("active_time")).half_width <= 0.03 for g in found.groups if len(g.rows) < 100)
+
+
+def test_truths_are_as_precise_as_wilsons_interval():
+    (group,) = sweep(BASE, {"capture.radius": [0.2]}, until=("captured", 0.12)).groups
+    values = group.values("captured")
+    assert {type(each) for each in values} == {bool}
+    assert len(values) == runs_needed(values, 0.12, at_most=MOST_RUNS) < MOST_RUNS
+
+
+@pytest.mark.slow
+def test_at_most_as_many_runs_as_are_asked_for_are_done():
+    found = sweep(BASE, GRID, 33, until=("active_time", 1e-9))
+    assert [len(group.rows) for group in found.groups] == [33] * 4
+
+
+@pytest.mark.slow
+def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interruption(tmp_path, monkeypatch):
+    target = {"reps": 80, "until": ("active_time", 0.04)}
+    whole = sweep(BASE, GRID, **target)
+    assert len({len(group.rows) for group in whole.groups}) > 1
+    assert sweep(BASE, GRID, executor=2, **target) == whole
+    drive = module.drive
+
+    def interrupted(tasks, workers):
+        """Do 17 runs, the last first, and leave."""
+        yield from list(drive(tasks, workers))[::-1][:17]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "drive", interrupted)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            sweep(BASE, GRID, store=tmp_path / "s.sqlite", **target)
+    monkeypatch.setattr(module, "drive", drive)
+    assert sweep(BASE, GRID, store=tmp_path / "s.sqlite", **target) == whole
+
+
+def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
+    """Of 50 runs ten are lost: 10 are there in order, so that there should be 30 before anybody looks."""
+    path, grid = tmp_path / "s.sqlite", {"capture.radius": [0.2]}
+    sweep(BASE, grid, 50, store=path)
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("DELETE FROM runs WHERE replication BETWEEN 10 AND 19")
+    with Store(path) as store:
+        assert len(module._wanted(Plan.of(BASE, grid, 100), store, "active_time", 1e-6)) == 30
+
+
+def test_runs_that_fail_are_runs_but_say_nothing_of_the_mean():
+    """A third of the seeds fail: to have 30 values takes more than 40 runs."""
+    scenario = BASE.model_copy(update={"protocol": Moody()})
+    (group,) = sweep(scenario, {"capture.radius": [0.1]}, 200, until=("active_time", 10.0)).groups
+    values = [None if row.summary is None else row.summary.active_time for row in group.rows]
+    assert [row.ok for row in group.rows] == [row.seed % 3 != 0 for row in group.rows]
+    assert len(values) == runs_needed(values, 10.0, at_most=200) > 40
+    assert len([each for each in values if each is not None]) >= 30
+
+
+@pytest.mark.parametrize(
+    "until", [("aktive_time", 0.1), ("seed", 0.1), ("messages_lost_by", 1.0), ("active_time", 0.0)]
+)
+def test_a_precision_that_cannot_be_reached_is_refused_before_anything_is_written(tmp_path, until):
+    with pytest.raises(ValueError, match=r"there is no metric|should be positive"):
+        sweep(BASE, GRID, 40, store=tmp_path / "s.sqlite", until=until)
+    assert not (tmp_path / "s.sqlite").exists()
+
+
+@pytest.mark.parametrize("wrong", [{"reps": 0}, {"reps": -1}, {"seed": -1}, {"reps": 0, "until": ("active_time", 1.0)}])
+def test_no_runs_and_negative_seeds_are_refused(wrong):
+    with pytest.raises(ValueError, match="at least"):
+        sweep(BASE, GRID, **wrong)
+
+
+def test_numbers_of_runs_and_seeds_may_be_numpys(tmp_path):
+    found = sweep(BASE, GRID, np.int64(2), seed=np.int64(4), store=tmp_path / "s.sqlite")
+    assert found == sweep(BASE, GRID, 2, seed=4, store=tmp_path / "s.sqlite")
+    with pytest.raises(TypeError):
+        sweep(BASE, GRID, 2.5)
+
+
+def test_what_is_not_given_is_that_of_the_scenario():
+    scenario = BASE.model_copy(update={"sweep": Sweep(reps=2, grid={"capture.radius": [0.1, 0.2]})})
+    assert sweep_of_package(scenario) == sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2)
+
+
+# Failures.
+
+
+def test_a_run_that_raises_is_a_row_and_ends_nothing():
+    found = sweep(BASE, {"protocol": [Moody(), BASE.protocol]}, 4)
+    assert [[row.status for row in group.rows] for group in found.groups] == [["ok", "error", "ok", "ok"], ["ok"] * 4]
+    (row,) = found.failed
+    assert (row.seed, row.error, row.summary) == (6, "ValueError: not today", None)
+
+
+def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
+    scenario = BASE.model_copy(update={"protocol": Moody()})
+    before = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
+    done, drive = [], module.drive
+    monkeypatch.setattr(module, "drive", lambda tasks, workers: done.extend(tasks) or drive(tasks, workers))
+    monkeypatch.setattr(Moody, "actions", lambda self, me: iter(lambda: 1, None))
+    after = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
+    assert [seed for _, seed in done] == [6, 9]
+    assert after.failed == []
+    (old,), (new,) = before.groups, after.groups
+    assert [row for row in new.rows if row.seed % 3] == [row for row in old.rows if row.ok]
+
+
+def test_the_first_failure_ends_the_sweep_if_it_should(tmp_path):
+    scenario = BASE.model_copy(update={"protocol": Moody()})
+    with pytest.raises(RunError, match=r"(?s)capture\.radius = 0\.1 with seed 6 failed \(error\).*not today"):
+        sweep(scenario, {"capture.radius": [0.1]}, 9, store=tmp_path / "s.sqlite", fail_fast=True)
+
+
+# What a store may be continued with.
+
+
+def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
+    """2 x 2 of 3 x 3 x ... runs are there; of 6 configurations x 3 runs the other 18 - 8 are done."""
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, GRID, 2, store=store)
+    done, drive = [], module.drive
+    monkeypatch.setattr(module, "drive", lambda tasks, workers: done.extend(tasks) or drive(tasks, workers))
+    more = {"network.latency.value": [0.0, 0.1, 0.2], "capture.radius": [0.05, 0.2]}
+    found = sweep(BASE, more, 3, store=store)
+    assert len(done) == 18 - 8
+    assert found == sweep(BASE, more, 3)
+    done.clear()
+    assert sweep(BASE, more, 3, store=store) == found
+    assert done == []
+    fewer = sweep(BASE, {key: values[:1] for key, values in GRID.items()}, 1, store=store)
+    assert [dict(group.settings) for group in fewer.groups] == [{"network.latency.value": 0.0, "capture.radius": 0.05}]
+
+
+CHANGED = {
+    "field": ({"horizon": 0.6}, {}, {}, r"by another configuration: horizon was 0\.5, is 0\.6$"),
+    "two": (
+        {"horizon": 0.6, "prune": "none"},
+        {},
+        {},
+        r"by another configuration: horizon was 0\.5, is 0\.6; prune was inf, is none$",
+    ),
+    "inside": ({"network": Links(range=3.0)}, {}, {}, r"network\.range was Infinity, is 3\.0$"),
+    "seed": ({"seed": 6}, {}, {}, r"by another sweep: root seed was 5, is 6$"),
+    "seed given": ({}, {}, {"seed": 6}, r"by another sweep: root seed was 5, is 6$"),
+    "keys": ({}, {"horizon": [0.5]}, {}, r"by another "),
+    "mode": ({"sweep": Sweep(seeds="independent")}, {}, {}, r'by another sweep: seeds was "common", is "independent"$'),
+}
+
+
+@pytest.mark.parametrize(("change", "grid", "options", "why"), CHANGED.values(), ids=CHANGED)
+def test_a_store_of_another_sweep_is_refused_and_says_what_differs(tmp_path, change, grid, options, why):
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, GRID, 1, store=store)
+    with pytest.raises(StoreError, match=why):
+        sweep(BASE.model_copy(update=change), GRID | grid, 1, store=store, **options)
+    with closing(sqlite3.connect(store)) as database:
+        assert database.execute("SELECT count(*) FROM runs").fetchone() == (4,)
+
+
+def test_values_of_swept_keys_in_the_scenario_do_not_matter(tmp_path):
+    """They are replaced by those of the grid."""
+    store = tmp_path / "s.sqlite"
+    first = sweep(BASE, GRID, 1, store=store)
+    other = BASE.model_copy(update={"network": Links(latency=Constant(value=9.0))})
+    assert sweep(other, GRID, 1, store=store) == first
+
+
+def test_a_store_is_not_continued_with_other_code_of_a_rule(tmp_path, monkeypatch):
+    """Or a table would have runs of both, and nothing would tell them apart."""
+    monkeypatch.syspath_prepend(tmp_path)
+    module_file = tmp_path / "mine_of_sweep.py"
+    file = tmp_path / "f.toml"
+    file.write_text(
+        'horizon = 0.1\nteam.count = 2\n[sweep.grid]\nprotocol = [{ kind = "mine_of_sweep:mine" }, { kind = "sap" }]\n'
+    )
+
+    def swept(number):
+        module_file.write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
+        sys.modules.pop("mine_of_sweep", None)
+        importlib.invalidate_caches()
+        return sweep(read(file), reps=1, store=tmp_path / "s.sqlite")
+
+    assert swept(1) == swept(1)
+    with pytest.raises(StoreError, match=r"the code of mine_of_sweep:mine was"):
+        swept(22)
+
+
+def test_more_protocols_of_ones_own_may_be_added(tmp_path):
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, {"protocol": [Moody()]}, 2, store=store)
+    found = sweep(BASE, {"protocol": [Moody(), chases]}, 2, store=store)
+    assert [group.settings["protocol"] for group in found.groups] == ["moody", "chases"]
+
+
+def test_more_lambdas_may_be_added(tmp_path):
+    """They have one name, and each its own code."""
+    one, other = lambda me: iter(()), lambda me: iter((1,)[1:])
+    one.__name__, other.__name__ = "one", "other"
+    sweep(BASE, {"protocol": [one]}, 1, store=tmp_path / "s.sqlite")
+    found = sweep(BASE, {"protocol": [one, other]}, 1, store=tmp_path / "s.sqlite")
+    assert [group.settings["protocol"] for group in found.groups] == ["one", "other"]
+
+
+def chases(me):
+    me.assign(True)
+    yield from ()
+
+
+def test_what_is_wrong_with_a_grid_is_told_before_a_store_is_made(tmp_path):
+    with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid: horizn: unknown key"):
+        sweep(BASE, {"horizn": [1.0]}, store=tmp_path / "s.sqlite")
+    assert not (tmp_path / "s.sqlite").exists()
+
+
+def test_a_store_knows_the_scenario_of_each_configuration(tmp_path):
+    sweep(BASE, {"network.range": [3.0, inf]}, 1, store=tmp_path / "s.sqlite")
+    with Store(tmp_path / "s.sqlite") as store:
+        texts = [text for (text,) in store._database.execute("SELECT scenario FROM configurations ORDER BY place")]
+    assert [Scenario.model_validate_json(each).network.range for each in texts] == [3.0, inf]
+
+
+# Parts.
+
+
+@pytest.mark.parametrize("parts", [1, 3, 5, 20])
+def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
+    plan = Plan.of(BASE, GRID, 4)
+    jobs = [[(cell.key, k) for cell, k in plan.shard(part, parts)] for part in range(1, parts + 1)]
+    assert sorted(each for part in jobs for each in part) == sorted(
+        (cell.key, k) for cell in plan.cells for k in range(4)
+    )
+    assert max(map(len, jobs)) - min(map(len, jobs)) <= 1
+
+
+@pytest.mark.parametrize("part", [0, 4])
+def test_a_part_that_there_is_not_is_refused(part):
+    with pytest.raises(ValueError, match="1/3 to 3/3"):
+        Plan.of(BASE, GRID, 4).shard(part, 3)
+
+
+def test_parts_and_a_precision_exclude_each_other(tmp_path):
+    plan = Plan.of(BASE, GRID, 4)
+    with Store() as store, pytest.raises(ValueError, match="exclude each other"):
+        module.carry_out(plan, store, None, until=("active_time", 1.0), shard=(1, 3))

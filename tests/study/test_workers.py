@@ -1,0 +1,286 @@
+"""Where runs are done: the same table wherever, whatever is defined wherever."""
+
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from importlib import import_module
+
+import cloudpickle
+import pytest
+from click.testing import CliRunner
+
+import desim
+from desim.cli import main
+from desim.scenario_file import load
+from desim.study import workers as places
+from desim.study.shipping import called, packed, strangers
+from desim.study.workers import Cluster, Here, Processes, Workers, workers_for
+from tests.study import sweeps
+
+
+def command(*args):
+    """Call the command in this process."""
+    return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
+
+
+def told_by_a_command(out, *options):
+    """Return all that a sweep tells: what it prints, exports and stores."""
+    file = sweeps.write(out.parent / "in")
+    made = command("sweep", file, "-o", out, *options)
+    assert made.exit_code == 0, made.output
+    assert command("export", out, out / "runs.csv").exit_code == 0
+    return made.stdout, (out / "runs.csv").read_bytes(), sweeps.rows(out / "sweep.sqlite")
+
+
+@pytest.mark.slow
+def test_a_sweep_tells_the_same_wherever_it_is_done(tmp_path, cluster):
+    """Its rule is of a module beside the file that imports another; all that happens in it is random."""
+    here = told_by_a_command(tmp_path / "here", "-j", 1)
+    assert told_by_a_command(tmp_path / "processes", "-j", 2) == here
+    assert told_by_a_command(tmp_path / "cluster", "--cluster", cluster) == here
+    _, table, (configurations, runs) = here
+    assert len(configurations) == 2
+    assert len(runs) == len(table.splitlines()) - 1 == 40
+    assert len({run[5] for run in runs}) == 40  # no two runs are the same
+    assert command("sweep", tmp_path / "in" / "coins.toml", "-o", tmp_path / "other", "-s", 1).stdout != here[0]
+
+
+@pytest.mark.slow
+def test_a_sweep_has_the_same_rows_by_executors_of_one_s_own(tmp_path):
+    scenario = load(sweeps.write(tmp_path / "in", reps=10))
+    here = desim.sweep(scenario)
+    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
+        assert desim.sweep(scenario, executor=threads) == here
+        assert desim.sweep(scenario, executor=processes) == here
+        assert threads.submit(int, 3).result() == processes.submit(int, 3).result() == 3  # they stay open
+
+
+SCRIPT = """\
+import sys
+
+import desim
+from desim.scenario import Motion, Recording, Scenario, Team
+from my_trouble import WAYS
+from protocols.rule import Rule
+from protocols.schedules import Poisson
+
+BIAS = 0.5
+
+
+class Coin(Rule):
+    bias: float = 0.0
+
+    def actions(self, me):
+        assert WAYS
+        while True:
+            yield int(me.rng.random() < self.bias + BIAS)
+
+
+if __name__ == "__main__":
+    scenario = Scenario(
+        horizon=1.0,
+        team=Team(count=3),
+        motion=Motion(step=0.1),
+        record=Recording(trajectory=0.0),
+        protocol=Coin(schedule=Poisson(rate=5.0)),
+    )
+    where = int(sys.argv[1]) if sys.argv[1].isdecimal() else sys.argv[1]
+    found = desim.sweep(scenario, {"protocol.bias": [-0.2, 0.0, 0.2]}, 5, where)
+    print(*found.records(), sep="\\n")
+"""
+
+
+@pytest.mark.slow
+def test_a_script_may_define_a_rule_and_import_modules_that_lie_beside_it(tmp_path, cluster):
+    sweeps.write(tmp_path)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    told = [
+        subprocess.run(
+            [sys.executable, tmp_path / "script.py", where],
+            env={**os.environ, "PYTHONPATH": str(sweeps.ROOT)},
+            cwd=tmp_path.parent,
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for where in ("1", "2", cluster)
+    ]
+    assert told[1:] == told[:1] * 2
+    assert told[0].count("'ok'") == len(told[0].splitlines()) == 15
+
+
+def test_what_lies_beside_a_file_travels_and_what_is_installed_does_not(tmp_path, monkeypatch):
+    """In a process that has neither module, the call can be made; and the pickler is as it was."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "outer_module.py").write_text("import inner_module\n\ndef ten():\n    return inner_module.ten()\n")
+    (tmp_path / "inner_module.py").write_text("import math\n\ndef ten():\n    return math.sqrt(100)\n")
+    import outer_module
+
+    call = packed(partial(outer_module.ten))
+    assert cloudpickle.list_registry_pickle_by_value() == set()
+    monkeypatch.undo()
+    for name in ("outer_module", "inner_module"):
+        del sys.modules[name]
+        with pytest.raises(ModuleNotFoundError):
+            import_module(name)
+    assert pickle.loads(called(call)) == 10.0
+    assert len(packed(partial(desim.run, None, 1))) < 200
+
+
+def test_strangers_are_found_in_models_lists_and_partial_calls(tmp_path):
+    scenario = load(sweeps.write(tmp_path))
+    coin = type(scenario.protocol)
+
+    def measure(_):
+        return None
+
+    assert set(strangers([(scenario, 3)])) == {coin}
+    assert set(strangers(partial(print, [scenario], end=measure))) == {coin, measure, partial}
+    assert not set(strangers(scenario.model_copy(update={"protocol": len})))
+
+
+@pytest.mark.parametrize(("given", "kind", "count"), [(1, Here, 1), (3, Processes, 3), (0, Processes, 5)])
+def test_a_number_is_of_processes_and_0_of_one_per_core(monkeypatch, given, kind, count):
+    monkeypatch.setattr(os, "cpu_count", lambda: 5)
+    monkeypatch.setattr(places, "_pool", lambda count: None)
+    found = workers_for(given)
+    assert type(found) is kind
+    assert found.count == count
+
+
+def test_a_negative_number_of_workers_is_refused():
+    with pytest.raises(ValueError, match="at least 0, got -1"):
+        workers_for(-1)
+
+
+def test_an_executor_works_with_as_many_as_it_says_or_as_there_are_cores(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 5)
+    with ThreadPoolExecutor(3) as executor:
+        assert workers_for(executor).count == 3
+        del executor._max_workers
+        assert workers_for(executor).count == 5
+        executor._max_workers = 3
+
+
+def test_here_a_ctrl_c_is_not_taken_for_a_failure():
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Here().submit(partial(interrupt))
+
+
+@pytest.mark.slow
+def test_a_worker_does_not_hear_a_ctrl_c():
+    with workers_for(2) as found:
+        future = found.submit(partial(signal.getsignal, signal.SIGINT))
+        blocked = found.submit(partial(signal.pthread_sigmask, signal.SIG_BLOCK, ()))
+        assert found.result(future) is signal.SIG_IGN
+        assert signal.SIGINT in found.result(blocked)  # since before it could ignore it
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+@pytest.fixture
+def silent_port():
+    """Yield a port that accepts and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+@pytest.fixture
+def closed_port(silent_port):
+    """Return a port at which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["silent_port", "closed_port"])
+def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, monkeypatch, name):
+    monkeypatch.setattr(places, "PATIENCE", 1.0)
+    address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
+    begin = time.monotonic()
+    made = command("sweep", sweeps.write(tmp_path), "-o", tmp_path / "out", "--cluster", address)
+    assert time.monotonic() - begin < 4.0
+    assert made.exit_code == 2
+    assert made.stdout == ""
+    (line,) = made.stderr.splitlines()
+    assert line.startswith(f"{address}: no scheduler answers within 1 s")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:1", "tcp://127.0.0.1:port", ""])
+def test_a_malformed_address_is_told_of(tmp_path, monkeypatch, address):
+    monkeypatch.setattr(places, "PATIENCE", 1.0)
+    made = command("sweep", sweeps.write(tmp_path), "-o", tmp_path / "out", "--cluster", address)
+    assert made.exit_code == 2
+    (line,) = made.stderr.splitlines()
+    assert line.startswith(f"{address}: no scheduler answers")
+
+
+def dask(program, *options):
+    """Start a part of a cluster of one's own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", f"distributed.cli.dask_{program}", *map(str, options), "--no-dashboard"],
+        env={**os.environ, "PYTHONPATH": str(sweeps.ROOT)},
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.slow
+def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_path, monkeypatch):
+    """What was done by then is kept."""
+    monkeypatch.setattr(places, "PATIENCE", 2.0)
+    file, out, note = sweeps.write(tmp_path / "in", pause=0.05), tmp_path / "out", tmp_path / "scheduler.json"
+    store = out / "sweep.sqlite"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", 0, "--scheduler-file", note) as scheduler:
+        while not note.exists():
+            time.sleep(0.05)
+        address = json.loads(note.read_text())["address"]
+        made = command("sweep", file, "-o", out, "--cluster", address)
+        assert (made.exit_code, made.stdout) == (2, "")
+        assert made.stderr == f"{address}: has no workers within 2 s\n"
+        with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
+
+            def kill():
+                while sweeps.count(store) < 5:
+                    time.sleep(0.02)
+                scheduler.kill()
+
+            killer = threading.Thread(target=kill)
+            killer.start()
+            monkeypatch.setattr(places, "PATIENCE", 10.0)  # for the worker to start
+            made = command("sweep", file, "-o", out, "--cluster", address)
+            killer.join()
+            worker.kill()
+    assert (made.exit_code, made.stdout) == (2, "")
+    assert made.stderr == f"{address}: went away before the runs were done\n"
+    assert 5 <= sweeps.count(store) < 40
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
+    """A worker that leaves with exit code 0 has left of its own will, as far as its nurse knows: she starts no other."""
+    monkeypatch.setattr(places, "PATIENCE", 2.0)
+    file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=40, bad=(6,), how="leave")
+    note = tmp_path / "scheduler.json"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", 0, "--scheduler-file", note) as scheduler:
+        while not note.exists():
+            time.sleep(0.05)
+        address = json.loads(note.read_text())["address"]
+        with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
+            monkeypatch.setattr(places, "PATIENCE", 5.0)
+            made = command("sweep", file, "-o", tmp_path / "out", "--cluster", address)
+            worker.kill()
+        scheduler.kill()
+    assert made.exit_code == 2
+    assert made.stderr == f"{address}: has no workers within 5 s\n"
+    assert sweeps.count(tmp_path / "out" / "sweep.sqlite") >= 1
