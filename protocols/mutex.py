@@ -74,6 +74,10 @@ class LocalMutex(Value):
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
 
+    def without_turns(self) -> dict[str, Any]:
+        """Return the schedule under which nobody asks."""
+        return {"kind": "poisson", "rate": self.rate}
+
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
         section = Section(me, self.attempts, self.floor)

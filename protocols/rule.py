@@ -12,10 +12,23 @@ from typing import Annotated, ClassVar
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from desim.value import LONGEST, OneOf, Value
-from protocols.schedules import Rounds, Schedule, SharedSeed
-from protocols.together import ONE_AT_A_TIME, Together
+from protocols.mutex import LocalMutex
+from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
+from protocols.together import Together
+from protocols.token import TokenRing, TokenWalk
 
-SCHEDULES = OneOf(*ONE_AT_A_TIME, Rounds, Together, needs=("mean_slot",), takes=("me", "revise"))
+SCHEDULES = OneOf(
+    SharedSeed,
+    Poisson,
+    Rounds,
+    Periodic,
+    TokenRing,
+    TokenWalk,
+    LocalMutex,
+    Together,
+    needs=("mean_slot",),
+    takes=("me", "revise"),
+)
 
 
 class Rule(Value):

@@ -14,7 +14,7 @@ Robust to loss: yes, for nothing is sent.
 
 from collections.abc import Callable, Iterator
 from itertools import count
-from typing import Annotated, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +24,11 @@ from desim.value import Period, Rate, Value
 
 
 class Schedule(Protocol):
-    """When a pursuer revises: `schedule(me, revise)` is the process that calls `revise()` at each of its turns."""
+    """When a pursuer revises: `schedule(me, revise)` is the process that calls `revise()` at each of its turns.
+
+    One under which pursuers wait for each other has a method `without_turns()` as well, which returns the table of a
+    schedule under which they do not.
+    """
 
     def mean_slot(self, me: Agent) -> float:
         """Return the mean time delta between two revisions in the team, s."""
@@ -47,6 +51,10 @@ class SharedSeed(Value):
     def mean_slot(self, me: Agent) -> float:
         """Return delta, s."""
         return self.slot
+
+    def without_turns(self) -> dict[str, Any]:
+        """Return a schedule under which every slot is everybody's."""
+        return {"kind": "together", "of": self}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that is one's own."""

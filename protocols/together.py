@@ -1,6 +1,6 @@
-"""Everybody at once, as often as under another schedule one of the team: what deciding one at a time costs.
+"""Everybody at once in every slot that another schedule gives to one: what it costs to take turns.
 
-Paper: none; the synchronous learning of Marden & Shamma 2012 at the pace of another schedule.
+Paper: none; the synchronous learning of Marden & Shamma 2012 in the slots of another schedule.
 Parameters: of, the other schedule.
 Assumes: equal clocks.
 Messages: none; those of the other schedule are not sent.
@@ -12,24 +12,23 @@ from typing import Annotated, ClassVar, Literal
 
 from desim.pursuit.agent import Agent, Process
 from desim.value import OneOf, Value
-from protocols.mutex import LocalMutex
-from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
+from protocols.schedules import Rounds, Schedule, SharedSeed
 from protocols.token import TokenRing, TokenWalk
-
-ONE_AT_A_TIME = (SharedSeed, Poisson, Periodic, TokenRing, TokenWalk, LocalMutex)
 
 
 class Together(Value):
-    """A round per slot of another schedule: where that lets one pursuer of the team revise, all revise.
+    """A round per slot of a schedule under which pursuers take turns: where that lets one revise, all revise.
 
-    Rounds cost nothing but simulated decisions, N times as many. The slot that temperatures go by is that of the other
-    schedule, so that they cool alike.
+    So each revises N times as often. The slot that temperatures go by is that of the other schedule, so that they cool
+    alike.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     at_once: ClassVar[bool] = True
     kind: Literal["together"] = "together"
-    of: Annotated[Schedule, OneOf(*ONE_AT_A_TIME, needs=("mean_slot",), takes=("me", "revise"))] = SharedSeed()
+    of: Annotated[Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))] = (
+        SharedSeed()
+    )
     """The other schedule, of which there is a round per slot."""
 
     def mean_slot(self, me: Agent) -> float:

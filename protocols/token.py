@@ -12,7 +12,7 @@ Robust to loss: yes; see `protocols.circulation`. Without faults every decision 
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -36,6 +36,10 @@ class _WithToken(Value):
     def mean_slot(self, me: Agent) -> float:
         """Return hold + L, s; a pursuer that keeps the token is faster by L."""
         return self.hold + hop_time(me)
+
+    def without_turns(self) -> dict[str, Any]:
+        """Return a schedule under which all revise whenever the token would be passed on."""
+        return {"kind": "together", "of": self}
 
 
 class TokenRing(_WithToken):

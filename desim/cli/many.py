@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +105,7 @@ def sweep(
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     jobs_of_plan = plan.shard(*(shard or (1, 1)))
     start = time.perf_counter()
-    with _stores(), Store(path if path.exists() or not dry_run else None) as store:
+    with storing(folder), Store(path if path.exists() or not dry_run else None) as store:
         before = len(store)
         if dry_run:
             click.echo(_plan_text(plan, jobs_of_plan, store, until))
@@ -113,7 +113,7 @@ def sweep(
         plan.enter(store)
         _note(folder, scenario, plan, file)
         try:
-            with workers_for(cluster or jobs) as workers:
+            with workers_for(jobs if cluster is None else cluster) as workers:
                 found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
         except KeyboardInterrupt:
             click.echo(f"interrupted: {len(store)} runs are in {path}; the same command goes on", err=True)
@@ -127,7 +127,8 @@ def sweep(
     took = time.perf_counter() - start
     click.echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
     if not shard:
-        _show(found, shown[0], folder, table)
+        with storing(folder):
+            _show(found, shown[0], folder, table)
     if found.failed:
         click.echo(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
         sys.exit(FAILED)
@@ -142,10 +143,13 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
     """Put the runs of several stores (files or folders) of one sweep together."""
     from desim.study.store import Store
 
-    with _stores(), Store(out / STORE) as store:
-        for path in _files(stores):
-            with Store(path, must_exist=True) as other:
-                store.take(other)
+    with storing(), ExitStack() as opened:
+        parts = [opened.enter_context(Store(path, must_exist=True)) for path in _files(stores)]
+        for part in parts:
+            parts[0].check_same(part.about)
+        store = opened.enter_context(Store(out / STORE))
+        for part in parts:
+            store.take(part)
         click.echo(f"{len(store)} runs are in {out / STORE}")
 
 
@@ -158,7 +162,7 @@ def export(store: Path, file: Path) -> None:
     from desim.study.store import Store
 
     (path,) = _files((store,))
-    with _stores(), Store(path, must_exist=True) as kept:
+    with storing(), Store(path, must_exist=True) as kept:
         result = SweepResult.of(kept)
     try:
         result.write(file)
@@ -179,12 +183,12 @@ def _files(stores: tuple[Path, ...]) -> list[Path]:
 
 
 @contextmanager
-def _stores() -> Iterator[None]:
+def storing(folder: Path | None = None) -> Iterator[None]:
     """End the program if a store or a folder cannot be used, or a cluster does not answer."""
     try:
         yield
     except OSError as error:
-        refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+        refuse(f"{error.filename or folder}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
 def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:

@@ -3,8 +3,8 @@
 import pickle
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
@@ -25,6 +25,10 @@ LOT_TIME = 0.25
 """How long a worker is to be busy with what it is handed at once, s: to hand over costs about a millisecond."""
 LOT_SIZE = 64
 """How many runs it is handed at most."""
+INNERMOST = 30
+"""How many calls of a traceback are kept, those where it happened: a recursion without end has a thousand."""
+CRASHED = "the run ended the process of its worker, or needs more memory than there is\n"
+"""What there is to say of a run that crashed: the same wherever it did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,8 @@ class Outcome:
 
 Outcomes = Generator[tuple[int, Outcome], None, None]
 """The position of each task and what became of it."""
+HandOut = Callable[[list[int]], Future[Any]]
+"""Hands the tasks at some positions to a worker."""
 
 
 def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary) -> Outcomes:
@@ -55,27 +61,89 @@ def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary) -
         BrokenExecutor: if a worker of a borrowed executor died, so that it takes no more work.
         ConnectionError: if the workers went away.
     """
-    desk = _Desk(tasks, workers, measure)
+    waiting = deque(range(len(tasks)))
+
+    def hand_out(lot: list[int]) -> Future[Any]:
+        return workers.submit(partial(perform, [tasks[k] for k in lot], measure))
+
     try:
-        while desk.is_busy():
-            desk.hand_out()
-            yield from desk.take_in()
+        while waiting:
+            suspects = yield from _in_lots(waiting, hand_out, workers)
+            for k in suspects:
+                yield k, _alone(k, hand_out, workers)
+    except BaseException:  # nobody waits for the rest any more
+        workers.stop()
+        raise
+
+
+def _in_lots(
+    waiting: deque[int], hand_out: HandOut, workers: Workers
+) -> Generator[tuple[int, Outcome], None, list[int]]:
+    """Yield outcomes until all are known or a worker dies; return the runs that were begun and are not known."""
+    out: dict[Future[Any], list[int]] = {}
+    suspects: list[int] = []
+    broken, run_time = False, LOT_TIME
+    try:
+        while out or (waiting and not broken):
+            while waiting and not broken and len(out) < workers.room:
+                fair = len(waiting) // (2 * workers.count)
+                lot = [waiting.popleft() for _ in range(max(1, min(int(LOT_TIME / run_time), fair, LOT_SIZE)))]
+                try:
+                    out[hand_out(lot)] = lot
+                except BrokenExecutor:
+                    broken = True
+                    waiting.extendleft(reversed(lot))
+            for future in workers.done(out):
+                lot = out.pop(future)
+                try:
+                    outcomes, run_time = workers.result(future)
+                except ConnectionError:
+                    raise
+                except Exception as error:
+                    suspects += lot
+                    broken |= isinstance(error, BrokenExecutor)
+                else:
+                    yield from zip(lot, outcomes, strict=True)
     finally:
-        desk.clear()
+        for future in out:
+            future.cancel()
+    if broken:
+        workers.renew()
+    return suspects
+
+
+def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
+    """Return what becomes of a run while there is no other."""
+    outcome: Outcome
+    try:
+        future = hand_out([k])
+        workers.done([future])
+        ((outcome,), _) = workers.result(future)
+    except ConnectionError:
+        raise
+    except Exception as error:
+        if isinstance(error, BrokenExecutor):
+            workers.renew()
+        if workers.died(error):
+            return Outcome("crashed", error=error, traceback=CRASHED)
+        return Outcome("error", error=error, traceback=f"{type(error).__name__}: {error}\n")
+    return outcome
 
 
 def perform(tasks: Sequence[Task], measure: Measure) -> tuple[list[Outcome], float]:
     """Do some runs, in a worker: return what became of each, and how long one took, s."""
     start = perf_counter()
     outcomes = [_outcome(task, measure) for task in tasks]
-    return outcomes, (perf_counter() - start) / len(tasks)
+    return outcomes, max((perf_counter() - start) / len(tasks), 1e-6)
 
 
 def _outcome(task: Task, measure: Measure) -> Outcome:
     try:
         return Outcome("ok", measure(run(*task)))
-    except (Exception, SystemExit) as error:
-        return Outcome("error", error=_passable(error), traceback=traceback.format_exc())
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit, too
+        return Outcome("error", error=_passable(error), traceback=traceback.format_exc(limit=-INNERMOST))
 
 
 def _passable(error: BaseException) -> BaseException | None:
@@ -85,73 +153,3 @@ def _passable(error: BaseException) -> BaseException | None:
     except Exception:
         return None
     return error
-
-
-class _Desk:
-    """What waits, what the workers have, and what has to be done again."""
-
-    def __init__(self, tasks: Sequence[Task], workers: Workers, measure: Measure):
-        self._tasks, self._workers, self._measure = tasks, workers, measure
-        self._waiting = deque(range(len(tasks)))
-        self._suspects = deque[int]()
-        """Runs of which one may have ended its worker."""
-        self._out: dict[Future[Any], tuple[list[int], bool]] = {}
-        """Lots that the workers have, and whether it is all they have."""
-        self._broken = False
-        self._run_time = LOT_TIME
-
-    def is_busy(self) -> bool:
-        return bool(self._waiting or self._suspects or self._out)
-
-    def hand_out(self) -> None:
-        """Hand out as much as the workers can do for now."""
-        if self._broken and not self._out:
-            self._workers.renew()
-            self._broken = False
-        if self._broken:
-            return
-        if self._suspects:
-            if not self._out:
-                self._hand(self._suspects, 1)
-            return
-        several = self._workers.count > 1
-        while self._waiting and not self._broken and len(self._out) < (2 * self._workers.count if several else 1):
-            fair = len(self._waiting) // (2 * self._workers.count)
-            self._hand(self._waiting, max(1, min(int(LOT_TIME / self._run_time), fair, LOT_SIZE)))
-
-    def _hand(self, queue: deque[int], size: int) -> None:
-        lot = [queue.popleft() for _ in range(size)]
-        try:
-            future = self._workers.submit(partial(perform, [self._tasks[k] for k in lot], self._measure))
-        except BrokenExecutor:
-            queue.extendleft(reversed(lot))
-            self._broken = True
-        else:
-            self._out[future] = lot, queue is self._suspects
-
-    def take_in(self) -> Iterator[tuple[int, Outcome]]:
-        """Yield what has come back, once something has."""
-        for future in wait(self._out, return_when=FIRST_COMPLETED).done if self._out else ():
-            lot, alone = self._out.pop(future)
-            try:
-                outcomes, run_time = future.result()
-            except CancelledError as error:
-                raise ConnectionError("the workers went away") from error
-            except Exception as error:
-                died = self._workers.died(error)
-                self._broken |= isinstance(error, BrokenExecutor)
-                if alone or (len(lot) == 1 and not died):
-                    status: Literal["crashed", "error"] = "crashed" if died else "error"
-                    yield lot[0], Outcome(status, error=error, traceback=f"{type(error).__name__}: {error}\n")
-                else:
-                    self._suspects.extend(lot)
-            else:
-                self._run_time = max(run_time, 1e-6)
-                yield from zip(lot, outcomes, strict=True)
-
-    def clear(self) -> None:
-        """Let the workers stop what nobody waits for any more."""
-        if self._out:
-            for future in self._out:
-                future.cancel()
-            self._workers.stop()

@@ -144,7 +144,9 @@ def planned(scenario: Scenario, runs: int, seed: int) -> tuple[Plan, dict[str, C
     variants = {
         name: Cell({"without": name}, each) for name, each in {AS_IT_IS: scenario, **removed, IDEAL: ideal}.items()
     }
-    distinct = {cell.key: cell for cell in variants.values()}
+    distinct: dict[str, Cell] = {}
+    for cell in variants.values():
+        distinct.setdefault(cell.key, cell)  # what is not there is removed by doing nothing
     about = {"scenario": flat(resolved(scenario)), "grid": ["without"], "seeds": "common"}
     return Plan(scenario.name, tuple(distinct.values()), runs, seed, about=about), variants
 

@@ -1,36 +1,42 @@
-"""The imperfections of a scenario, and what it is without each of them."""
+"""The imperfections of a scenario, and what it is without each of them.
+
+The graph is none: it says who is linked to whom. Nor is how often a pursuer decides by a clock of its own.
+"""
 
 from collections.abc import Callable, Mapping
-from itertools import combinations, permutations
 from math import inf
 from types import MappingProxyType
 from typing import Any
 
-from desim.kernel.graphs import Complete, Edges
+from pydantic import BaseModel
+
+from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Unlimited
 from desim.kernel.reach import Disk
 from desim.scenario import Scenario
-from desim.value import choices_of
 
 
 def without_latency(scenario: Scenario) -> Scenario:
-    """Return a scenario in which word takes no time: neither on its way, nor at its ends, nor to be put on the air."""
-    network = scenario.network
+    """Return a scenario in which messages take no time: neither on their way, nor at its ends, nor to be transmitted.
+
+    Nobody waits for a channel any more, so nothing is dropped from a queue or missed by who transmits. What a
+    dissemination waits on purpose before it passes something on stays.
+    """
     return _on(
         scenario,
         latency=Constant(),
         processing=Processing(),
         medium=Unlimited(),
         graph=_bare_graph(scenario, "latency"),
-        link=_bare_links(network, "latency"),
+        link=_bare_links(scenario.network, "latency"),
     )
 
 
 def without_loss(scenario: Scenario) -> Scenario:
-    """Return a scenario in which no message is lost by chance."""
+    """Return a scenario in which no message is lost by chance on its way."""
     return _on(
         scenario,
         loss=Bernoulli(),
@@ -40,38 +46,37 @@ def without_loss(scenario: Scenario) -> Scenario:
 
 
 def without_range(scenario: Scenario) -> Scenario:
-    """Return a scenario in which everybody hears everybody in one hop."""
-    return _on(scenario, range=inf, reach=Disk(), graph=_completed(scenario))
+    """Return a scenario in which whoever is linked hears each other at any distance."""
+    return _on(scenario, range=inf, reach=Disk())
 
 
 def without_faults(scenario: Scenario) -> Scenario:
-    """Return a scenario in which nothing breaks."""
+    """Return a scenario in which nothing breaks, nobody is cut off or jammed, and all clocks are right."""
     return scenario.model_copy(update={"fault": ()})
 
 
 def without_turns(scenario: Scenario) -> Scenario:
-    """Return a scenario in which all decide whenever one of the team would, if the protocol has a schedule."""
-    protocol: Any = scenario.protocol
+    """Return a scenario in which nobody waits with a decision for those of others, if the schedule has turns.
+
+    If the messages of the schedule carry what pursuers do, they announce it instead, at once.
+    """
+    protocol = scenario.protocol
     schedule = getattr(protocol, "schedule", None)
-    if schedule is None or getattr(schedule, "at_once", False) or scenario.team.count == 1:
+    if not (isinstance(protocol, BaseModel) and hasattr(schedule, "without_turns")) or scenario.team.count == 1:
         return scenario
-    together = next(
-        kinds["together"]
-        for choice in choices_of(type(protocol).model_fields["schedule"])
-        if "together" in (kinds := choice.choices())
-    )
-    return scenario.model_copy(update={"protocol": protocol.model_copy(update={"schedule": together(of=schedule)})})
+    free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
+    said = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
+    return scenario.model_copy(update={"protocol": free, "announce": said})
 
 
 def without_staleness(scenario: Scenario) -> Scenario:
     """Return a scenario in which each says at once what it does, senses where the others are, and knows who began.
 
-    A rule that answers to positions only, as announced, senses them, too.
+    Announcements are repeated, and who is silent for long is forgotten. A rule that goes by announced positions only
+    senses them, and is in no need of messages any more.
     """
-    announce = scenario.announce
-    trigger = announce.trigger if announce.trigger in {"change", "both", "revision"} else "both"
-    ideal = {"payload": "action", "trigger": trigger, "forget_after": "auto", "warm_start": True}
-    return scenario.model_copy(update={"announce": announce.model_copy(update=ideal)})
+    ideal = {"payload": "action", "trigger": "both", "forget_after": "auto", "warm_start": True}
+    return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
 
 
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
@@ -107,17 +112,4 @@ def _bare_graph(scenario: Scenario, key: str) -> Any:
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]
-    return _as_model(made) if own else scenario.network.graph
-
-
-def _completed(scenario: Scenario) -> Any:
-    """Return the complete graph, with the properties that edges have of their own."""
-    made = scenario.network.graph(scenario.team.count)
-    made.add_edges_from((permutations if made.is_directed() else combinations)(range(len(made)), 2))
-    return _as_model(made)
-
-
-def _as_model(graph: Any) -> Any:
-    pairs = len(graph) * (len(graph) - 1) // (1 if graph.is_directed() else 2)
-    plain = graph.number_of_edges() == pairs and not any(data for _, _, data in graph.edges(data=True))
-    return Complete() if plain else Edges.of(graph)
+    return Edges.of(made) if own else scenario.network.graph

@@ -1,9 +1,14 @@
-"""How calls travel to other processes: by value, with all that is not installed there."""
+"""How work travels to other processes: as bytes, by value, with all that is not installed there.
+
+So what is defined in a script, in a cell of a notebook or in a module beside a scenario file works everywhere, and
+whatever an executor pickles with: it sees nothing but bytes and `called`.
+"""
 
 import os
+import pickle
 import sys
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -13,50 +18,72 @@ from pydantic import BaseModel
 
 Call = partial[Any]
 """A function and its arguments."""
+OURS = {"desim", "protocols"}
+"""The packages that every worker has."""
 
 
-class Shipped:
-    """A call that travels by value, whatever the executor pickles with.
-
-    So what is defined in a script, in a cell of a notebook or in a module beside a scenario file works on all.
-    """
-
-    def __init__(self, call: Call):
-        self._call = call
-
-    def __call__(self) -> Any:
-        """Make the call."""
-        return self._call()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        own = {sys.modules[each.__module__] for each in strangers(self._call.args) if _is_own(each.__module__)}
+def packed(call: Call) -> bytes:
+    """Return a call as bytes, with the modules that its arguments come from if those are not installed."""
+    own = [sys.modules[name] for name in _own_modules(call) - set(cloudpickle.list_registry_pickle_by_value())]
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return bytes(cloudpickle.dumps(call))
+    finally:
         for module in own:
-            cloudpickle.register_pickle_by_value(module)
-        try:
-            return cloudpickle.loads, (cloudpickle.dumps(self._call),)
-        finally:
-            for module in own:
-                cloudpickle.unregister_pickle_by_value(module)
+            cloudpickle.unregister_pickle_by_value(module)
 
 
-def strangers(value: Any) -> Iterator[Any]:
-    """Yield the classes and functions in a value, or in what it is made of, that do not belong to desim."""
+def called(call: bytes) -> bytes:
+    """Make a call and return what it returns, both as bytes."""
+    return bytes(cloudpickle.dumps(pickle.loads(call)()))
+
+
+def strangers(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
+    """Yield the classes and functions in a value, or in what it is made of, that do not belong to desim.
+
+    Args:
+        value: a model, a list, a tuple, a partial call, or anything that is made of nothing.
+        seen: the `id` of what has been looked into, for many runs are of one scenario.
+    """
+    seen = set() if seen is None else seen
+    if id(value) in seen:
+        return
+    seen.add(id(value))
     home = value if isinstance(value, FunctionType) else type(value)
-    if home.__module__.partition(".")[0] not in {"desim", "protocols", "builtins"}:
+    if home.__module__.partition(".")[0] not in {*OURS, "builtins"}:
         yield home
     inner: Any = ()
     if isinstance(value, BaseModel):
-        inner = (getattr(value, name) for name in type(value).model_fields)
+        inner = [getattr(value, name) for name in type(value).model_fields]
     elif isinstance(value, tuple | list):
         inner = value
+    elif isinstance(value, partial):
+        inner = [value.func, *value.args, *value.keywords.values()]
     for each in inner:
-        yield from strangers(each)
+        yield from strangers(each, seen)
 
 
-def _is_own(name: str) -> bool:
-    """Return whether a module is not installed, but lies somewhere."""
+def _own_modules(call: Call) -> set[str]:
+    """Return the names of the modules that are not installed and lie where a call's own classes and functions do."""
+    homes = {_home(each.__module__) for each in strangers(call)} - {None}
+    if not homes:
+        return set()
+    return {
+        name
+        for name in tuple(sys.modules)
+        if name != "__main__"  # what is defined there travels by value anyway
+        and (home := _home(name)) is not None
+        and not homes.isdisjoint((home, *home.parents))
+    }
+
+
+@cache
+def _home(name: str) -> Path | None:
+    """Return the folder in which a module lies; None if it is installed."""
     file = getattr(sys.modules.get(name), "__file__", None)
-    if name == "__main__" or file is None:  # what is defined there travels by value anyway
-        return False
-    installed = {"site-packages", "dist-packages"} & set(Path(file).parts)
-    return not installed and not Path(file).is_relative_to(Path(os.__file__).parent)
+    if file is None:
+        return Path.cwd() if name == "__main__" else None  # a notebook
+    path = Path(file).absolute()
+    installed = {"site-packages", "dist-packages"} & set(path.parts) or path.is_relative_to(Path(os.__file__).parent)
+    return None if installed or name.partition(".")[0] in OURS else path.parent

@@ -39,6 +39,9 @@ CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, st
     FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
 """
 """Seeds are texts, for they may have more than 64 bits."""
+INSTEAD = """ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,
+    status = excluded.status, summary = excluded.summary, traceback = excluded.traceback WHERE"""
+"""What to do with a run that is there already: put the other in its place if ..."""
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")
 
@@ -107,15 +110,28 @@ class Store:
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
         self._database = sqlite3.connect(path or ":memory:", timeout=30.0)
-        self._database.execute("PRAGMA journal_mode = WAL")
+        about = {"format": FORMAT, "metrics": json.dumps(list(METRICS))}
+        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not tables:
+            self._database.execute("PRAGMA journal_mode = WAL")
+            self._database.executescript(f"BEGIN IMMEDIATE; {TABLES} COMMIT")
+        elif "about" not in tables:
+            raise StoreError(f"{path}: is a database, but not of the runs of a sweep")
         self._database.execute("PRAGMA synchronous = NORMAL")
-        self._database.executescript(TABLES)
-        self.tell({"format": FORMAT, "metrics": json.dumps(list(METRICS))})
+        self.tell(about)
 
     @property
     def about(self) -> Mapping[str, str]:
         """What sweep it is of, by name."""
         return MappingProxyType(dict(self._database.execute("SELECT name, value FROM about")))
+
+    @_told
+    def check_same(self, about: Mapping[str, str]) -> None:
+        """Raise StoreError if it is of another sweep than is written down."""
+        mine = self.about
+        for name, value in about.items():
+            if mine.get(name, value) != value:
+                raise StoreError(f"{self.path}: was made {_differs(name, mine[name], value)}")
 
     @_told
     def tell(self, about: Mapping[str, str]) -> None:
@@ -124,12 +140,11 @@ class Store:
         Raises:
             StoreError: if it is of another.
         """
+        self.check_same(about)
         mine = self.about
-        for name, value in about.items():
-            if mine.get(name, value) != value:
-                raise StoreError(f"{self.path}: was made {_differs(name, mine[name], value)}")
-        with self._database:
-            self._database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
+        if new := [(name, value) for name, value in about.items() if name not in mine]:
+            with self._database:
+                self._database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", new)
 
     @_told
     def enter(self, cells: Sequence[Cell]) -> None:
@@ -147,11 +162,13 @@ class Store:
 
     @_told
     def add(self, key: str, root: int, row: Row) -> None:
-        """Write down a run of a configuration and a root seed; one that failed is replaced."""
+        """Write down a run of a configuration and a root seed, instead of one that failed."""
         numbers = None if row.summary is None else json.dumps(asdict(row.summary))
         values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
         with self._database:
-            self._database.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?)", values)
+            self._database.execute(
+                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?) {INSTEAD} runs.status != 'ok'", values
+            )
 
     @_told
     def runs(self, key: str, root: int) -> list[Row]:
@@ -190,10 +207,8 @@ class Store:
             with self._database:
                 self._database.execute("INSERT OR IGNORE INTO configurations SELECT * FROM other.configurations")
                 self._database.execute(
-                    "INSERT INTO runs SELECT * FROM other.runs WHERE true"
-                    " ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,"
-                    " status = excluded.status, summary = excluded.summary, traceback = excluded.traceback"
-                    " WHERE runs.status != 'ok' AND excluded.status = 'ok'"
+                    f"INSERT INTO runs SELECT * FROM other.runs WHERE true {INSTEAD}"
+                    " runs.status != 'ok' AND excluded.status = 'ok'"
                 )
         finally:
             self._database.execute("DETACH other")

@@ -2,15 +2,14 @@
 
 import resource
 import sqlite3
-import subprocess
-import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 
 from desim.scenario_file import load, read
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
 from desim.study.sweep import Plan, sweep
 from tests.study import sweeps
 from tests.study.test_workers import command
@@ -153,7 +152,8 @@ def test_shards_make_the_whole_in_any_order_and_whatever_they_share(tmp_path, fi
         assert command("sweep", file, "-o", tmp_path / "parts", "--shard", f"{k}/3").exit_code == 0
         paths.append(tmp_path / "parts" / f"sweep.{k}-of-3.sqlite")
     for name, given in {"a": paths, "b": [*paths[::-1], *paths], "c": [tmp_path / "parts"]}.items():
-        assert command("merge", *given, "-o", tmp_path / name).stdout == f"12 runs are in {tmp_path / name / 'sweep.sqlite'}\n"
+        made = command("merge", *given, "-o", tmp_path / name)
+        assert made.stdout == f"12 runs are in {tmp_path / name / 'sweep.sqlite'}\n"
         assert exported(tmp_path / name) == exported(tmp_path / "whole")
         assert sweeps.rows(tmp_path / name / "sweep.sqlite") == sweeps.rows(tmp_path / "whole" / "sweep.sqlite")
     again = command("sweep", file, "-o", tmp_path / "a")
@@ -212,22 +212,16 @@ def test_two_drivers_may_work_on_one_store(tmp_path, file):
 
 @pytest.mark.slow
 def test_a_store_can_be_made_by_many_at_the_same_moment(tmp_path):
-    for lap in range(20):
-        barrier, failed = threading.Barrier(8), []
+    barrier = threading.Barrier(8)
 
-        def make(path):
-            barrier.wait()
-            try:
-                Store(path).close()
-            except StoreError as error:
-                failed.append(error)
+    def make(lap):
+        barrier.wait()
+        with Store(tmp_path / f"{lap}.sqlite") as store:
+            return store.check()
 
-        threads = [threading.Thread(target=make, args=(tmp_path / f"{lap}.sqlite",)) for _ in range(8)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert failed == []
+    with ThreadPoolExecutor(8) as threads:
+        for lap in range(20):
+            assert list(threads.map(make, [lap] * 8)) == ["ok"] * 8
 
 
 def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):

@@ -22,7 +22,7 @@ from desim.cli import main
 from desim.scenario_file import load
 from desim.study import workers as places
 from desim.study.shipping import called, packed, strangers
-from desim.study.workers import Cluster, Here, Processes, Workers, workers_for
+from desim.study.workers import Here, Processes, workers_for
 from tests.study import sweeps
 
 
@@ -268,7 +268,7 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
 
 @pytest.mark.slow
 def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
-    """A worker that leaves with exit code 0 has left of its own will, as far as its nurse knows: she starts no other."""
+    """A worker that leaves with exit code 0 has left of its own will, and nobody starts another."""
     monkeypatch.setattr(places, "PATIENCE", 2.0)
     file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=40, bad=(6,), how="leave")
     note = tmp_path / "scheduler.json"
