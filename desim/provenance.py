@@ -3,6 +3,7 @@
 There is no date in it: the same run gives the same bytes, except for the command line and the commit.
 """
 
+import hashlib
 import json
 import os
 import platform
@@ -11,7 +12,9 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.util import find_spec
 from math import isfinite, isnan
 from pathlib import Path
 from types import FunctionType, NoneType
@@ -37,6 +40,7 @@ SHAPE: Mapping[str, tuple[type, ...]] = {
     "platform": (dict,),
     "commit": (str, NoneType),
     "dirty": (bool, NoneType),
+    "code": (str,),
     "argv": (list,),
 }
 """The keys that every run.json has, and what they may hold."""
@@ -50,6 +54,8 @@ WORDS: Mapping[type, str] = {
 }
 NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
 """What else a result depends on: distributions, whose versions pip knows."""
+COMPUTING = ("analysis", "kernel", "pursuit")
+"""The packages in desim whose code decides what comes of a run."""
 GIT_TIMEOUT = 2.0
 """How long git may take, s."""
 ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
@@ -92,6 +98,23 @@ def document(
     }
 
 
+@cache
+def code() -> str:
+    """Return a hash of the source of all that a run depends on: the packages desim and protocols, installed or not.
+
+    But for what shows and stores results: `desim/cli`, `desim/study`, `desim/view`.
+    """
+    here = Path(__file__).parent
+    files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
+    protocols = find_spec("protocols")
+    folders = protocols.submodule_search_locations if protocols is not None else None
+    files += [file for folder in folders or () for file in Path(folder).glob("*.py")]
+    digest = hashlib.sha256()
+    for file in sorted(files, key=lambda file: (file.parent.name, file.name)):
+        digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def of_one(made: Document, seed: int) -> Document:
     """Return the document of one of several runs."""
     return made | {"seed": seed, "runs": 1, "scenario": made["scenario"] | {"seed": seed}}
@@ -100,7 +123,7 @@ def of_one(made: Document, seed: int) -> Document:
 def environment() -> Document:
     """Return what results depend on beside scenario and seed: versions, platform and commit."""
     commit, dirty = _checkout()
-    return {"versions": _versions(), "platform": _platform(), "commit": commit, "dirty": dirty}
+    return {"versions": _versions(), "platform": _platform(), "commit": commit, "dirty": dirty, "code": code()}
 
 
 def write(folder: Path, made: Document, name: str = FILE) -> None:
@@ -159,22 +182,20 @@ def source(path: Path, made: Document, overrides: Sequence[str] = ()) -> "Source
 
 
 def differences(then: Document, now: Document) -> list[str]:
-    """Return why results may differ from the recorded ones: which versions, platform or commit did; [] if nothing."""
-    pairs = [
-        (name, then[key].get(name), now[key].get(name))
+    """Return why results may differ from the recorded ones: which versions, platform or code did; [] if nothing."""
+    found = [
+        f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
         for name in sorted({*then[key], *now[key]})
+        if then[key].get(name) != now[key].get(name)
     ]
-    pairs.append(("commit", then["commit"], now["commit"]))
-    found = [
-        f"{name} was {before or 'unknown'} and is {after or 'unknown'}"
-        for name, before, after in pairs
-        if before != after
-    ]
-    for when, each in (("had", then), ("has", now)):
-        if each["dirty"]:
-            found.append(f"the source {when} changes that are not committed")
+    if then["code"] != now["code"]:
+        found.append(f"the code of desim was {_commit(then)} and is {_commit(now)}")
     return found + [f"the parameters of {key} are not recorded" for key in then["unrecorded"]]
+
+
+def _commit(made: Document) -> str:
+    return f"{made['commit'] or 'of no commit'}{' with changes' if made['dirty'] else ''}, {made['code']}"
 
 
 def _faults(made: Document) -> Iterator[str]:

@@ -41,6 +41,7 @@ KEYS = [
     "platform",
     "commit",
     "dirty",
+    "code",
     "argv",
 ]
 
@@ -429,6 +430,7 @@ WRONG = {
     "platform": ("Linux", "a table"),
     "commit": (12, "a text or null"),
     "dirty": (0, "true or false or null"),
+    "code": (None, "a text"),
     "argv": ("desim", "a list"),
 }
 
@@ -675,6 +677,33 @@ def test_a_file_that_an_override_names_lies_beside_the_scenario_file(beside, tmp
     assert validate(copy) == scenario
 
 
+# The code.
+
+
+def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monkeypatch):
+    """A change of a protocol or of the kernel is another code, one of a command or a picture is not."""
+    import shutil
+
+    root = Path(provenance.__file__).parent.parent
+    for package in ("desim", "protocols"):
+        shutil.copytree(root / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def code():
+        command = [sys.executable, "-c", "from desim.provenance import code; print(code())"]
+        return subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
+
+    before = code()
+    assert before == provenance.code()
+    for name in ("desim/cli/one.py", "desim/study/driver.py"):
+        (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
+    assert code() == before
+    seen = {before}
+    for name in ("protocols/sap.py", "desim/kernel/loss.py", "desim/world.py", "desim/analysis/course.py"):
+        (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
+        assert code() not in seen
+        seen.add(code())
+
+
 # What has changed since.
 
 
@@ -686,10 +715,13 @@ def test_nothing_has_changed_at_once(made):
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ({"commit": "a"}, {"commit": "b"}, ["commit was a and is b"]),
-        ({"commit": "a"}, {"commit": None}, ["commit was a and is unknown"]),
-        ({"dirty": True}, {}, ["the source had changes that are not committed"]),
-        ({}, {"dirty": True}, ["the source has changes that are not committed"]),
+        ({"commit": "a"}, {"commit": "b", "dirty": True}, []),
+        ({"code": "1"}, {"code": "2"}, ["the code of desim was c, 1 and is c, 2"]),
+        (
+            {"code": "1", "commit": None, "dirty": None},
+            {"code": "2", "dirty": True},
+            ["the code of desim was of no commit, 1 and is c with changes, 2"],
+        ),
         ({"versions": {"numpy": "1", "a": "2"}}, {"versions": {"numpy": "2", "a": "2"}}, ["numpy was 1 and is 2"]),
         (
             {"versions": {"numpy": "1"}},
@@ -701,7 +733,7 @@ def test_nothing_has_changed_at_once(made):
     ],
 )
 def test_what_has_changed_is_named(before, after, said):
-    same = {"versions": {}, "platform": {}, "commit": "c", "dirty": False, "unrecorded": []}
+    same = {"versions": {}, "platform": {}, "commit": "c", "dirty": False, "code": "0", "unrecorded": []}
     assert differences(same | before, same | after) == said
 
 
@@ -914,9 +946,10 @@ def test_a_repetition_on_the_same_machine_is_not_warned_of(earlier):
 
 
 def test_what_has_changed_since_is_warned_of_on_stderr(kept, made):
-    path = kept(made | {"commit": "abc", "versions": made["versions"] | {"numpy": "1.0"}})
+    path = kept(made | {"commit": "abc", "code": "00", "versions": made["versions"] | {"numpy": "1.0"}})
     result = accepted("run", "--from", path, "--json")
-    changes = f"numpy was 1.0 and is {np.__version__}; commit was abc and is {COMMIT}"
+    code = f"the code of desim was abc, 00 and is {COMMIT}, {made['code']}"
+    changes = f"numpy was 1.0 and is {np.__version__}; {code}"
     assert result.stderr == f"warning: {path}: results may differ: {changes}\n"
     strict_json(result.stdout)
 

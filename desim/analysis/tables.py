@@ -1,7 +1,7 @@
 """Results as plain text that a person reads."""
 
 from collections.abc import Iterator, Sequence
-from math import isnan
+from math import isfinite, isnan
 from typing import Any
 
 from desim.analysis.metrics import METRICS, Summary, words
@@ -68,9 +68,15 @@ def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
 
 
 def as_json(found: Estimate) -> dict[str, Any]:
-    """Return an estimate as JSON has it: null where there is none."""
-    numbers = {"mean": found.mean, "half_width": found.half_width}
-    return {name: None if isnan(value) else value for name, value in numbers.items()} | {"runs": found.count}
+    """Return an estimate as JSON has it."""
+    return {"mean": json_number(found.mean), "half_width": json_number(found.half_width), "runs": found.count}
+
+
+def json_number(value: Any) -> Any:
+    """Return what JSON has for a value: null for no number, "Infinity" for that."""
+    if not isinstance(value, float) or isfinite(value):
+        return value
+    return None if isnan(value) else str(value).replace("inf", "Infinity")
 
 
 def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:

@@ -6,8 +6,20 @@ from pathlib import Path
 
 import click
 
-from desim.cli.many import STORE, storing
-from desim.cli.options import FILE, INTERRUPTED, JOBS, JSON, SEED, SET, refuse, source_of
+from desim.cli.options import (
+    CLUSTER,
+    FAILED,
+    FILE,
+    INTERRUPTED,
+    JOBS,
+    JSON,
+    SEED,
+    SET,
+    STORE,
+    folder_for,
+    source_of,
+    storing,
+)
 
 
 @click.command()
@@ -15,7 +27,7 @@ from desim.cli.options import FILE, INTERRUPTED, JOBS, JSON, SEED, SET, refuse, 
 @click.option("-n", "--runs", type=click.IntRange(min=2), help="Runs of each variant; default: 100.")
 @SEED
 @JOBS
-@click.option("--cluster", metavar="tcp://...", help="Run on the workers of a Dask scheduler (the extra `cluster`).")
+@CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for all of it; default: out/NAME/explain.")
 @JSON
 @SET
@@ -32,33 +44,40 @@ def explain(
     """Say which imperfection costs what: the same seeds without each of them."""
     from desim import provenance
     from desim.analysis.folder import can_plot
-    from desim.study.explain import RUNS, carry_out_explanation, planned
+    from desim.study.explain import RUNS, Variants
     from desim.study.store import Store
+    from desim.study.sweep import RunError
     from desim.study.workers import workers_for
 
     _, scenario = source_of(file, overrides)
-    plan, variants = planned(scenario, runs or RUNS, scenario.seed if seed is None else seed)
-    folder = out or Path("out") / scenario.name / "explain"
+    variants = Variants.of(scenario, runs or RUNS, seed)
+    folder = out or folder_for(scenario, None) / "explain"
     path = folder / STORE
-    with storing(), Store(path) as store:
-        plan.enter(store)
-        made = provenance.document("explain", scenario, seed=plan.root, runs=plan.reps, folder=file.parent)
+    with storing(folder), Store(path) as store:
+        variants.plan.enter(store)
+        made = provenance.document(
+            "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
+        )
         provenance.write(folder, made)
         try:
-            with workers_for(cluster or jobs) as workers:
-                found = carry_out_explanation(plan, variants, store, workers)
+            with workers_for(jobs if cluster is None else cluster) as workers:
+                found = variants.carry_out(store, workers)
         except KeyboardInterrupt:
             click.echo(f"interrupted: {len(store)} runs are in {path}; the same command goes on", err=True)
             sys.exit(INTERRUPTED)
-        except ValueError as error:
-            refuse(str(error))
+        except RunError as error:
+            click.echo(f"{error}{len(store)} runs are in {path}", err=True)
+            sys.exit(FAILED)
         text = json.dumps(found.document(), indent=2)
         (folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
         (folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
         if can_plot():
             from desim.analysis.plots import save
-            from desim.study.waterfall import waterfall
+            from desim.study.pictures import waterfall
 
             for each in save(waterfall(found), folder / "explain"):
                 click.echo(f"wrote {each}", err=True)
     click.echo(text if as_json else found.table())
+    if found.failed:
+        click.echo(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
+        sys.exit(FAILED)

@@ -3,23 +3,33 @@
 import json
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import FAILED, FILE, INTERRUPTED, JOBS, JSON, SEED, SET, refuse, source_of
+from desim.cli.options import (
+    CLUSTER,
+    FAILED,
+    FILE,
+    INTERRUPTED,
+    JOBS,
+    JSON,
+    SEED,
+    SET,
+    STORE,
+    folder_for,
+    refuse,
+    source_of,
+    storing,
+)
 
 if TYPE_CHECKING:
     from desim.scenario import Scenario
     from desim.study.result import SweepResult
     from desim.study.store import Store
     from desim.study.sweep import Job, Plan
-
-STORE = "sweep.sqlite"
-"""The name of a store in a folder."""
 
 
 class Shard(click.ParamType[tuple[int, int]]):
@@ -58,7 +68,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @click.option("-n", "--runs", type=click.IntRange(min=1), help="Runs of each configuration; default: sweep.reps.")
 @SEED
 @JOBS
-@click.option("--cluster", metavar="tcp://...", help="Run on the workers of a Dask scheduler (the extra `cluster`).")
+@CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
 @click.option(
     "--until", type=Precision(), help="As many runs as this half width of a 95 % interval takes, at least 30."
@@ -101,13 +111,14 @@ def sweep(
         plan = Plan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
         refuse(str(error))
-    folder = out or Path("out") / scenario.name
+    folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     jobs_of_plan = plan.shard(*(shard or (1, 1)))
     start = time.perf_counter()
     with storing(folder), Store(path if path.exists() or not dry_run else None) as store:
         before = len(store)
         if dry_run:
+            plan.check(store)
             click.echo(_plan_text(plan, jobs_of_plan, store, until))
             return
         plan.enter(store)
@@ -161,7 +172,9 @@ def export(store: Path, file: Path) -> None:
     from desim.study.result import SweepResult
     from desim.study.store import Store
 
-    (path,) = _files((store,))
+    path, *others = _files((store,))
+    if others:
+        refuse(f"{store}: has {len(others) + 1} stores: merge them first, or name one")
     with storing(), Store(path, must_exist=True) as kept:
         result = SweepResult.of(kept)
     try:
@@ -180,15 +193,6 @@ def _files(stores: tuple[Path, ...]) -> list[Path]:
         for each in stores
         for file in ((sorted(each.glob("sweep*.sqlite")) or [each / STORE]) if each.is_dir() else [each])
     ]
-
-
-@contextmanager
-def storing(folder: Path | None = None) -> Iterator[None]:
-    """End the program if a store or a folder cannot be used, or a cluster does not answer."""
-    try:
-        yield
-    except OSError as error:
-        refuse(f"{error.filename or folder}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
 def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
@@ -214,7 +218,7 @@ def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str
         counts = (sum(key == cell.key for key, _ in each) for each in (wanted, done))
         rows.append((*map(str, counts), *map(str, cell.columns.values())))
     least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
-    head = f"{plan.name}: {len(plan.cells)} configurations, {len(wanted)} runs{least}"
+    head = f"{plan.base.name}: {len(plan.cells)} configurations, {len(wanted)} runs{least}"
     return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
 
 

@@ -1,6 +1,9 @@
 """What the commands share: their options, their scenario, and how they refuse what is wrong."""
 
+import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -17,12 +20,18 @@ WRONG_INPUT = 2
 INTERRUPTED = 130
 """Exit code of Ctrl-C."""
 
+STORE = "sweep.sqlite"
+"""The name of a store in a folder."""
+
 FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
     "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key, e.g. network.latency.value=0.05."
 )
 SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
+CLUSTER = click.option(
+    "--cluster", metavar="tcp://...", help="Run on the workers of a Dask scheduler (the extra `cluster`)."
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
 
 
@@ -56,6 +65,11 @@ def valid(source: "Source") -> "Scenario":
     return scenario
 
 
+def scenario_of(file: Path, overrides: tuple[str, ...]) -> "Scenario":
+    """Return the scenario of a file; see `source_of`."""
+    return source_of(file, overrides)[1]
+
+
 def make_folder(folder: Path) -> None:
     """Make the output folder, or end the program if it cannot be written."""
     from desim.analysis.folder import can_plot
@@ -68,6 +82,20 @@ def make_folder(folder: Path) -> None:
         refuse(f"--out {folder}: cannot be written: {error.strerror}")
     if not can_plot():
         click.echo("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+
+
+def folder_for(scenario: "Scenario", out: Path | None) -> Path:
+    """Return where the results of many runs go if nobody says: below `out`, whatever the scenario is called."""
+    return out or Path("out") / (re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed")
+
+
+@contextmanager
+def storing(folder: Path | None = None) -> Iterator[None]:
+    """End the program if a store or a folder cannot be used, or a cluster does not answer."""
+    try:
+        yield
+    except OSError as error:
+        refuse(f"{error.filename or folder}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
 def refuse(text: str) -> NoReturn:

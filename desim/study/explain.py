@@ -9,18 +9,19 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import reduce
+from operator import index
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, estimate
 from desim.analysis.tables import aligned, as_json, with_half_width
 from desim.scenario import Scenario
-from desim.study.cells import Cell, resolved
+from desim.study.cells import Cell
 from desim.study.imperfections import IMPERFECTIONS
-from desim.study.store import Row, Store, flat
-from desim.study.sweep import Plan, carry_out
+from desim.study.store import Row, Store
+from desim.study.sweep import Plan, RunError, carry_out
 from desim.study.workers import Workers, workers_for
 
 EXPLAINED: Mapping[str, str] = MappingProxyType(
@@ -35,23 +36,46 @@ AS_IT_IS, IDEAL = "as it is", "ideal"
 
 
 @dataclass(frozen=True)
+class Saving:
+    """What it saves to remove something, run by run with the same seed."""
+
+    mean: Estimate
+    differing: int
+    """Number of runs in which it makes a difference."""
+
+    @classmethod
+    def of(cls, differences: list[float]) -> Self:
+        """Return the saving that differences between runs amount to, s."""
+        return cls(estimate(differences), sum(abs(each) > NOTHING for each in differences))
+
+    def text(self, runs: int) -> str:
+        """Return it as a table has it."""
+        return with_half_width(self.mean, runs, "+") if self.differing else "0 in every run"
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return as_json(self.mean) | {"differing": self.differing}
+
+
+@dataclass(frozen=True)
 class Cost:
     """What the imperfections of a scenario cost in one metric."""
 
     as_it_is: Estimate
     ideal: Estimate
     """Without all of them."""
-    parts: Mapping[str, Estimate]
+    parts: Mapping[str, Saving]
     """Of each imperfection that the scenario has: the scenario as it is less that without it."""
-    together: Estimate
+    together: Saving
     """The scenario as it is less the ideal one."""
-    interaction: Estimate
+    interaction: Saving
     """What is saved together and not by the parts: together less their sum."""
 
     @property
-    def interact(self) -> bool:
+    def interacts(self) -> bool:
         """Whether the parts do not add up, beyond the 95 % interval."""
-        return abs(self.interaction.mean) > max(self.interaction.half_width, NOTHING)
+        rest = self.interaction.mean
+        return abs(rest.mean) > max(rest.half_width, NOTHING)
 
 
 @dataclass(frozen=True)
@@ -76,27 +100,30 @@ class Explanation:
         rows = [("", *(EXPLAINED[metric] for metric in self.costs))]
         costs = list(self.costs.values())
 
-        def add(name: str, found: list[Estimate], sign: str = "+") -> None:
-            rows.append((name, *(with_half_width(each, self.runs, sign) for each in found)))
+        def add(name: str, found: list[Estimate | Saving]) -> None:
+            texts = (
+                each.text(self.runs) if isinstance(each, Saving) else with_half_width(each, self.runs) for each in found
+            )
+            rows.append((name, *texts))
 
-        add(AS_IT_IS, [cost.as_it_is for cost in costs], "")
+        add(AS_IT_IS, [cost.as_it_is for cost in costs])
         for name in costs[0].parts:
             add(f"  {name}", [cost.parts[name] for cost in costs])
         if len(costs[0].parts) > 1:
             add("  interaction", [cost.interaction for cost in costs])
         add("  all together", [cost.together for cost in costs])
-        add(IDEAL, [cost.ideal for cost in costs], "")
+        add(IDEAL, [cost.ideal for cost in costs])
         return "\n".join([head, aligned(rows), *self._remarks()])
 
     def _remarks(self) -> list[str]:
         """Return what a reader should notice."""
         remarks = [f"not there: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():
-            if cost.interact:
-                total = sum(part.mean for part in cost.parts.values())
+            if cost.interacts:
+                total = sum(part.mean.mean for part in cost.parts.values())
                 remarks.append(
-                    f"the effects interact: in {words(metric)} the parts add up to {total:+.3f} s, and all together"
-                    f" cost {cost.together.mean:+.3f} s"
+                    f"the effects interact (beyond the 95 % interval): in {words(metric)} the parts add up to"
+                    f" {total:+.3f} s, and all together cost {cost.together.mean.mean:+.3f} s"
                 )
         return remarks + ([f"{self.failed} seeds are left out, with which a run failed"] if self.failed else [])
 
@@ -106,10 +133,10 @@ class Explanation:
             metric: {
                 "as_it_is": as_json(cost.as_it_is),
                 "ideal": as_json(cost.ideal),
-                "parts": {name: as_json(part) for name, part in cost.parts.items()},
-                "together": as_json(cost.together),
-                "interaction": as_json(cost.interaction),
-                "interact": cost.interact,
+                "parts": {name: part.document() for name, part in cost.parts.items()},
+                "together": cost.together.document(),
+                "interaction": cost.interaction.document(),
+                "interacts": cost.interacts,
             }
             for metric, cost in self.costs.items()
         }
@@ -127,57 +154,75 @@ def explain(
     """Return which imperfection of a scenario costs what; arguments as of `sweep`.
 
     Raises:
-        ValueError: if there are less than 2 runs, or with every seed some variant fails.
+        ValueError: if there are less than 2 runs, or the seed is negative.
+        StoreError: if the store cannot be written, or is of something else.
+        ConnectionError: if a scheduler does not answer.
+        RunError: if with every seed some variant fails.
     """
-    plan, variants = planned(scenario, runs, scenario.seed if seed is None else seed)
+    variants = Variants.of(scenario, runs, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
-        plan.enter(kept)
-        return carry_out_explanation(plan, variants, kept, workers)
+        variants.plan.enter(kept)
+        return variants.carry_out(kept, workers)
 
 
-def planned(scenario: Scenario, runs: int, seed: int) -> tuple[Plan, dict[str, Cell]]:
-    """Return the plan of an explanation, and its configurations by what they are called; some may be the same."""
-    if runs < 2:
-        raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-    removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
-    ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
-    variants = {
-        name: Cell({"without": name}, each) for name, each in {AS_IT_IS: scenario, **removed, IDEAL: ideal}.items()
-    }
-    distinct: dict[str, Cell] = {}
-    for cell in variants.values():
-        distinct.setdefault(cell.key, cell)  # what is not there is removed by doing nothing
-    about = {"scenario": flat(resolved(scenario)), "grid": ["without"], "seeds": "common"}
-    return Plan(scenario.name, tuple(distinct.values()), runs, seed, about=about), variants
+@dataclass(frozen=True)
+class Variants:
+    """A scenario as it is, without each imperfection, and without all, and how often each is to be run."""
 
+    plan: Plan
+    cells: Mapping[str, Cell]
+    """By what they are called; what is without something that is not there is the scenario as it is."""
 
-def carry_out_explanation(plan: Plan, variants: Mapping[str, Cell], store: Store, workers: Workers) -> Explanation:
-    """Run all variants that a store does not have yet, and compare."""
-    carry_out(plan, store, workers)
-    rows = {name: {row.replication: row for row in store.runs(cell.key, plan.root)} for name, cell in variants.items()}
-    whole = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
-    if not whole:
-        failed = next(row for found in rows.values() for row in found.values() if not row.ok)
-        raise ValueError(f"with every seed a run failed; the first: {failed.error}")
-    absent = tuple(name for name in IMPERFECTIONS if variants[name].key == variants[AS_IT_IS].key)
-    costs = {metric: _cost(metric, rows, whole, absent) for metric in EXPLAINED}
-    return Explanation(plan.name, len(whole), plan.reps - len(whole), absent, costs)
+    @classmethod
+    def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None) -> Self:
+        """Return the variants of a scenario.
+
+        Raises:
+            ValueError: if there are less than 2 runs, or the seed is negative.
+        """
+        if index(runs) < 2:
+            raise ValueError(f"an interval needs at least 2 runs, got {runs}")
+        ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
+        removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
+        named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
+        cells = {name: Cell({"without": name}, each) for name, each in named.items()}
+        distinct: dict[str, Cell] = {}
+        for cell in cells.values():
+            distinct.setdefault(cell.key, cell)
+        return cls(
+            Plan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)), cells
+        )
+
+    def carry_out(self, store: Store, workers: Workers) -> Explanation:
+        """Run all variants that a store does not have yet, and compare.
+
+        Raises:
+            RunError: if with every seed some variant fails.
+        """
+        plan = self.plan
+        carry_out(plan, store, workers)
+        rows = {
+            name: {row.replication: row for row in store.runs(cell.key, plan.root)} for name, cell in self.cells.items()
+        }
+        whole = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
+        if not whole:
+            failed = next(row for found in rows.values() for row in found.values() if not row.ok)
+            raise RunError(f"with every seed a run failed; the first: {failed.error}\n")
+        absent = tuple(name for name in IMPERFECTIONS if self.cells[name].key == self.cells[AS_IT_IS].key)
+        costs = {metric: _cost(metric, rows, whole, absent) for metric in EXPLAINED}
+        return Explanation(plan.base.name, len(whole), plan.reps - len(whole), absent, costs)
 
 
 def _cost(metric: str, rows: Mapping[str, Mapping[int, Row]], whole: list[int], absent: tuple[str, ...]) -> Cost:
     values = {name: [getattr(found[k].summary, metric) for k in whole] for name, found in rows.items()}
-    as_it_is = values[AS_IT_IS]
-    parts = {
-        name: [a - b for a, b in zip(as_it_is, values[name], strict=True)]
-        for name in IMPERFECTIONS
-        if name not in absent
-    }
-    together = [a - b for a, b in zip(as_it_is, values[IDEAL], strict=True)]
-    interaction = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(together)]
+    as_it_is = values.pop(AS_IT_IS)
+    saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
+    parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
+    rest = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         estimate(as_it_is),
         estimate(values[IDEAL]),
-        {name: estimate(each) for name, each in parts.items()},
-        estimate(together),
-        estimate(interaction),
+        {name: Saving.of(each) for name, each in parts.items()},
+        Saving.of(saved[IDEAL]),
+        Saving.of(rest),
     )

@@ -5,13 +5,12 @@ import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
-from desim.analysis.tables import aligned, number
+from desim.analysis.tables import aligned, as_json, json_number, with_half_width
 from desim.study.store import Row, Store, StoreError
 
 if TYPE_CHECKING:
@@ -133,7 +132,7 @@ class SweepResult:
             captured = group.values("captured")
             share = _share(captured) if captured else "-"
             counts = (str(len(group.rows)), *([str(len(group.failed))] if self.failed else []))
-            means = (_cell(each[k], len(captured)) for each in found)
+            means = (with_half_width(each[k], len(captured)) for each in found)
             rows.append((*map(text, group.settings.values()), *counts, share, *means))
         return rows
 
@@ -142,7 +141,7 @@ class SweepResult:
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *map(words, metrics))]
         for k, group in list(enumerate(self.groups))[1:]:
             pairs = len(_shared(group, self.groups[0]))
-            means = (_cell(each[k], pairs, sign="+") for each in found)
+            means = (with_half_width(each[k], pairs, sign="+") for each in found)
             rows.append((*map(text, group.settings.values()), str(pairs), *means))
         return rows
 
@@ -172,15 +171,15 @@ class SweepResult:
             captured = group.values("captured")
             configurations.append(
                 {
-                    "settings": {key: _finite(value) for key, value in group.settings.items()},
+                    "settings": {key: json_number(value) for key, value in group.settings.items()},
                     "runs": len(group.rows),
                     "failed": len(group.failed),
                     "captured": {
                         "share": sum(captured) / len(captured) if captured else None,
                         "interval": wilson(sum(captured), len(captured)) if captured else None,
                     },
-                    "metrics": {metric: _plain(found[k]) for metric, found in means.items()},
-                    "less_the_first": {metric: _plain(found[k]) for metric, found in gaps.items()},
+                    "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
+                    "less_the_first": {metric: as_json(found[k]) for metric, found in gaps.items()},
                 }
             )
         return {"name": self.name, "grid": self.keys, "configurations": configurations}
@@ -223,17 +222,6 @@ def _numbers(row: Row) -> dict[str, Any]:
     return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in numbers.items()}
 
 
-def _plain(found: Estimate) -> dict[str, Any]:
-    return {"mean": _finite(found.mean), "half_width": _finite(found.half_width), "runs": found.count}
-
-
-def _finite(value: Any) -> Any:
-    """Return what JSON has for a number: null for none, "Infinity" for that."""
-    if not isinstance(value, float) or isfinite(value):
-        return value
-    return None if isnan(value) else str(value).replace("inf", "Infinity")
-
-
 def _mean(values: Sequence[float]) -> Estimate:
     return estimate(values) if values else Estimate(float("nan"), float("nan"), 0)
 
@@ -253,15 +241,6 @@ def _share(captured: Sequence[bool]) -> str:
     """Return the share of runs with a capture and its interval, in %."""
     low, high = wilson(sum(captured), len(captured))
     return f"{sum(captured) / len(captured):.1%} ({low:.1%} .. {high:.1%})"
-
-
-def _cell(found: Estimate, runs: int, sign: str = "") -> str:
-    """Return a mean and its half width as text, with the number of runs if they are not all."""
-    if not found.count:
-        return "-"
-    digits = 3 if abs(found.mean) < 100.0 else 1
-    few = f" ({found.count})" if found.count != runs else ""
-    return f"{found.mean:{sign},.{digits}f} +- {number(found.half_width, digits)}{few}"
 
 
 def text(value: Any) -> str:

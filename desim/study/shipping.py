@@ -7,19 +7,16 @@ whatever an executor pickles with: it sees nothing but bytes and `called`.
 import os
 import pickle
 import sys
-from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import cloudpickle
-from pydantic import BaseModel
+
+from desim.study.foreign import OURS, strangers
 
 Call = partial[Any]
 """A function and its arguments."""
-OURS = {"desim", "protocols"}
-"""The packages that every worker has."""
 
 
 def packed(call: Call) -> bytes:
@@ -37,31 +34,6 @@ def packed(call: Call) -> bytes:
 def called(call: bytes) -> bytes:
     """Make a call and return what it returns, both as bytes."""
     return bytes(cloudpickle.dumps(pickle.loads(call)()))
-
-
-def strangers(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
-    """Yield the classes and functions in a value, or in what it is made of, that do not belong to desim.
-
-    Args:
-        value: a model, a list, a tuple, a partial call, or anything that is made of nothing.
-        seen: the `id` of what has been looked into, for many runs are of one scenario.
-    """
-    seen = set() if seen is None else seen
-    if id(value) in seen:
-        return
-    seen.add(id(value))
-    home = value if isinstance(value, FunctionType) else type(value)
-    if home.__module__.partition(".")[0] not in {*OURS, "builtins"}:
-        yield home
-    inner: Any = ()
-    if isinstance(value, BaseModel):
-        inner = [getattr(value, name) for name in type(value).model_fields]
-    elif isinstance(value, tuple | list):
-        inner = value
-    elif isinstance(value, partial):
-        inner = [value.func, *value.args, *value.keywords.values()]
-    for each in inner:
-        yield from strangers(each, seen)
 
 
 def _own_modules(call: Call) -> set[str]:

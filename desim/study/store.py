@@ -34,8 +34,8 @@ CREATE TABLE IF NOT EXISTS runs (
     traceback TEXT NOT NULL,
     PRIMARY KEY (configuration, replication, root_seed)
 );
-CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, status, traceback,
-    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in METRICS)}
+CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, runs.seed AS seed, status, traceback,
+    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in METRICS if name != "seed")}
     FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
 """
 """Seeds are texts, for they may have more than 64 bits."""
@@ -72,7 +72,10 @@ class Row:
     @property
     def error(self) -> str:
         """What it raised, in a line."""
-        return self.traceback.strip().rpartition("\n")[2]
+        lines = self.traceback.strip().splitlines()
+        last_call = max((k for k, line in enumerate(lines) if line.startswith("  ")), default=-1)
+        told = [line for line in lines[last_call + 1 :] if line] or lines[-1:] or [""]
+        return told[0]
 
 
 def _told(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
@@ -131,7 +134,8 @@ class Store:
         mine = self.about
         for name, value in about.items():
             if mine.get(name, value) != value:
-                raise StoreError(f"{self.path}: was made {_differs(name, mine[name], value)}")
+                why = _differs(name, mine[name], value)
+                raise StoreError(f"{self.path}: was made {why}; remove it, or choose another folder (-o)")
 
     @_told
     def tell(self, about: Mapping[str, str]) -> None:
@@ -237,8 +241,8 @@ def _differs(name: str, one: str, other: str) -> str:
         old, new = flat(json.loads(one)), flat(json.loads(other))
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
         told = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
-        return f"by another configuration: {told or 'the code of its own parts has changed'}"
-    return f"by another sweep: {name} was {one}, is {other}"
+        return f"by another configuration: {told}"
+    return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {one}, is {other}"
 
 
 def flat(table: Any, above: str = "") -> dict[str, Any]:

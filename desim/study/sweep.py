@@ -5,7 +5,7 @@ import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count, takewhile
 from operator import index
 from pathlib import Path
@@ -13,13 +13,15 @@ from typing import Any, Self
 
 from tqdm import tqdm
 
+from desim import provenance
 from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import runs_needed
 from desim.scenario import Scenario
 from desim.scenario_file import validate
 from desim.source import Source
-from desim.study.cells import Cell, Grid, cells, code, resolved
+from desim.study.cells import Cell, Grid, cells
 from desim.study.driver import drive
+from desim.study.identity import code, resolved
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
@@ -38,7 +40,8 @@ class RunError(RuntimeError):
 class Plan:
     """What is to be run: configurations, and the seeds of their runs."""
 
-    name: str
+    base: Scenario
+    """What is varied."""
     cells: tuple[Cell, ...]
     reps: int
     """Runs of each configuration."""
@@ -46,8 +49,6 @@ class Plan:
     """Seed of the first run."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
-    about: dict[str, Any] = field(default_factory=dict)
-    """What it is a sweep of; a store is of one."""
 
     @classmethod
     def of(
@@ -62,25 +63,31 @@ class Plan:
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
-        if reps < 1:
-            raise ValueError(f"there should be at least one run of each configuration, got {reps}")
-        if root < 0:
-            raise ValueError(f"the seed should be at least 0, got {root}")
         found = tuple(cells(source, grid))
-        keys = list(found[0].settings)
-        given = {key: each for key, each in resolved(base).items() if key not in {"code", "held"}}
+        return cls(base, found, reps, root, base.sweep.seeds == "common")
+
+    def __post_init__(self) -> None:
+        if self.reps < 1:
+            raise ValueError(f"there should be at least one run of each configuration, got {self.reps}")
+        if self.root < 0:
+            raise ValueError(f"the seed should be at least 0, got {self.root}")
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What it is a sweep of; a store is of one."""
+        keys = list(self.cells[0].settings)
         swept = tuple(f"{key}." for key in keys)
-        fixed = {key: each for key, each in flat(given).items() if not f"{key}.".startswith(swept)}
-        codes = {name: each for cell in found for name, each in code(cell.scenario).items() if "<" not in name}
-        return cls(
-            base.name,
-            found,
-            reps,
-            root,
-            base.sweep.seeds == "common",
-            {"scenario": fixed, "grid": keys, "seeds": base.sweep.seeds}
-            | {f"the code of {name}": each for name, each in codes.items()},
-        )
+        given = {key: each for key, each in resolved(self.base).items() if key not in {"code", "held"}}
+        codes = {name: each for cell in self.cells for name, each in code(cell.scenario).items() if "<" not in name}
+        return {
+            "name": self.base.name,
+            "grid": keys,
+            "seeds": "common" if self.common else "independent",
+            "root seed": self.root,
+            "scenario": {key: each for key, each in flat(given).items() if not f"{key}.".startswith(swept)},
+            "the code of desim": provenance.code(),
+            **{f"the code of {name}": each for name, each in codes.items()},
+        }
 
     def seed(self, cell: Cell, replication: int) -> int:
         """Return the seed of a run: that of the first plus its number, or a hash if configurations share none."""
@@ -89,15 +96,21 @@ class Plan:
         text = f"{self.root}/{cell.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
+    def check(self, store: Store) -> None:
+        """Raise StoreError if a store is of another sweep."""
+        store.check_same(self._written())
+
     def enter(self, store: Store) -> None:
         """Write down in a store what it is a sweep of.
 
         Raises:
             StoreError: if it is of another, or cannot be written.
         """
-        about = self.about | {"name": self.name, "root seed": self.root}
-        store.tell({name: json.dumps(each) for name, each in about.items()})
+        store.tell(self._written())
         store.enter(self.cells)
+
+    def _written(self) -> dict[str, str]:
+        return {name: json.dumps(each) for name, each in self.about.items()}
 
     def shard(self, part: int, parts: int) -> list[Job]:
         """Return the runs of one of several parts, which together are all; the first part is 1.
@@ -186,7 +199,7 @@ def _run(jobs: Sequence[Job], plan: Plan, store: Store, workers: Workers, fail_f
     tasks = [(cell.scenario, seed) for (cell, _), seed in zip(jobs, seeds, strict=True)]
     bar: tqdm[Any]
     with (
-        tqdm(total=len(jobs), desc=plan.name, unit="run", disable=None) as bar,
+        tqdm(total=len(jobs), desc=plan.base.name, unit="run", disable=None) as bar,
         closing(drive(tasks, workers)) as outcomes,
     ):
         for at, outcome in outcomes:

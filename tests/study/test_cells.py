@@ -19,7 +19,8 @@ from desim.scenario import Scenario, Sweep, Team
 from desim.scenario_file import load, read
 from desim.source import ScenarioError, Source
 from desim.study import cells as module
-from desim.study.cells import cells, code, identity, label
+from desim.study.cells import cells, label
+from desim.study.identity import code, identity
 from desim.value import Value
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
@@ -401,7 +402,7 @@ def other_process(folder: Path, seed: int, kind: str = "mine_of_cells:Mine") -> 
     path = folder / "f.toml"
     path.write_text(f'{BASE}protocol = {{ kind = "{kind}" }}\n')
     script = (
-        "import sys; from desim.scenario_file import load; from desim.study.cells import identity;"
+        "import sys; from desim.scenario_file import load; from desim.study.identity import identity;"
         "print(identity(load(sys.argv[1])))"
     )
     done = subprocess.run(

@@ -12,6 +12,8 @@ from tests.study.test_workers import command
 
 INTERRUPTED = 130
 
+pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
+
 
 def exported(out):
     """Return the table of a sweep as exported, and all that its store has, if it is sound."""

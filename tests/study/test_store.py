@@ -65,7 +65,8 @@ def test_a_store_of_another_version_is_refused(tmp_path, file, name):
     with closing(sqlite3.connect(tmp_path / "sweep.sqlite")) as database, database:
         database.execute("UPDATE about SET value = '[0]' WHERE name = ?", (name,))
     told = refused("sweep", file, "-o", tmp_path)
-    assert told == f"{tmp_path / 'sweep.sqlite'}: was made by another version of desim"
+    hint = "remove it, or choose another folder (-o)"
+    assert told == f"{tmp_path / 'sweep.sqlite'}: was made by another version of desim; {hint}"
 
 
 def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):

@@ -291,7 +291,7 @@ CHANGED = {
 def test_a_store_of_another_sweep_is_refused_and_says_what_differs(tmp_path, change, grid, options, why):
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 1, store=store)
-    with pytest.raises(StoreError, match=why):
+    with pytest.raises(StoreError, match=why.replace("$", r"; remove it, or choose another folder \(-o\)$")):
         sweep(BASE.model_copy(update=change), GRID | grid, 1, store=store, **options)
     with closing(sqlite3.connect(store)) as database:
         assert database.execute("SELECT count(*) FROM runs").fetchone() == (4,)
