@@ -10,7 +10,6 @@ from desim.cli.options import (
     CLUSTER,
     FAILED,
     FILE,
-    INTERRUPTED,
     JOBS,
     JSON,
     SEED,
@@ -19,6 +18,7 @@ from desim.cli.options import (
     folder_for,
     source_of,
     storing,
+    working,
 )
 
 
@@ -46,28 +46,18 @@ def explain(
     from desim.analysis.folder import can_plot
     from desim.study.explain import RUNS, Variants
     from desim.study.store import Store
-    from desim.study.sweep import RunError
-    from desim.study.workers import workers_for
 
     _, scenario = source_of(file, overrides)
     variants = Variants.of(scenario, runs or RUNS, seed)
     folder = out or folder_for(scenario, None) / "explain"
-    path = folder / STORE
-    with storing(folder), Store(path) as store:
+    with storing(folder), Store(folder / STORE) as store:
         variants.plan.enter(store)
         made = provenance.document(
             "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
         )
         provenance.write(folder, made)
-        try:
-            with workers_for(jobs if cluster is None else cluster) as workers:
-                found = variants.carry_out(store, workers)
-        except KeyboardInterrupt:
-            click.echo(f"interrupted: {len(store)} runs are in {path}; the same command goes on", err=True)
-            sys.exit(INTERRUPTED)
-        except RunError as error:
-            click.echo(f"{error}{len(store)} runs are in {path}", err=True)
-            sys.exit(FAILED)
+        with working(jobs, cluster, store) as workers:
+            found = variants.carry_out(store, workers)
         text = json.dumps(found.document(), indent=2)
         (folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
         (folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")

@@ -13,7 +13,6 @@ from desim.cli.options import (
     CLUSTER,
     FAILED,
     FILE,
-    INTERRUPTED,
     JOBS,
     JSON,
     SEED,
@@ -23,6 +22,7 @@ from desim.cli.options import (
     refuse,
     source_of,
     storing,
+    working,
 )
 
 if TYPE_CHECKING:
@@ -100,8 +100,7 @@ def sweep(
     from desim.source import ScenarioError
     from desim.study.result import SHOWN
     from desim.study.store import Store
-    from desim.study.sweep import MOST_RUNS, Plan, RunError, carry_out
-    from desim.study.workers import workers_for
+    from desim.study.sweep import MOST_RUNS, Plan, carry_out
 
     source, scenario = source_of(file, overrides)
     shown = _known(metrics) or SHOWN
@@ -123,15 +122,8 @@ def sweep(
             return
         plan.enter(store)
         _note(folder, scenario, plan, file)
-        try:
-            with workers_for(jobs if cluster is None else cluster) as workers:
-                found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
-        except KeyboardInterrupt:
-            click.echo(f"interrupted: {len(store)} runs are in {path}; the same command goes on", err=True)
-            sys.exit(INTERRUPTED)
-        except RunError as error:
-            click.echo(f"{error}{len(store)} runs are in {path}", err=True)
-            sys.exit(FAILED)
+        with working(jobs, cluster, store) as workers:
+            found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
         done = len(store) - before
     table = found.table(shown)
     click.echo(json.dumps(found.document(shown), indent=2) if as_json else table)

@@ -12,6 +12,8 @@ import click
 if TYPE_CHECKING:
     from desim.scenario import Scenario
     from desim.source import Source
+    from desim.study.store import Store
+    from desim.study.workers import Workers
 
 FAILED = 3
 """Exit code of many runs of which some failed."""
@@ -96,6 +98,23 @@ def storing(folder: Path | None = None) -> Iterator[None]:
         yield
     except OSError as error:
         refuse(f"{error.filename or folder}: {error.strerror}" if error.strerror else str(error))  # or it is ours
+
+
+@contextmanager
+def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers"]:
+    """Yield workers; if that is interrupted, or a run that fails ends it, say where to go on and end the program."""
+    from desim.study.sweep import RunError
+    from desim.study.workers import workers_for
+
+    try:
+        with workers_for(jobs if cluster is None else cluster) as workers:
+            yield workers
+    except KeyboardInterrupt:
+        click.echo(f"interrupted: {len(store)} runs are in {store.path}; the same command goes on", err=True)
+        sys.exit(INTERRUPTED)
+    except RunError as error:
+        click.echo(f"{error}{len(store)} runs are in {store.path}", err=True)
+        sys.exit(FAILED)
 
 
 def refuse(text: str) -> NoReturn:
