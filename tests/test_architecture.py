@@ -82,6 +82,18 @@ ALLOWED = {
         "desim.scenario_file",
         "desim.simulation",
     },
+    "desim.view": {
+        "desim.analysis",
+        "desim.kernel.clock",
+        "desim.kernel.events",
+        "desim.kernel.faults",
+        "desim.provenance",
+        "desim.pursuit",
+        "desim.scenario",
+        "desim.scenario_file",
+        "desim.simulation",
+        "desim.view",
+    },
     "desim.study.imperfections": {"desim.kernel", "desim.scenario", "desim.value"},
     "desim.study": {
         "desim.analysis",
@@ -128,6 +140,7 @@ FORBIDDEN = {
     "desim.scenario": {"simpy"},
     "desim.analysis": {"simpy", "networkx"},
     "desim.study": {"simpy", "networkx"},
+    "desim.view": {"simpy", "networkx"},
     "protocols": {"simpy", "networkx"},
 }
 MODULES = sorted(path for package in ("desim", "protocols", "scenarios") for path in (ROOT / package).rglob("*.py"))

@@ -1110,8 +1110,9 @@ def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_p
     assert refused("sweep", path, "-o", out, "-s", 6) == [f"{store}: was made by another sweep: root seed was 5, is 6"]
     accepted("sweep", path, "-o", tmp_path / "other", "-n", 1, "-s", 6)
     assert refused("merge", out, tmp_path / "other", "-o", tmp_path / "all") == [
-        f"{tmp_path}/all/sweep.sqlite: was made by another sweep: root seed was 5, is 6"
+        f"{store}: was made by another sweep: root seed was 5, is 6"
     ]
+    assert not (tmp_path / "all").exists()
 
 
 def test_what_is_no_store_is_refused(file, tmp_path):

@@ -19,8 +19,10 @@ from desim.simulation import Result
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-__all__ = ["GREY", "SERIES", "Axes", "Figure", "draw_trajectory", "save", "styled", "trajectory"]
+__all__ = ["COLUMN", "GREY", "SERIES", "Axes", "Figure", "draw_trajectory", "save", "styled", "trajectory"]
 
+COLUMN = 8.5 / 2.54
+"""The width of a column of a paper, in."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "desim",
@@ -32,21 +34,27 @@ STYLE: dict[Any, Any] = {
 
 
 @contextmanager
-def styled(figsize: tuple[float, float]) -> Iterator[Figure]:
-    """Yield an empty figure (size in inches) to draw on in the style of the house; its layout is settled at the end."""
-    with mpl.rc_context(STYLE):
+def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
+    """Yield an empty figure to draw on in the style of the house; its layout is settled at the end.
+
+    Args:
+        figsize: width and height, in.
+        font: size of text, points.
+    """
+    small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
+    with mpl.rc_context(STYLE | small | {"font.size": font}):
         figure = Figure(figsize=figsize, layout="constrained")
         yield figure
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # or it would be settled anew, a little differently, each time it is saved
 
 
-def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as SVG and PNG beside each other, without a date; return their paths."""
+def save(figure: Figure, stem: Path, *, dpi: int = 150) -> list[Path]:
+    """Write a figure as SVG and PNG (at so many dots per inch), without a date; return their paths."""
     paths = [stem.with_suffix(".svg"), stem.with_suffix(".png")]
     with mpl.rc_context(STYLE):
         figure.savefig(paths[0], metadata={"Date": None})
-        figure.savefig(paths[1], dpi=150)
+        figure.savefig(paths[1], dpi=dpi)
     return paths
 
 

@@ -3,7 +3,9 @@
 import click
 
 from desim.cli.about import check, keys, protocols, schema
+from desim.cli.draw import draw
 from desim.cli.explain import explain
+from desim.cli.look import replay
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.options import INTERRUPTED
@@ -27,5 +29,5 @@ def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
 
 
-for command in (run, sweep, explain, merge, export, check, keys, protocols, schema):
+for command in (run, replay, draw, sweep, explain, merge, export, check, keys, protocols, schema):
     main.add_command(command)

@@ -4,11 +4,14 @@ Times are integer nanoseconds in memory and seconds in the file (one JSON object
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
-from desim.kernel.clock import seconds
+from desim.kernel.clock import nanoseconds, seconds
 
 LOST = -1
 """The arrival time of a message that never arrives."""
@@ -163,6 +166,30 @@ class Trace:
         with path.open("w", encoding="utf-8", newline="\n") as file:
             file.writelines(self.lines())
 
+    @classmethod
+    def read(cls, lines: Iterable[str], kinds: Mapping[str, Callable[..., Event]]) -> "Trace":
+        """Return the trace of which these are the `lines`.
+
+        Lists come back as tuples, and a body with fields as a named tuple of them: equal to that which was sent, but of
+        another type.
+
+        Args:
+            lines: of JSON.
+            kinds: what makes an event of its fields, by the name of its type.
+
+        Raises:
+            ValueError: with the number of the line that is no event.
+        """
+        trace = cls()
+        for number, line in enumerate(lines, start=1):
+            try:
+                fields = json.loads(line)
+                kind = kinds[fields.pop("event")]
+                trace.events.append(kind(**{name: _read(name, value) for name, value in fields.items()}))
+            except (ValueError, TypeError, KeyError, AttributeError) as error:
+                raise ValueError(f"line {number} is no event: {error}") from error
+        return trace
+
 
 _TIMES = frozenset({"t", "arrival", "created"})
 
@@ -173,10 +200,54 @@ def _plain(name: str, value: Any) -> Any:
         return _seconds(value)
     if hasattr(value, "plain"):
         return value.plain()
-    return value._asdict() if hasattr(value, "_asdict") else value
+    return _fields(value) if name == "body" else value
+
+
+def _fields(value: Any) -> Any:
+    """Return a value with the named tuples in it as tables."""
+    if hasattr(value, "_asdict"):
+        return {name: _fields(each) for name, each in value._asdict().items()}
+    return [_fields(each) for each in value] if isinstance(value, tuple | list) else value
 
 
 def _seconds(time: Any) -> Any:
     if isinstance(time, tuple):
         return [_seconds(each) for each in time]
     return None if time == LOST else seconds(time)
+
+
+def _read(name: str, value: Any) -> Any:
+    """Return a field of an event from what JSON has."""
+    if name in _TIMES:
+        return _nanoseconds(value)
+    return _named(value) if name == "body" else _tuples(value)
+
+
+def _nanoseconds(time: Any) -> Any:
+    if isinstance(time, list):
+        return tuple(map(_nanoseconds, time))
+    return LOST if time is None else nanoseconds(time)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _named(value: Any) -> Any:
+    """Return a value with named tuples for the tables in it, if their keys can be names, and tuples for lists."""
+    if isinstance(value, list):
+        return tuple(map(_named, value))
+    if not isinstance(value, dict):
+        return value
+    fields = {name: _named(each) for name, each in value.items()}
+    if all(name.isidentifier() and not name.startswith("_") and not iskeyword(name) for name in fields):
+        return _body(tuple(fields))(**fields)
+    return fields
+
+
+@cache
+def _body(names: tuple[str, ...]) -> Callable[..., Any]:
+    """Return the type of bodies that have these fields."""
+    make: Any = namedtuple
+    kind: Callable[..., Any] = make("Body", names)
+    return kind

@@ -5,6 +5,7 @@ costs of all do not add up to what removing all together saves, they interact: t
 hurt only where another does.
 """
 
+import html
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -16,10 +17,11 @@ from typing import Any, Self
 
 from desim.analysis.metrics import words
 from desim.analysis.statistics import Estimate, estimate
-from desim.analysis.tables import aligned, as_json, with_half_width
+from desim.analysis.tables import aligned, as_json, from_json, with_half_width
 from desim.scenario import Scenario
 from desim.study.cells import Cell
 from desim.study.imperfections import IMPERFECTIONS
+from desim.study.result import html_table
 from desim.study.store import Row, Store
 from desim.study.sweep import Plan, RunError, carry_out
 from desim.study.workers import Workers, workers_for
@@ -71,6 +73,21 @@ class Cost:
     interaction: Saving
     """What is saved together and not by the parts: together less their sum."""
 
+    @classmethod
+    def of(cls, made: Mapping[str, Any]) -> Self:
+        """Return the costs that a document has, as JSON has them."""
+
+        def saving(part: Mapping[str, Any]) -> Saving:
+            return Saving(from_json(part), int(part["differing"]))
+
+        return cls(
+            from_json(made["as_it_is"]),
+            from_json(made["ideal"]),
+            {str(name): saving(part) for name, part in made["parts"].items()},
+            saving(made["together"]),
+            saving(made["interaction"]),
+        )
+
     @property
     def interacts(self) -> bool:
         """Whether the parts do not add up, beyond the 95 % interval."""
@@ -92,12 +109,39 @@ class Explanation:
     costs: Mapping[str, Cost]
     """By metric."""
 
+    @classmethod
+    def of(cls, made: Mapping[str, Any]) -> Self:
+        """Return the costs that a document has, as JSON has them; see `document`.
+
+        Raises:
+            ValueError: if it is no such document.
+        """
+        try:
+            costs = {metric: Cost.of(cost) for metric, cost in made["costs"].items() if metric in EXPLAINED}
+            found = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"is not of an explanation: {type(error).__name__}: {error}") from error
+        if not costs:
+            raise ValueError("is not of an explanation: has no costs")
+        return found
+
     def table(self) -> str:
         """Return the costs as text."""
-        head = (
+        return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
+
+    def _repr_html_(self) -> str:
+        """Return the same as a table of a notebook."""
+        remarks = "".join(f"<p>{html.escape(each)}</p>" for each in self.remarks())
+        return html_table(self._head(), self.rows()) + remarks
+
+    def _head(self) -> str:
+        return (
             f"{self.name}: the cost of each imperfection, {self.runs} runs of equal seeds; +- is half a 95 % t interval"
         )
-        rows = [("", *(EXPLAINED[metric] for metric in self.costs))]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return the costs as rows of text, of which the first is the head."""
+        rows: list[tuple[str, ...]] = [("", *(EXPLAINED[metric] for metric in self.costs))]
         costs = list(self.costs.values())
 
         def add(name: str, found: list[Estimate | Saving]) -> None:
@@ -113,9 +157,9 @@ class Explanation:
             add("  interaction", [cost.interaction for cost in costs])
         add("  all together", [cost.together for cost in costs])
         add(IDEAL, [cost.ideal for cost in costs])
-        return "\n".join([head, aligned(rows), *self._remarks()])
+        return rows
 
-    def _remarks(self) -> list[str]:
+    def remarks(self) -> list[str]:
         """Return what a reader should notice."""
         remarks = [f"not there: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():

@@ -8,7 +8,7 @@ from math import inf
 from types import MappingProxyType
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
@@ -64,7 +64,10 @@ def without_turns(scenario: Scenario) -> Scenario:
     schedule = getattr(protocol, "schedule", None)
     if not (isinstance(protocol, BaseModel) and hasattr(schedule, "without_turns")) or scenario.team.count == 1:
         return scenario
-    free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
+    try:
+        free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
+    except ValidationError:  # a rule of a user's that takes no other schedule has turns for good
+        return scenario
     said = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
     return scenario.model_copy(update={"protocol": free, "announce": said})
 
@@ -108,7 +111,7 @@ def _bare_links(network: Links, key: str) -> tuple[Any, ...]:
 
 def _bare_graph(scenario: Scenario, key: str) -> Any:
     """Return the graph with edges that have no property of their own."""
-    made = scenario.network.graph(scenario.team.count)
+    made = scenario.network.graph(scenario.team.count).copy()  # a function may keep it
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]

@@ -2,7 +2,13 @@
 
 from collections.abc import Sequence
 from itertools import product
-from math import inf, isfinite, log10
+from math import inf, isfinite, log10, nan
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from desim.analysis.metrics import METRICS, words
 from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Figure, styled
@@ -15,6 +21,10 @@ APART = 0.012
 """How far apart points of the same abscissa are drawn, so that their error bars are seen, as a share of its range."""
 MOST_TICKS = 8
 """How many values of a key have a tick of their own."""
+MOST_ABREAST = 3
+"""How many panels of a phase diagram stand side by side."""
+INK = "#111111"
+"""Text on light colours; not black, which pages take for the colour of their text."""
 WIDE = 20.0
 """By what factor positive values should range for a logarithmic axis, and half of them lie below a quarter."""
 
@@ -25,9 +35,8 @@ def means(result: SweepResult, metric: str) -> Figure:
     Over the first key of the grid that takes several numbers, a line for each combination of the others; if none does,
     a row for each configuration.
     """
-    unit = METRICS[metric].unit
-    title = f"{words(metric)} ({unit})" if unit else words(metric)
-    abscissa = next((key for key in result.keys if _is_swept_number(result, key)), None)
+    title = _with_unit(metric)
+    abscissa = next(iter(swept_numbers(result)), None)
     height = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
     with styled(figsize=(6.4, height)) as figure:
         axes = figure.add_subplot()
@@ -38,7 +47,109 @@ def means(result: SweepResult, metric: str) -> Figure:
         else:
             axes.set_ylabel(title)
             _draw_lines(axes, result, metric, abscissa)
+            _add_legend(axes, result, abscissa)
     return figure
+
+
+def multiples(result: SweepResult, metrics: Sequence[str], columns: int = 3) -> Figure:
+    """Draw several metrics by configuration, each as `means` does, in small panels with one legend.
+
+    Raises:
+        ValueError: if there are no metrics.
+    """
+    if not metrics:
+        raise ValueError("there should be at least one metric to draw")
+    abscissa = next(iter(swept_numbers(result)), None)
+    columns = min(columns, len(metrics))
+    rows = -(-len(metrics) // columns)
+    lines = len(result.groups) / len({group.settings[abscissa] for group in result.groups}) if abscissa else 1
+    height = 2.1 * rows + 0.07 * lines if abscissa else (0.8 + 0.2 * len(result.groups)) * rows
+    with styled(figsize=(0.4 + 3.0 * columns, 0.3 + height), font=8.0) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None).flat
+        for axes, metric in zip(panels, metrics, strict=False):
+            axes.set_title(_with_unit(metric), loc="left")
+            if abscissa is None:
+                _draw_rows(axes, result, metric)
+            else:
+                _draw_lines(axes, result, metric, abscissa)
+        for axes in list(figure.axes)[len(metrics) :]:
+            axes.set_axis_off()
+        for axes in figure.axes:
+            axes.label_outer()
+        handles, names = figure.axes[0].get_legend_handles_labels()
+        if len(handles) > 1:
+            title = _legend_title(result, abscissa)
+            figure.legend(
+                handles, names, loc="outside lower center", ncols=min(len(names), 4), title=title, title_fontsize=8
+            )
+    return figure
+
+
+def phase(result: SweepResult, metric: str) -> Figure:
+    """Draw the mean of a metric over the first two keys that take several numbers, as a map with its values in it.
+
+    Values stand equally far apart. If the grid has other keys, too, there is a panel for each combination of those; all
+    panels have the same colours.
+
+    Raises:
+        ValueError: if less than two keys take several numbers.
+    """
+    keys = swept_numbers(result)
+    if len(keys) < 2:
+        raise ValueError(f"a phase diagram needs two keys that take several numbers, there are {len(keys)}")
+    x, y = keys[:2]
+    over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
+    panels: dict[str, NDArray[np.float64]] = {}
+    for group, found in zip(result.groups, result.estimates(metric), strict=True):
+        others = ", ".join(f"{key} = {text(each)}" for key, each in group.settings.items() if key not in (x, y))
+        panel = panels.setdefault(others, np.full((len(over[y]), len(over[x])), nan))
+        panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
+    columns = min(len(panels), MOST_ABREAST)
+    rows = -(-len(panels) // columns)
+    known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
+    low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
+    colours = ScalarMappable(Normalize(low, high), "cividis")
+    size = (1.6 + columns * (0.5 + 0.52 * len(over[x])), 0.8 + rows * (0.5 + 0.36 * len(over[y])))
+    with styled(figsize=size, font=8.0) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
+            _draw_map(axes, panel, colours)
+            axes.set_title(others, fontsize=8, parse_math=False)
+            axes.set(xlabel=x, ylabel=y)
+            axes.set_xticks(range(len(over[x])), map(text, over[x]))
+            axes.set_yticks(range(len(over[y])), map(text, over[y]))
+        for axes in shared.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes in shared.flat:
+            axes.label_outer()
+        figure.suptitle(_with_unit(metric), fontsize=9)
+    return figure
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) -> None:
+    """Draw values (rows upwards) as coloured cells, and each as text, "-" where there is none."""
+    # As rectangles: an image would be made of pixels also in an SVG.
+    for (row, column), value in np.ndenumerate(values):
+        there = isfinite(value)
+        red, green, blue, _ = colours.to_rgba(value)
+        face = (red, green, blue) if there else "none"
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
+        dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        written = f"{value:.3g}" if there else "-"
+        axes.text(column, row, written, ha="center", va="center", fontsize=7, color="white" if dark else INK)
+    axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+
+
+def swept_numbers(result: SweepResult) -> list[str]:
+    """Return the keys of the grid that take several numbers, of which not all are infinite."""
+    return [key for key in result.keys if _is_swept_number(result, key)]
+
+
+def _with_unit(metric: str) -> str:
+    unit = METRICS[metric].unit
+    return f"{words(metric)} ({unit})" if unit else words(metric)
 
 
 def _is_swept_number(result: SweepResult, key: str) -> bool:
@@ -71,8 +182,17 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
         ticks = [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
         axes.set_xticks([places[value] for value in ticks], [text(value) for value in ticks])
     axes.set_xlabel(abscissa)
-    if len(lines) > 1:
-        axes.legend(fontsize=7, title=others[0] if len(others) == 1 else None, title_fontsize=7)
+
+
+def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        axes.legend(fontsize=7, title=_legend_title(result, abscissa), title_fontsize=7)
+
+
+def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
+    """Return what the names of lines are values of; None if they say it themselves."""
+    others = [key for key in result.keys if key != abscissa]
+    return others[0] if len(others) == 1 else None
 
 
 def _places(values: Sequence[float]) -> tuple[dict[float, float], bool]:

@@ -87,9 +87,12 @@ class SweepResult:
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
         """Return means and half widths, and below them the differences from the first configuration, as text."""
-        tables = [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
-        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in tables]
+        parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
         return "\n\n".join([*parts, *self._failures()])
+
+    def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
+        """Return the same as titles and rows of text, of which the first is the head."""
+        return [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
 
     def __str__(self) -> str:
         return self.table()
@@ -99,8 +102,7 @@ class SweepResult:
 
     def _repr_html_(self) -> str:
         """Return the same as tables of a notebook."""
-        tables = [(self._head(SHOWN), self._means(SHOWN)), *self._compared(SHOWN)]
-        parts = [_html_table(title, rows) for title, rows in tables]
+        parts = [html_table(title, rows) for title, rows in self.tables()]
         return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in self._failures())])
 
     def _head(self, metrics: Sequence[str]) -> str:
@@ -265,7 +267,8 @@ def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
     return [each if each is None else text(each) for each in values], None, "str"
 
 
-def _html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
+def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text, of which the first is the head, as a table of HTML."""
     head, *body = rows
     lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
     return f"<table><caption>{_html(title)}</caption>{lines}</table>"

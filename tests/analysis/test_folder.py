@@ -3,14 +3,15 @@
 import json
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import pytest
 
 from desim import provenance
-from desim.analysis.folder import can_plot, write, write_below
+from desim.analysis.folder import can_plot, read, write, write_below
 from desim.analysis.metrics import summary
 from desim.scenario import Recording, Scenario, Team
-from desim.scenario_file import load
+from desim.scenario_file import dump, load
 from desim.simulation import run
 
 DATA = {"trace.jsonl", "summary.json", "scenario.toml", "run.json"}
@@ -95,3 +96,28 @@ def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
     (tmp_path / "notes.txt").write_text("precious")
     write(run(seen), tmp_path)
     assert names(tmp_path) == DATA | PICTURES | {"trajectory.csv", "notes.txt"}
+
+
+FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring", "server", "reckoning")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_run_that_was_written_is_read_again(name, tmp_path):
+    """The same events, and the same numbers from them: beliefs too, which come from what was relayed."""
+    file = Path(__file__).parents[2] / "scenarios" / f"{name}.toml"
+    result = run(load(file, ["horizon=1.5", "record.messages=true"]), seed=8)
+    numbers = write(result, tmp_path)
+    again = read(tmp_path)
+    assert again.seed == 8
+    assert again.trace.events == result.trace.events
+    assert [type(event) for event in again.trace] == [type(event) for event in result.trace]
+    assert json.dumps(asdict(summary(again))) == json.dumps(asdict(numbers))
+    assert dump(again.scenario) == (tmp_path / "scenario.toml").read_text()
+
+
+def test_half_a_trace_is_not_read(result, tmp_path):
+    write(result, tmp_path)
+    trace = (tmp_path / "trace.jsonl").read_text()
+    (tmp_path / "trace.jsonl").write_text(trace[: trace.rindex("{")])
+    with pytest.raises(ValueError, match=r"trace.jsonl: is not of a whole run"):
+        read(tmp_path)

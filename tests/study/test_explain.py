@@ -1,14 +1,20 @@
 """Which imperfection costs what: by hand, and where the answer is known."""
 
+import importlib
 import json
+import sys
+from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from desim import Scenario, explain, run
-from desim.analysis.metrics import active_time, end_time
-from desim.analysis.statistics import estimate
+from desim.analysis.metrics import active_time, end_time, summary
+from desim.analysis.statistics import Estimate, estimate
 from desim.cli import main
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
@@ -16,176 +22,646 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Recording, Team
-from desim.study.explain import Cost
-from desim.study.imperfections import IMPERFECTIONS, without_faults, without_latency
-from desim.study.waterfall import waterfall
+from desim.scenario_file import read, validate
+from desim.study.explain import AS_IT_IS, EXPLAINED, IDEAL, Cost, Saving, Variants
+from desim.study.imperfections import IMPERFECTIONS
+from desim.study.pictures import waterfall
+from desim.study.store import Row, Store, StoreError
+from desim.study.sweep import RunError, sweep
+from desim.study.workers import workers_for
+from protocols.cbba import CBBA
+from protocols.local_min import LocalMin
+from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
-from protocols.schedules import Poisson, Rounds
+from protocols.schedules import Rounds, SharedSeed
+from protocols.server import Server
+from protocols.token import TokenRing, TokenWalk
 
-AT_ONCE = SpatialAdaptivePlay(schedule=Rounds(period=0.2))
-IDEAL = Scenario(
+ROUNDS = Rounds(period=0.2)
+GOOD = Scenario(
     name="small",
-    horizon=8.0,
-    team=Team(count=6, speeds=1.6),
+    horizon=3.0,
+    team=Team(count=5, speeds=3.0),
     motion=Motion(step=0.05),
-    protocol=AT_ONCE,
+    protocol=SpatialAdaptivePlay(schedule=ROUNDS),
     record=Recording(trajectory=0.0),
 )
-LATE = IDEAL.model_copy(update={"network": Links(latency=Constant(value=0.4))})
-BAD = IDEAL.model_copy(
+LATE = GOOD.model_copy(update={"network": Links(latency=Constant(value=0.4))})
+BAD = GOOD.model_copy(
     update={
+        "horizon": 6.0,
         "network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5), range=12.0),
         "fault": (Crash(node=0, at=0.5, until=3.0), Crash(node=1, at=1.0)),
-        "protocol": SpatialAdaptivePlay(schedule=Poisson(rate=1.0)),
+        "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
     }
 )
+OF = {"active_time": active_time, "end_time": end_time}
+NOTHING = Saving(Estimate(0.0, 0.0, 2), 0)
+"""What costs nothing in any of two runs."""
 
 
-def fails_late(me):
-    """Fail where word is late."""
-    yield me.sleep(0.1)
-    if me.latency > 0.0 and me.rng.random() < 0.2:
-        raise RuntimeError("it is late")
+SEEDS = range(11, 14)
 
 
-@pytest.mark.slow
-def test_if_only_latency_is_imperfect_all_is_due_to_latency():
-    """Exactly, for the scenario without latency is the ideal one; and it costs something, beyond its interval."""
-    found = explain(LATE, 40)
-    assert found.absent == tuple(name for name in IMPERFECTIONS if name != "latency")
+def by_hand(scenario, metric, seeds):
+    return np.array([OF[metric](run(scenario, seed)) for seed in seeds])
+
+
+# Where the answer is known: only one thing is imperfect.
+
+RULES = {
+    "sap": SpatialAdaptivePlay(schedule=ROUNDS),
+    "cbba": CBBA(schedule=ROUNDS),
+    "server": Server(period=0.2),
+    "local_min": LocalMin(schedule=ROUNDS),
+}
+SPOILT = {
+    "latency": {"network": Links(latency=Constant(value=0.7))},
+    "loss": {"network": Links(loss=Bernoulli(p=1.0))},
+    "range limit": {"network": Links(range=2.0)},
+    "faults": {"fault": tuple(Crash(node=node, at=0.1, until=1.5) for node in range(5))},
+    "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
+}
+TURNS = [SharedSeed(slot=0.1), TokenRing(hold=0.05), TokenWalk(hold=0.05), LocalMutex(rate=2.0)]
+ONLY = [
+    *(
+        pytest.param(GOOD.model_copy(update={"protocol": rule, **spoilt}), name, id=f"{kind}-{name}")
+        for kind, rule in RULES.items()
+        for name, spoilt in SPOILT.items()
+    ),
+    *(
+        pytest.param(
+            GOOD.model_copy(update={"protocol": rule(schedule=schedule)}),
+            "serial decisions",
+            id=f"{rule.__name__}-{schedule.kind}",
+        )
+        for rule in (SpatialAdaptivePlay, CBBA, LocalMin)
+        for schedule in TURNS
+    ),
+]
+
+
+@pytest.mark.parametrize(("scenario", "name"), ONLY)
+def test_if_only_one_thing_is_imperfect_all_is_due_to_it(scenario, name):
+    """Exactly, for the scenario without it is the ideal one."""
+    found = explain(scenario, 2)
+    assert found.absent == tuple(other for other in IMPERFECTIONS if other != name)
     for cost in found.costs.values():
-        assert cost.parts == {"latency": cost.together}
-        assert not cost.interact
-    active = found.costs["active_time"]
-    assert active.together.mean > active.together.half_width
-    assert active.as_it_is.mean - active.ideal.mean == pytest.approx(active.together.mean)
+        assert cost.parts == {name: cost.together}
+        assert cost.interaction == NOTHING
+        assert not cost.interacts
+        assert cost.as_it_is.mean - cost.ideal.mean == pytest.approx(cost.together.mean.mean, abs=1e-9)
+    assert "interact" not in found.table()
 
 
-def test_in_an_ideal_scenario_there_is_nothing_to_explain():
-    found = explain(IDEAL, 3)
+def test_some_of_these_cost_something():
+    """Else nothing would be due to anything: in every run, by the sign that one expects."""
+    for rule, name in [("server", each) for each in ("latency", "loss", "range limit")] + [("sap", "latency")]:
+        cost = explain(GOOD.model_copy(update={"protocol": RULES[rule], **SPOILT[name]}), 3).costs["active_time"]
+        assert cost.together.differing == 3, (rule, name)
+        assert cost.together.mean.mean > 0.0, (rule, name)
+
+
+def test_a_server_has_no_use_for_what_pursuers_announce():
+    """So stale announcements cost nothing, in every run, and yet they are there."""
+    found = explain(GOOD.model_copy(update={"protocol": RULES["server"], **SPOILT["stale knowledge"]}), 2)
+    assert all(cost.parts == {"stale knowledge": NOTHING} for cost in found.costs.values())
+    (line,) = [line for line in found.table().splitlines() if line.startswith("  stale knowledge")]
+    assert line.count("0 in every run") == 2
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
+    found = explain(GOOD.model_copy(update={"protocol": rule}), 2)
     assert found.absent == tuple(IMPERFECTIONS)
     for cost in found.costs.values():
-        assert (cost.parts, cost.together.mean, cost.interact) == ({}, 0.0, False)
+        assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
-    assert "not there: latency, loss, range limit, faults, serial decisions, stale knowledge" in found.table()
+        assert not cost.interacts
+    assert "\nnot there: latency, loss, range limit, faults, serial decisions, stale knowledge" in found.table()
+
+
+def test_two_that_hide_each_other_cost_nothing_each_and_interact():
+    """Nobody is in reach, and all is lost: to remove one of them helps nobody, so that all is interaction."""
+    network = Links(loss=Bernoulli(p=1.0), range=1e-3)
+    cost = explain(GOOD.model_copy(update={"protocol": RULES["server"], "network": network}), 4).costs["active_time"]
+    assert cost.parts == {name: Saving(Estimate(0.0, 0.0, 4), 0) for name in ("loss", "range limit")}
+    assert cost.interaction == cost.together
+    assert cost.together.mean.mean > cost.together.mean.half_width
+    assert cost.interacts
+
+
+# By hand.
 
 
 @pytest.mark.slow
 def test_costs_are_those_of_runs_done_by_hand_seed_by_seed():
-    found = explain(BAD, 5, seed=11)
-    assert found.absent == ()
-    for metric, of in (("active_time", active_time), ("end_time", end_time)):
-        as_it_is = [of(run(BAD, seed)) for seed in range(11, 16)]
-        for name, remove in (("latency", without_latency), ("faults", without_faults)):
-            without = [of(run(remove(BAD), seed)) for seed in range(11, 16)]
-            assert found.costs[metric].parts[name] == estimate(np.subtract(as_it_is, without))
-        assert found.costs[metric].as_it_is == estimate(as_it_is)
+    found = explain(BAD, 3, seed=11)
+    assert (found.name, found.runs, found.failed, found.absent) == ("small", 3, 0, ())
+    ideal = BAD
+    for remove in IMPERFECTIONS.values():
+        ideal = remove(ideal)
+    for metric, cost in found.costs.items():
+        as_it_is, best = by_hand(BAD, metric, SEEDS), by_hand(ideal, metric, SEEDS)
+        saved = {name: as_it_is - by_hand(remove(BAD), metric, SEEDS) for name, remove in IMPERFECTIONS.items()}
+        assert list(cost.parts) == list(IMPERFECTIONS)
+        assert cost.parts == {name: Saving.of(list(each)) for name, each in saved.items()}
+        assert cost.together == Saving.of(list(as_it_is - best))
+        assert (cost.as_it_is, cost.ideal) == (estimate(list(as_it_is)), estimate(list(best)))
+        rest = estimate(list(as_it_is - best - sum(saved.values())))
+        assert cost.interaction.mean.mean == pytest.approx(rest.mean, abs=1e-9)
+        assert cost.interaction.mean.half_width == pytest.approx(rest.half_width, abs=1e-9)
+    assert found.costs["active_time"].interaction.mean.half_width > 0.0
 
 
-@pytest.mark.slow
-def test_what_the_parts_leave_over_is_the_interaction():
-    """Its mean is that of all together less the sum of the parts, and its interval that of the differences."""
-    cost = explain(BAD, 5).costs["active_time"]
-    rest = cost.together.mean - sum(part.mean for part in cost.parts.values())
-    assert cost.interaction.mean == pytest.approx(rest, abs=1e-9)
-    assert cost.interaction.half_width > 0.0
+RUN = summary(run(GOOD.model_copy(update={"horizon": 0.1})))
+TWO = LATE.model_copy(update={"network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5))})
+
+
+def told_of(**times):
+    """Return the cost of two imperfections whose active times, s, are given by variant: a list, run by run."""
+    named = {AS_IT_IS: "as_it_is", IDEAL: "ideal"}
+    variants = Variants.of(TWO, len(times["ideal"]))
+    with Store() as store, workers_for(1) as workers:
+        variants.plan.enter(store)
+        for name, cell in variants.cells.items():
+            if cell.key == variants.cells[AS_IT_IS].key and name != AS_IT_IS:
+                continue
+            for k, time in enumerate(times[named.get(name, name)]):
+                store.add(cell.key, variants.plan.root, Row(k, k, "ok", replace(RUN, active_time=time)))
+        return variants.carry_out(store, workers)
+
+
+def test_what_adds_up_does_not_interact():
+    """9 and 10 s; without latency 2 and 4 s less, without loss 1 and 3 s less, without both 3 and 7 s less."""
+    found = told_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    cost = found.costs["active_time"]
+    assert {name: (part.mean.mean, part.differing) for name, part in cost.parts.items()} == {
+        "latency": (3.0, 2),
+        "loss": (2.0, 2),
+    }
+    assert (cost.together.mean.mean, cost.ideal.mean, cost.as_it_is.mean) == (5.0, 4.5, 9.5)
+    assert cost.interaction == NOTHING
+    assert not cost.interacts
+    assert "interact " not in found.table()
+
+
+def test_what_does_not_add_up_interacts_and_the_table_says_so():
+    """One saves 1 s, the other costs 2 s, both together save 5 s, in every run; of 10 and 12 s, 5 and 7 s are left."""
+    found = told_of(as_it_is=[10.0, 12.0], latency=[9.0, 11.0], loss=[12.0, 14.0], ideal=[5.0, 7.0])
+    cost = found.costs["active_time"]
+    assert cost.interaction == Saving(Estimate(6.0, 0.0, 2), 2)
+    assert cost.interacts
+    assert not found.costs["end_time"].interacts
+    told = found.document()["costs"]
+    assert [told[metric]["interacts"] for metric in EXPLAINED] == [True, False]
+    means = {name: told["active_time"][name]["mean"] for name in ("as_it_is", "ideal", "together", "interaction")}
+    assert means == {"as_it_is": 11.0, "ideal": 6.0, "together": 5.0, "interaction": 6.0}
+    assert found.table() == (
+        "small: the cost of each imperfection, 2 runs of equal seeds; +- is half a 95 % t interval\n"
+        "                sum of active times, s  capture time, or horizon, s\n"
+        "as it is              11.000 +- 12.706               0.100 +- 0.000\n"
+        "  latency              +1.000 +- 0.000               0 in every run\n"
+        "  loss                 -2.000 +- 0.000               0 in every run\n"
+        "  interaction          +6.000 +- 0.000               0 in every run\n"
+        "  all together         +5.000 +- 0.000               0 in every run\n"
+        "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
+        "not there: range limit, faults, serial decisions, stale knowledge\n"
+        "the effects interact (beyond the 95 % interval): in active time the parts add up to -1.000 s, and all together"
+        " cost +5.000 s"
+    )
+
+
+TIMES = st.lists(st.tuples(*[st.floats(0.0, 1e3)] * 4), min_size=2, max_size=5)
+
+
+@settings(max_examples=20, deadline=None)
+@given(TIMES)
+def test_the_parts_and_what_they_leave_over_are_what_is_saved_together(times):
+    as_it_is, latency, loss, ideal = map(list, zip(*times, strict=True))
+    cost = told_of(as_it_is=as_it_is, latency=latency, loss=loss, ideal=ideal).costs["active_time"]
+    total = cost.interaction.mean.mean + sum(part.mean.mean for part in cost.parts.values())
+    assert total == pytest.approx(cost.together.mean.mean, abs=1e-9)
+    assert cost.ideal.mean + total == pytest.approx(cost.as_it_is.mean, abs=1e-9)
+    assert cost.parts["loss"] == Saving.of(list(np.subtract(as_it_is, loss)))
 
 
 @pytest.mark.parametrize(
     ("rest", "interact"),
-    [([1.0, 1.1, 0.9], True), ([-1.0, -1.1, -0.9], True), ([1.0, -1.0, 0.5], False), ([1e-12, 1e-12, 1e-12], False)],
+    [
+        ([1.0, 1.1, 0.9], True),
+        ([-1.0, -1.1, -0.9], True),
+        ([1.0, -1.0, 0.5], False),
+        ([1.0, 1.15], True),
+        ([1.0, 1.2], False),
+        ([-1.0, -1.2], False),
+        ([1e-12, 1e-12, 1e-12], False),
+        ([1e-8, 1e-8], True),
+        ([1.0], False),
+    ],
 )
 def test_parts_interact_if_what_they_leave_over_is_not_within_its_interval_of_0(rest, interact):
-    """Half widths: 4.303 x 0.1 / sqrt(3) = 0.25; 4.303 x 1.04 / sqrt(3) = 2.6; 0 for what is rounding."""
-    zero = estimate([0.0, 0.0])
-    assert Cost(zero, zero, {}, zero, estimate(rest)).interact is interact
+    """Half widths: 4.303 x 0.1 / sqrt(3) = 0.25; 4.303 x 1.04 / sqrt(3) = 2.6; of two, 12.706 / 2 times their distance:
+    0.953 < 1.075, and 1.27 > 1.1; 0 for what is rounding, up to 1e-9 s; of one run nothing can be said."""
+    none = Saving.of([0.0, 0.0])
+    assert Cost(none.mean, none.mean, {}, none, Saving.of(rest)).interacts is interact
 
 
-def test_seeds_with_which_a_run_fails_are_left_out():
-    """Some of 12 seeds fail with latency, none without."""
-    found = explain(LATE.model_copy(update={"protocol": fails_late}), 12)
-    assert found.runs + found.failed == 12
-    assert 0 < found.failed < 12
-    assert found.costs["active_time"].together.count == found.runs
-    assert f"{found.failed} seeds are left out" in found.table()
+@pytest.mark.parametrize(
+    ("differences", "differing", "text"),
+    [
+        ([0.0, 0.0, 0.0], 0, "0 in every run"),
+        ([1e-12, -1e-12, 0.0], 0, "0 in every run"),
+        ([1e-8, 0.0, 0.0], 1, "+0.000 +- 0.000"),
+        ([1.0, -1.0, 0.0], 2, "+0.000 +- 2.484"),
+        ([0.0, 0.0, -3.0], 1, "-1.000 +- 4.303"),
+    ],
+)
+def test_no_difference_in_any_run_is_told_from_none_on_the_mean(differences, differing, text):
+    """Standard error of 1, -1, 0: 1 / sqrt(3), times 4.303 is 2.484; of 0, 0, -3: sqrt(3) / sqrt(3)."""
+    saving = Saving.of(differences)
+    assert saving.differing == differing
+    assert saving.text(3) == text
+    assert saving.document() == {
+        "mean": pytest.approx(np.mean(differences), abs=1e-15),
+        "half_width": saving.mean.half_width,
+        "runs": 3,
+        "differing": differing,
+    }
 
 
-def test_if_every_seed_fails_the_first_failure_is_told():
-    def fails(me):
-        raise RuntimeError("for good")
-        yield
-
-    with pytest.raises(ValueError, match="RuntimeError: for good"):
-        explain(LATE.model_copy(update={"protocol": fails}), 2)
+# What is run, and how often.
 
 
-def test_one_run_has_no_interval():
-    with pytest.raises(ValueError, match="at least 2 runs, got 1"):
-        explain(IDEAL, 1)
+RAN = []
+
+
+def counted(me):
+    """Chase, and say that there was a run, and how late word was in it."""
+    if me.id == 0:
+        RAN.append(me.latency)
+    yield me.sleep(0.1)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_ran():
+    RAN.clear()
+
+
+def test_variants_that_are_the_same_are_run_once(tmp_path):
+    """Without latency is without all: 2 variants; and of none there is nothing to do the next time."""
+    scenario = LATE.model_copy(update={"protocol": counted})
+    found = explain(scenario, 3, store=tmp_path / "s.sqlite")
+    assert sorted(RAN) == [0.0] * 3 + [0.4] * 3
+    assert explain(scenario, 3, store=tmp_path / "s.sqlite") == found
+    assert len(RAN) == 6
+    RAN.clear()
+    explain(GOOD.model_copy(update={"protocol": counted}), 3)
+    assert RAN == [0.0] * 3
 
 
 @pytest.mark.slow
 def test_two_workers_and_a_store_that_was_interrupted_change_nothing(tmp_path):
-    whole = explain(BAD, 4)
-    explain(BAD, 2, store=tmp_path / "some.sqlite")
-    assert explain(BAD, 4, 2, store=tmp_path / "some.sqlite") == whole
+    whole = explain(BAD, 3)
+    store = tmp_path / "some.sqlite"
+    few = explain(BAD, 2, store=store)
+    assert explain(BAD, 3, 2, store=store) == whole
+    assert explain(BAD, 2, store=store) == few  # of three that are there
+    assert (few.runs, whole.runs) == (2, 3)
 
+
+def test_the_seed_of_the_scenario_is_the_first_unless_another_is_given():
+    seeded = LATE.model_copy(update={"seed": 5})
+    assert explain(seeded, 2) == explain(LATE, 2, seed=5)
+    assert explain(seeded, 2, seed=0) == explain(LATE, 2) != explain(seeded, 2)
+    as_it_is = explain(seeded, 2).costs["active_time"].as_it_is
+    assert as_it_is == estimate(list(by_hand(LATE, "active_time", (5, 6))))
+
+
+@pytest.mark.parametrize("runs", [1, 0, -3])
+def test_one_run_has_no_interval(runs):
+    with pytest.raises(ValueError, match=f"at least 2 runs, got {runs}$"):
+        explain(GOOD, runs)
+
+
+def test_a_negative_seed_is_refused():
+    with pytest.raises(ValueError, match=r"seed should be at least 0, got -1"):
+        explain(GOOD, 2, seed=-1)
+
+
+# What fails.
+
+TROUBLE = {"on": True}
+
+
+def goes_wrong(me, where):
+    """Fail in one run in three, among those in which word is late, or those in which it is not."""
+    yield me.sleep(0.1)
+    wrong = me.shared_stream("trouble").random() < 1 / 3
+    if TROUBLE["on"] and wrong and (me.latency > 0.0) is (where == "late"):
+        raise RuntimeError(f"{where} at {me.now:.1f} s")
+
+
+def fails_late(me):
+    """Fail as it is."""
+    return goes_wrong(me, "late")
+
+
+def fails_in_time(me):
+    """Fail in the ideal variant only."""
+    return goes_wrong(me, "in time")
+
+
+@pytest.fixture(autouse=True)
+def _trouble():
+    TROUBLE["on"] = True
+
+
+def fails(scenario, seed):
+    try:
+        run(scenario, seed)
+    except RuntimeError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("protocol", [fails_late, fails_in_time], ids=["as it is", "removed"])
+def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
+    """Of the scenario as it is, too, or the differences would be between other seeds; later they are tried again."""
+    scenario = LATE.model_copy(update={"protocol": protocol})
+    ideal = IMPERFECTIONS["latency"](scenario)
+    good = [seed for seed in range(9) if not fails(scenario, seed) and not fails(ideal, seed)]
+    assert 2 < len(good) < 9
+    assert sum(fails(ideal, seed) for seed in range(9)) == (0 if protocol is fails_late else 9 - len(good))
+    found = explain(scenario, 9, store=tmp_path / "s.sqlite")
+    assert (found.runs, found.failed) == (len(good), 9 - len(good))
+    for metric, cost in found.costs.items():
+        assert cost.as_it_is == estimate(list(by_hand(scenario, metric, good)))
+        assert cost.ideal == estimate(list(by_hand(ideal, metric, good)))
+        assert cost.together.mean.count == len(good)
+    assert found.table().endswith(f"\n{found.failed} seeds are left out, with which a run failed")
+    assert found.document()["failed"] == found.failed
+    TROUBLE["on"] = False
+    again = explain(scenario, 9, store=tmp_path / "s.sqlite")
+    assert (again.runs, again.failed) == (9, 0)
+    assert "left out" not in again.table()
+    assert again.costs["active_time"].as_it_is == estimate(list(by_hand(scenario, "active_time", range(9))))
+
+
+def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
+    """With the seeds from the first bad one on that is followed by a good one."""
+    scenario = LATE.model_copy(update={"protocol": fails_late})
+    bad = next(seed for seed in count() if fails(scenario, seed) and not fails(scenario, seed + 1))
+    found = explain(scenario, 2, seed=bad)
+    assert (found.runs, found.failed) == (1, 1)
+    assert not found.costs["active_time"].interacts
+    assert found.document()["costs"]["active_time"]["as_it_is"]["half_width"] is None
+    json.dumps(found.document(), allow_nan=False)
+    assert " +- -" in found.table()
+
+
+@pytest.mark.parametrize("where", ["as it is", "ideal"])
+def test_if_every_seed_fails_the_first_failure_is_told(where):
+    """Also if only those fail in which something is removed."""
+
+    def bad(me):
+        yield me.sleep(0.1)
+        if (me.latency > 0.0) is (where == "as it is"):
+            raise RuntimeError(f"for good, {where}, {me.latency:g}")
+
+    with pytest.raises(RunError, match=r"^with every seed a run failed; the first: RuntimeError: for good, " + where):
+        explain(LATE.model_copy(update={"protocol": bad}), 2)
+
+
+# Stores.
+
+
+def refuses(scenario, store, match, **options):
+    with pytest.raises(StoreError, match=match) as refused:
+        explain(scenario, 2, store=store, **options)
+    assert str(store) in str(refused.value)
+
+
+def test_a_store_of_anything_else_is_refused_with_what_differs(tmp_path):
+    store = tmp_path / "s.sqlite"
+    found = explain(LATE, 2, store=store)
+    later = LATE.model_copy(update={"network": Links(latency=Constant(value=0.5))})
+    refuses(later, store, r"network\.latency\.value was 0\.4, is 0\.5;? ?")
+    refuses(LATE.model_copy(update={"horizon": 2.0}), store, r"horizon was 3\.0, is 2\.0")
+    refuses(IMPERFECTIONS["latency"](LATE), store, r"network\.latency\.value was 0\.4, is 0\.0")
+    refuses(LATE, store, r"root seed was 0, is 1", seed=1)
+    refuses(LATE.model_copy(update={"name": "other"}), store, r'name was "small", is "other"')
+    assert explain(LATE, 2, store=store) == found
+
+
+def test_a_store_of_a_sweep_is_none_of_an_explanation(tmp_path):
+    store = tmp_path / "s.sqlite"
+    sweep(LATE, {"network.latency.value": [0.0, 0.4]}, 1, store=store)
+    refuses(LATE, store, r'grid was \["network\.latency\.value"\], is \["without"\]')
+
+
+def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "f.toml"
+    file.write_text('horizon = 0.1\nteam.count = 2\nprotocol.kind = "mine_of_explain:mine"\n')
+
+    def scenario(number):
+        (tmp_path / "mine_of_explain.py").write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
+        sys.modules.pop("mine_of_explain", None)
+        importlib.invalidate_caches()
+        return validate(read(file))
+
+    store = tmp_path / "s.sqlite"
+    assert explain(scenario(1), 2, store=store) == explain(scenario(1), 2, store=store)
+    refuses(scenario(22), store, r"the code of mine_of_explain:mine was")
+
+
+# The picture.
+
+
+def test_the_picture_has_a_bar_per_part_between_the_two_ends():
+    """Of 9.5 s, 4.5 s are left; latency makes it 3 s more, and loss 2 s more; by hand, as in the test above."""
+    found = told_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    axes, _ = waterfall(found).axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == [
+        "ideal", "latency", "loss", "interaction", "as it is"
+    ]  # fmt: skip
+    bars = {round(bar.get_x() + bar.get_width() / 2): (bar.get_y(), bar.get_height()) for bar in axes.patches}
+    assert bars == {0: (0.0, 4.5), 1: (4.5, 3.0), 2: (7.5, 2.0), 3: (9.5, 0.0), 4: (0.0, 9.5)}
+
+
+@pytest.mark.slow
+def test_the_last_step_of_a_picture_ends_where_the_scenario_is():
+    found = explain(BAD, 2)
+    figure = waterfall(found)
+    assert len(figure.axes) == len(EXPLAINED)
+    for axes in figure.axes:
+        names = [label.get_text() for label in axes.get_xticklabels()]
+        assert names == ["ideal", *IMPERFECTIONS, "interaction", "as it is"]
+        tops = {round(bar.get_x() + bar.get_width() / 2): bar.get_y() + bar.get_height() for bar in axes.patches}
+        assert tops[len(names) - 2] == pytest.approx(tops[len(names) - 1])
+
+
+# The command.
 
 FILE = """
 name = "late"
-horizon = 4.0
+horizon = 1.0
 team.count = 4
 motion.step = 0.1
 network.latency = { kind = "constant", value = 0.3 }
 fault = [{ kind = "crash", node = 0, at = 0.5 }]
 """
+FAILING = """
+def always(me):
+    yield me.sleep(0.1)
+    raise RuntimeError("for good")
+
+
+def sometimes(me):
+    yield me.sleep(0.1)
+    if me.latency == 0.0 and me.shared_stream("trouble").random() < 0.5:
+        raise RuntimeError("now and then")
+"""
+
+
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """They take a second."""
+    monkeypatch.setattr("desim.analysis.folder.can_plot", lambda: False)
 
 
 @pytest.fixture
 def file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / "late.toml"
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (folder / "wrong_in_explain.py").write_text(FAILING)
+    path = folder / "late.toml"
     path.write_text(FILE)
-    return path
+    yield path
+    sys.modules.pop("wrong_in_explain", None)
+
+
+def command(*arguments):
+    return CliRunner().invoke(main, ["explain", *map(str, arguments)])
 
 
 def told(*arguments):
-    result = CliRunner().invoke(main, ["explain", *map(str, arguments)])
+    result = command(*arguments)
     assert result.exit_code == 0, result.output
     return result.stdout
 
 
-def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file, tmp_path):
+WRITTEN = {*(f"explain.{kind}" for kind in ("txt", "json", "svg", "png")), "run.json", "sweep.sqlite"}
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file):
     table = told(file, "-n", 3)
-    folder = tmp_path / "out/late/explain"
-    assert {each.name for each in folder.iterdir()} == {
-        *(f"explain.{kind}" for kind in ("txt", "json", "svg", "png")),
-        "run.json",
-        "sweep.sqlite",
-    }
+    folder = file.parent / "out/late/explain"
+    assert {each.name for each in folder.iterdir()} == WRITTEN
     assert (folder / "explain.txt").read_text() == table
-    for name in ("as it is", "latency", "faults", "serial decisions", "interaction", "all together", "ideal"):
-        assert f"\n{name} " in table.replace("\n  ", "\n")
+    names = [line.strip().split("  ")[0] for line in table.splitlines()[2:-1]]
+    assert names == [
+        "as it is", "latency", "faults", "serial decisions", "interaction", "all together", "ideal"
+    ]  # fmt: skip
     document = json.loads((folder / "explain.json").read_text())
     assert document == json.loads(told(file, "-n", 3, "--json"))
-    assert set(document["costs"]["active_time"]["parts"]) == {"latency", "faults", "serial decisions"}
-    assert json.loads((folder / "run.json").read_text())["what"] == "explain"
+    costs = document["costs"]["active_time"]
+    assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
+    assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing"}
+    assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
+    assert document["absent"] == ["loss", "range limit", "stale knowledge"]
+    made = json.loads((folder / "run.json").read_text())
+    assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
+
+
+def test_the_command_has_100_runs_if_no_number_is_given(file, monkeypatch):
+    asked = []
+
+    def of(scenario, runs, seed):
+        asked.append((runs, seed))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Variants, "of", of)
+    command(file)
+    command(file, "-n", 7, "-s", 3)
+    assert asked == [(100, None), (7, 3)]
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [("../../up/late", "up-late"), ("/late", "late"), ("..", "unnamed"), ("a b/c", "a-b-c")],
+)
+def test_whatever_the_scenario_is_called_all_is_written_below_out(file, tmp_path, name, place):
+    before = set(tmp_path.rglob("*"))
+    told(file, "-n", 2, "--set", f"name={json.dumps(name)}", "--set", "horizon=0.1")
+    made = {path for path in set(tmp_path.rglob("*")) - before if path.is_file() and path.suffix != ".pyc"}
+    folder = file.parent / "out" / place / "explain"
+    assert {path.parent for path in made} == {folder}
+    assert {path.name for path in made} == WRITTEN - {"explain.svg", "explain.png"}
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_folder_is_taken_as_it_is(file, tmp_path):
+    told(file, "-n", 2, "-o", tmp_path / "there", "--set", "horizon=0.1")
+    assert {each.name for each in (tmp_path / "there").iterdir()} == WRITTEN - {"explain.svg", "explain.png"}
+    assert not (file.parent / "out").exists()
+
+
+def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
+    result = command(file, "-n", 2, "--set", "protocol.kind=wrong_in_explain:always")
+    assert result.exit_code == 3
+    assert result.stdout == ""
+    assert "with every seed a run failed; the first: RuntimeError: for good\n" in result.stderr
+    # as it is, without latency, without faults, without both
+    assert "8 runs are in out/late/explain/sweep.sqlite" in result.stderr
+    assert not (file.parent / "out/late/explain/explain.txt").exists()
+
+
+@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.parametrize("as_json", [False, True])
+def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file, as_json):
+    result = command(file, "-n", 6, "--set", "protocol.kind=wrong_in_explain:sometimes", *["--json"] * as_json)
+    assert result.exit_code == 3
+    document = json.loads((file.parent / "out/late/explain/explain.json").read_text())
+    assert document["runs"] + document["failed"] == 6
+    assert document["failed"] > 0 < document["runs"]
+    assert f"with {document['failed']} seeds a run failed; the same command tries them again" in result.stderr
+    if as_json:
+        assert json.loads(result.stdout) == document
+    else:
+        assert f"{document['failed']} seeds are left out" in result.stdout
+
+
+def test_an_interrupted_command_says_how_to_go_on(file, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Variants, "carry_out", interrupted)
+    result = command(file, "-n", 2)
+    assert result.exit_code == 130
+    assert "interrupted: 0 runs are in out/late/explain/sweep.sqlite; the same command goes on" in result.stderr
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_the_folder_of_another_scenario_is_refused(file):
+    told(file, "-n", 2, "--set", "horizon=0.1")
+    before = (file.parent / "out/late/explain/explain.json").read_text()
+    result = command(file, "-n", 2, "--set", "horizon=0.2")
+    assert result.exit_code == 2
+    assert "horizon was 0.1, is 0.2; remove it, or choose another folder (-o)" in result.stderr
+    assert (file.parent / "out/late/explain/explain.json").read_text() == before
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"), [(("-n", 1), "is not in the range x>=2"), (("--set", "team.count=0"), "team.count")]
 )
 def test_bad_options_are_refused(file, arguments, complaint):
-    result = CliRunner().invoke(main, ["explain", str(file), *map(str, arguments)])
+    result = command(file, *arguments)
     assert result.exit_code == 2
     assert complaint in result.output
-
-
-def test_the_picture_has_a_bar_per_part_between_the_two_ends():
-    figure = waterfall(explain(BAD, 3))
-    for axes in figure.axes:
-        names = [label.get_text() for label in axes.get_xticklabels()]
-        assert names == ["ideal", *IMPERFECTIONS, "interaction", "as it is"]
-        ends = [bar.get_y() + bar.get_height() for bar in axes.patches]
-        assert ends[-1] == pytest.approx(ends[1])  # the last step ends where the bar of the scenario as it is does

@@ -1,0 +1,154 @@
+"""`desim draw`: pictures of a run that was recorded, or is run for them."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from desim.cli.look import recorded, simulated
+from desim.cli.options import SEED, SET, refuse
+
+if TYPE_CHECKING:
+    from desim.simulation import Result
+
+
+@click.group()
+def draw() -> None:
+    """Draw what happened in a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
+
+
+def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
+    """Return the run in a folder or of a scenario file."""
+    from desim.analysis.reading import reading
+
+    if not source.is_dir():
+        return reading(simulated(source, seed, overrides))
+    if seed is not None or overrides:
+        raise click.UsageError("--seed and --set are for a scenario FILE: what is in a DIR has happened")
+    return reading(recorded(source))
+
+
+def _place(source: Path, out: Path | None, name: str) -> Path:
+    """Return where a picture goes: into the folder of the run, or beside nothing else, here."""
+    return out or (source / name if source.is_dir() else Path(f"{source.stem}.{name}"))
+
+
+def _attempt(make: Callable[[], Any], path: Path) -> Any:
+    """Make a picture, or end the program and say why that cannot be."""
+    try:
+        return make()
+    except ModuleNotFoundError as error:
+        refuse(f"a picture needs {error.name}: pip install 'pursuit-desim[plot]'")
+    except ValueError as error:
+        refuse(str(error))
+    except OSError as error:
+        refuse(f"--out {path}: cannot be written: {error.strerror}")
+
+
+def _told(*paths: Path) -> None:
+    for path in paths:
+        click.echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
+
+
+SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
+OUT = click.option("-o", "--out", type=click.Path(path_type=Path), help="The file; default: in DIR, or here.")
+FROM = click.option("--from", "begin", type=click.FloatRange(min=0), help="Begin of the window, s; default: the start.")
+
+
+class _Pursuers(click.ParamType[tuple[int, ...]]):
+    """Numbers of pursuers: 0,3,17."""
+
+    name = "i,j,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        try:
+            return tuple(int(each) for each in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} should be numbers with commas between them, like 0,3,17", param, ctx)
+
+
+@draw.command()
+@SOURCE
+@OUT
+@FROM
+@click.option("--to", "end", type=click.FloatRange(min=0), help="End, s; default: while messages can be told apart.")
+@click.option("--pursuers", type=_Pursuers(), help="Who, from top to bottom; default: all, or the six busiest.")
+@click.option("--width", type=click.FloatRange(min=4, max=200), default=17.0, show_default=True, help="cm.")
+@SEED
+@SET
+def spacetime(
+    source: Path,
+    out: Path | None,
+    begin: float | None,
+    end: float | None,
+    pursuers: tuple[int, ...] | None,
+    width: float,
+    seed: int | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Draw a line per pursuer and an arrow per message, as SVG and PNG."""
+    path = _place(source, out, "spacetime.svg")
+
+    def make() -> list[Path]:
+        from desim.analysis.plots import save
+        from desim.view.spacetime import spacetime as drawn
+
+        return save(drawn(_of(source, seed, overrides), begin, end, pursuers, width), path, dpi=200)
+
+    _told(*_attempt(make, path))
+
+
+@draw.command()
+@SOURCE
+@OUT
+@SEED
+@SET
+def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
+    """Write a timeline for https://ui.perfetto.dev, which shows it without sending it anywhere."""
+    path = _place(source, out, "trace.perfetto.json")
+
+    def make() -> None:
+        from desim.view.perfetto import write
+
+        write(_of(source, seed, overrides), path)
+
+    _attempt(make, path)
+    _told(path)
+
+
+@draw.command()
+@SOURCE
+@OUT
+@FROM
+@click.option("--to", "end", type=click.FloatRange(min=0), help="End of the window, s; default: the end.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Simulated seconds per second.",
+)
+@click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second.")
+@SEED
+@SET
+def gif(
+    source: Path,
+    out: Path | None,
+    begin: float | None,
+    end: float | None,
+    speed: float,
+    fps: int,
+    seed: int | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Film the pursuit from above, for slides."""
+    path = _place(source, out, "pursuit.gif")
+
+    def make() -> None:
+        from desim.view.animation import animate
+
+        animate(_of(source, seed, overrides), path, begin=begin or 0.0, end=end, speed=speed, fps=fps)
+
+    _attempt(make, path)
+    _told(path)

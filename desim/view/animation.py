@@ -1,0 +1,210 @@
+"""A run as a GIF for slides: everyone from above, who is active, and the messages on their way.
+
+Frames are drawn over one background in the colours of one palette; equal runs give equal bytes.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+from PIL import Image
+from tqdm import tqdm
+
+from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
+from desim.analysis.reading import ended
+from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.events import Broadcast, Sent
+from desim.simulation import Result
+from desim.view.passages import passages
+from desim.view.pursuit import Paths, stints
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+WIDTH, HEIGHT = 4.8, 5.4
+"""Of a frame, in."""
+PAD = 0.1
+"""Around everything, in."""
+DPI = 100
+MOST = 1500
+"""Frames; they take 0.4 MB of memory each."""
+HOLD = 1500
+"""How long the last frame stays, ms."""
+COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
+SHADES = 10
+"""Of each colour, towards white."""
+
+
+def animate(
+    result: Result, path: Path, *, begin: float = 0.0, end: float | None = None, speed: float = 1.0, fps: int = 20
+) -> int:
+    """Write a run as a GIF and return the number of frames.
+
+    Args:
+        result: of a run whose positions were recorded; its messages are dots if they were recorded, too.
+        path: of the file.
+        begin: s.
+        end: s; None = the end of the run.
+        speed: simulated seconds per second.
+        fps: frames per second, at most 50; the format counts hundredths of a second, so it may become a little more.
+
+    Raises:
+        ValueError: if no positions were recorded, or there is no frame, or too many.
+    """
+    last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
+    if not 0.0 <= begin < last:
+        raise ValueError(
+            f"there is nothing from {begin:g} s to {last:g} s: the run lasted {seconds(ended(result).t):g} s"
+        )
+    if not (speed > 0.0 and 1 <= fps <= 50):
+        raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
+    pause = 100 // fps * 10  # ms
+    step = nanoseconds(speed * pause / 1000.0)
+    times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MOST + 1], nanoseconds(last)]
+    if len(times) > MOST:
+        raise ValueError(
+            f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MOST} frames: choose a higher speed, "
+            "fewer fps, or a part of the run"
+        )
+    first, *rest = frames(result, times)
+    pauses = [pause] * len(rest) + [HOLD]
+    first.save(path, "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+    return len(times)
+
+
+def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
+    """Return a picture of the run at each of some times (ns), all in the colours of one palette.
+
+    Raises:
+        ValueError: if no positions were recorded.
+    """
+    with styled((WIDTH, HEIGHT)) as figure:
+        figure.dpi = DPI
+        figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
+        canvas: Any = FigureCanvasAgg(figure)
+        stage = _Stage(figure, result)
+    for artist in stage.moving:  # it has had its share of the layout
+        artist.set_animated(True)
+    canvas.draw()
+    background, palette = canvas.copy_from_bbox(figure.bbox), _palette()
+    found: list[Image.Image] = []
+    before = -1
+    for t in tqdm(times, desc="frames", unit="frame", disable=None):
+        canvas.restore_region(background)
+        for artist in stage.at(t, before):
+            figure.draw_artist(artist)
+        image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+        before = t
+    return found
+
+
+def _palette() -> Image.Image:
+    """Return an image that has the palette of all frames."""
+    colours = [1.0 + (np.array(to_rgb(each)) - 1.0) * k / SHADES for each in COLOURS for k in range(1, SHADES + 1)]
+    levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
+    found = Image.new("P", (1, 1))
+    found.putpalette(levels.ravel().tolist())
+    return found
+
+
+class _Stage:
+    """What moves on a figure; all else is drawn as it is made."""
+
+    def __init__(self, figure: Figure, result: Result):
+        self._result, self._paths, self._stints = result, Paths(result), stints(result)
+        self._flown = _flights(result, self._paths)
+        axes = figure.add_subplot()
+        self._set(axes)
+        (self._trails,) = axes.plot([], [], color=SKY, lw=1.0, solid_capstyle="butt")
+        (self._relay,) = axes.plot([], [], color=BLUE, lw=2.5, solid_capstyle="butt")
+        (self._evaded,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
+        (self._dots,) = axes.plot([], [], "o", color=ORANGE, ms=2.5, mew=0, label="message")
+        (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
+        (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
+        (self._beside,) = axes.plot([], [], "o", mfc=SKY, mec=BLUE, ms=6, label="active with others")
+        (self._alone,) = axes.plot([], [], "o", mfc=BLUE, mec=BLUE, ms=9, label="active alone")
+        (self._evader,) = axes.plot([], [], "s", color=VERMILION, ms=6, label="evader")
+        (self._star,) = axes.plot([], [], "*", color="black", ms=14, mew=0)
+        self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
+        shown = [self._inactive, self._beside, self._alone, self._evader]
+        shown += [self._dots] if len(self._flown.left) else []
+        shown += [self._crosses] if self._flown.lost.any() else []
+        figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
+        self.moving: list[Artist] = [self._trails, self._relay, self._evaded, self._inactive, self._beside]
+        self.moving += [self._alone, self._dots, self._crosses, self._evader, self._star, self._caption]
+
+    def _set(self, axes: Axes) -> None:
+        everywhere = np.concatenate([self._paths.evader, self._paths.pursuers.reshape(-1, 2)])
+        low, high = everywhere.min(axis=0), everywhere.max(axis=0)
+        margin = 0.05 * float((high - low).max()) or 1.0
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+
+    def at(self, t: int, before: int) -> list[Artist]:
+        """Return what moves as it is at a time, the frame before being of another (ns), in the order of drawing."""
+        paths, size = self._paths, self._paths.pursuers.shape[1]
+        begun = [each for each in self._stints if each.begin <= t]
+        for line, alone in ((self._trails, False), (self._relay, True)):
+            line.set_data(_joined([paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]))
+        self._evaded.set_data(paths.of(None, 0, t).T)
+        active = {s.pursuer for s in begun if t < s.end or t == s.end == ended(self._result).t}
+        places = np.array([paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
+        role = np.array([(1 if len(active) > 1 else 2) if pursuer in active else 0 for pursuer in range(size)])
+        for kind, line in enumerate((self._inactive, self._beside, self._alone)):
+            line.set_data(places[role == kind].T)
+        self._dots.set_data(self._flown.under_way(t).T)
+        self._crosses.set_data(self._flown.lost_between(before, t).T)
+        here = paths.at(None, np.array([t])).T
+        end = ended(self._result)
+        is_over = t >= end.t and end.reason == "captured"
+        self._evader.set_data(here)
+        self._star.set_data(here if is_over else ([], []))
+        who = f"pursuer {min(active)} alone" if len(active) == 1 else f"{len(active)} active"
+        told = f"captured by {end.capturer}" if is_over else who
+        self._caption.set_text(f"{seconds(t):.2f} s: {told}")
+        return self.moving
+
+
+def _joined(paths: Sequence[Floats]) -> Floats:
+    """Return paths (k, 2) as one (2, K), with gaps between them."""
+    gap = np.full((1, 2), np.nan)
+    joined: Floats = np.concatenate([gap, *(part for path in paths for part in (path, gap))]).T
+    return joined
+
+
+class _Flights:
+    """Messages as points that move evenly from where the sender was to where the receiver will be."""
+
+    def __init__(self, left: Integers, until: Integers, lost: NDArray[np.bool_], source: Floats, target: Floats):
+        self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
+
+    def under_way(self, t: int) -> Floats:
+        """Return the (k, 2) places of messages that are under way."""
+        flying = (self.left <= t) & (t < self._until)
+        share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
+        found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
+        return found
+
+    def lost_between(self, before: int, t: int) -> Floats:
+        """Return the (k, 2) places, just before their receivers, of messages lost between two times."""
+        gone = self.lost & (before < self._until) & (self._until <= t)
+        found: Floats = self._source[gone] + 0.9 * (self._target - self._source)[gone]
+        return found
+
+
+def _flights(result: Result, paths: Paths) -> _Flights:
+    """Return the messages of a run, none if they were not recorded."""
+    told = any(isinstance(event, Broadcast | Sent) for event in result.trace)
+    own = passages(result) if told else []
+    left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
+    source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
+    for pursuer in range(paths.pursuers.shape[1]):
+        sent = np.array([each.src == pursuer for each in own], dtype=bool)
+        read = np.array([each.dst == pursuer for each in own], dtype=bool)
+        source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
+    return _Flights(left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target)

@@ -1,0 +1,70 @@
+"""Names beside points, where they cover nothing."""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from desim.analysis.plots import Axes
+
+Floats = np.ndarray[Any, np.dtype[np.float64]]
+Place = tuple[float, float]
+WIDTH, HEIGHT = 0.66, 0.85
+"""Of a digit with a little room, in units of the size of its type."""
+MARKER = 2.5
+"""Half the width of what is drawn at a point, points."""
+
+
+def label_points(
+    axes: Axes,
+    places: Sequence[Place],
+    names: Sequence[str],
+    *,
+    avoid: Sequence[Place] = (),
+    size: float = 6.0,
+    **look: Any,
+) -> None:
+    """Write a short name beside each place, where it covers least: no place, no other name, no edge of the axes.
+
+    Args:
+        axes: to write on; with their final limits, and on a figure that is laid out (`draw_without_rendering`).
+        places: (x, y), in the units of the axes.
+        names: of the places.
+        avoid: more places.
+        size: of the type, points.
+        look: more of the text's properties.
+    """
+    assert isinstance(axes.figure, Figure)
+    points = 72.0 / axes.figure.dpi
+    everything = axes.transData.transform(np.array([*places, *avoid], dtype=float)) * points
+    taken = [np.concatenate([each - MARKER, each + MARKER]) for each in everything]  # left, bottom, right, top
+    frame = np.array(axes.bbox.extents) * points
+    for name, place, anchor in zip(names, places, everything, strict=False):
+        boxes = _beside(anchor, WIDTH * size * len(name), HEIGHT * size)
+        costs = [sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
+        best = boxes[int(np.argmin(costs))]
+        taken.append(best)
+        x, y = (best[:2] - anchor).tolist()
+        text = axes.annotate(name, place, (x, y), textcoords="offset points", fontsize=size, **look)
+        text.set_in_layout(False)
+
+
+def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:
+    """Return the eight boxes beside a point, first that to the upper right."""
+    x, y = anchor
+    lefts = (x + MARKER + 0.5, x - width / 2.0, x - width - MARKER - 0.5)
+    bottoms = (y + MARKER - 0.5, y - height / 2.0, y - height - MARKER + 0.5)
+    corners = list(product(lefts, bottoms))
+    return [np.array([left, bottom, left + width, bottom + height]) for left, bottom in corners[:4] + corners[5:]]
+
+
+def _common(one: Floats, other: Floats) -> float:
+    """Return the area that two boxes have in common."""
+    sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
+    return float(np.prod(np.maximum(sides, 0.0)))
+
+
+def _area(box: Floats) -> float:
+    return float(np.prod(box[2:] - box[:2]))

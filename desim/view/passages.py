@@ -1,0 +1,109 @@
+"""What there is to draw of a run beside positions: how each message fared, who chased when, and what was broken."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from desim.analysis.activity import changes, chases
+from desim.analysis.reading import ended, messages, started
+from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
+from desim.kernel.faults import Began, Fault, Over
+from desim.simulation import Result
+
+
+class Passage(NamedTuple):
+    """One message on its way to one receiver."""
+
+    flight: int
+    """The number of the transmission."""
+    src: int
+    dst: int
+    created: int
+    """When it was sent, ns; earlier than it left if the transmitter was busy."""
+    left: int
+    """When it left or, if it never did, when it was dropped, ns."""
+    until: int
+    """When it arrived or was lost, ns; after the end of the run if it was in flight then."""
+    cause: Cause | None
+    """Why it was lost, if it was."""
+    size: int
+    """Bytes."""
+    body: Any
+    """What it said; None if it never left."""
+
+
+def passages(result: Result) -> list[Passage]:
+    """Return how every message fared, in the order of what they left as; a broadcast is one for each receiver.
+
+    Raises:
+        ValueError: if messages were sent and not recorded.
+    """
+    found: dict[tuple[int, int], Passage] = {}
+    for event in result.trace:
+        if isinstance(event, Broadcast | Sent | Queued):
+            for passage in _begun(event):
+                found[passage.flight, passage.dst] = passage
+        elif isinstance(event, Lost):
+            passage = found[event.flight, event.dst]
+            left = passage.left if passage.body is not None else event.t
+            found[event.flight, event.dst] = passage._replace(left=left, until=event.t, cause=event.cause)
+    if not found and messages(result).sent:
+        raise ValueError("messages were sent and not recorded: set record.messages = true")
+    return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
+
+
+def _begun(event: Broadcast | Sent | Queued) -> Iterator[Passage]:
+    """Yield what left or began to wait; if it is lost, when and why follows."""
+    if isinstance(event, Queued):
+        for dst in event.dst:
+            yield Passage(event.flight, event.src, dst, event.t, event.t, event.t, None, event.size, None)
+        return
+    receivers, arrivals = (
+        (event.dst, event.arrival) if isinstance(event, Broadcast) else ((event.dst,), (event.arrival,))
+    )
+    alike = len(arrivals) == 1
+    for dst, arrival in zip(receivers, arrivals * len(receivers) if alike else arrivals, strict=True):
+        yield Passage(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
+
+
+def news(body: Any) -> bool | None:
+    """Return what a message says of its sender's action: active, inactive, or None if nothing."""
+    said = getattr(body, "active", None)
+    return said if isinstance(said, bool) else None
+
+
+class Spell(NamedTuple):
+    """A time for which something was so, ns."""
+
+    begin: int
+    end: int
+
+
+def chasing(result: Result) -> list[list[Spell]]:
+    """Return when each pursuer was active, in order of time."""
+    start, end = started(result), ended(result).t
+    since: list[int | None] = [0 if active else None for active in start.active]
+    found: list[list[Spell]] = [[] for _ in start.active]
+    for change in changes(result):
+        begin = since[change.pursuer]
+        since[change.pursuer] = change.t if chases(change) else None
+        if begin is not None:
+            found[change.pursuer].append(Spell(begin, change.t))
+    for pursuer, begin in enumerate(since):
+        if begin is not None:
+            found[pursuer].append(Spell(begin, end))
+    return found
+
+
+def outages(result: Result) -> list[tuple[Fault, Spell]]:
+    """Return what was broken and when, in order of its beginning; what is never over ends with the run."""
+    end, open_faults = ended(result).t, list[Began]()
+    found: list[tuple[Fault, Spell]] = []
+    for event in result.trace:
+        if isinstance(event, Began):
+            open_faults.append(event)
+        elif isinstance(event, Over):
+            began = next(each for each in open_faults if each.fault == event.fault)
+            open_faults.remove(began)
+            found.append((event.fault, Spell(began.t, event.t)))
+    found += [(began.fault, Spell(began.t, end)) for began in open_faults]
+    return sorted(found, key=lambda each: each[1])

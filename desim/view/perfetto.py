@@ -1,0 +1,141 @@
+"""A run as a timeline for the Perfetto UI (https://ui.perfetto.dev): its trace as JSON in the Trace Event Format.
+
+The format is that of Google's document "Trace Event Format", as Perfetto reads it
+(https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source): times
+`ts` and durations `dur` in microseconds, with decimals; "M" names a process or a thread; "X" is a slice of a thread;
+"i" an instant; "C" a counter; "b" and "e", alike in pid, cat, id and name, are the ends of what may overlap, and those
+of one process that have one name make one track.
+
+The pursuers are the threads of one process; each receiver is a process, whose tracks are the links that lead to it.
+"""
+
+import json
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from desim.analysis.activity import changes, chases, decisions, relays
+from desim.analysis.reading import ended, started
+from desim.kernel.clock import SECOND
+from desim.kernel.events import Broadcast, Lost, Queued, Sent
+from desim.kernel.faults import Crash
+from desim.simulation import Result
+from desim.view.passages import chasing, outages, passages
+
+PURSUERS = 1
+"""The process whose threads are the pursuers."""
+TEAM = 1
+"""The thread of what concerns all of them."""
+FIRST = 2
+"""The thread of pursuer 0, and the process of what it receives."""
+Entry = dict[str, Any]
+"""One object of the format."""
+
+
+def trace_events(result: Result) -> list[Entry]:
+    """Return a run as trace events, names first and then in order of time; messages if they were recorded."""
+    told = any(isinstance(event, Broadcast | Sent | Queued | Lost) for event in result.trace)
+    timed = [*_slices(result), *_instants(result), *_counts(result), *(_messages(result) if told else ())]
+    timed.sort(key=lambda entry: entry["ts"])  # stable, so that what begins and ends at once begins first
+    return [*_names(len(started(result).active), told), *timed]
+
+
+def perfetto(result: Result) -> str:
+    """Return the JSON text of a run, one event a line; see `trace_events`."""
+    entries = ",\n".join(json.dumps(_plain(entry), allow_nan=False) for entry in trace_events(result))
+    about = {"scenario": result.scenario.name, "seed": result.seed}
+    return f'{{"displayTimeUnit": "ms", "otherData": {json.dumps(about)}, "traceEvents": [\n{entries}\n]}}\n'
+
+
+def write(result: Result, path: Path) -> None:
+    """Write the timeline of a run to a file."""
+    path.write_text(perfetto(result), encoding="utf-8", newline="\n")
+
+
+def _names(size: int, told: bool) -> Iterator[Entry]:
+    """Yield what processes and threads are called, and in which order they stand."""
+
+    def name(kind: str, pid: int, tid: int, text: str) -> Iterator[Entry]:
+        yield {"ph": "M", "pid": pid, "tid": tid, "name": f"{kind}_name", "args": {"name": text}}
+        rank = pid if kind == "process" else tid
+        yield {"ph": "M", "pid": pid, "tid": tid, "name": f"{kind}_sort_index", "args": {"sort_index": rank}}
+
+    yield from name("process", PURSUERS, TEAM, "pursuers")
+    yield from name("thread", PURSUERS, TEAM, "team")
+    for pursuer in range(size):
+        yield from name("thread", PURSUERS, FIRST + pursuer, f"pursuer {pursuer}")
+    for pursuer in range(size if told else 0):
+        # Perfetto tells threads apart by tid alone, so that of a receiver has to be another than a pursuer's.
+        yield from name("process", FIRST + pursuer, FIRST + size + pursuer, f"messages to {pursuer}")
+
+
+def _slices(result: Result) -> Iterator[Entry]:
+    """Yield what lasts: chases, and what is broken."""
+    for pursuer, spells in enumerate(chasing(result)):
+        for begin, end in spells:
+            yield _entry("X", "active", FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
+    for k, (fault, (begin, end)) in enumerate(outages(result)):
+        ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
+        name = f"{fault.scope} of {fault.node} down" if isinstance(fault, Crash) else fault.kind
+        yield _entry("b", name, TEAM, begin, **ends, args={"fault": fault})
+        yield _entry("e", name, TEAM, end, **ends)
+
+
+def _instants(result: Result) -> Iterator[Entry]:
+    """Yield what happens at once: decisions, take-overs, and the end."""
+    changed = {id(change) for change in changes(result)}
+    for each in decisions(result):
+        name = ("starts" if chases(each) else "stops") if id(each) in changed else "decides as before"
+        yield _entry("i", name, FIRST + each.pursuer, each.t, cat="decision", s="t", args={"active": each.active})
+    for t, pursuer in relays(result):
+        yield _entry("i", f"{pursuer} takes over", TEAM, t, cat="relay", s="t", args={"pursuer": pursuer})
+    end = ended(result)
+    yield _entry("i", end.reason, TEAM, end.t, cat="end", s="g", args={"capturer": end.capturer})
+
+
+def _counts(result: Result) -> Iterator[Entry]:
+    """Yield the number of active pursuers as often as it changes."""
+    number = sum(started(result).active)
+    yield _entry("C", "active pursuers", TEAM, 0, args={"number": number})
+    for change in changes(result):
+        number += 1 if chases(change) else -1
+        yield _entry("C", "active pursuers", TEAM, change.t, args={"number": number})
+
+
+def _messages(result: Result) -> Iterator[Entry]:
+    """Yield both ends of each message; what is in flight as the run ends goes on until it would arrive."""
+    size, over = len(started(result).active), ended(result).t
+    for each in passages(result):
+        link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.flight}.{each.dst}"}
+        name, tid = f"{each.src} to {each.dst}", FIRST + size + each.dst
+        says = {"bytes": each.size, "says": each.body}
+        if each.created < each.left:
+            says["waited (s)"] = (each.left - each.created) / SECOND
+        fate = f"lost: {each.cause}" if each.cause else "in flight" if each.until > over else "arrived"
+        yield _entry("b", name, tid, each.left, **link, args=says)
+        yield _entry("e", name, tid, each.until, **link, args={"fate": fate})
+
+
+def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more: Any) -> Entry:
+    return {"ph": ph, "name": name, "pid": pid, "tid": tid, "ts": _microseconds(t)} | more
+
+
+def _microseconds(t: int) -> float | int:
+    """Return a time (ns) in microseconds; a float has room for the nanoseconds of 100 days."""
+    return t / 1000 if t % 1000 else t // 1000
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as what JSON has; of a body that it does not know, the `repr`."""
+    if isinstance(value, float):
+        return value if isfinite(value) else repr(value)
+    if value is None or isinstance(value, str | int):
+        return value
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    elif hasattr(value, "plain"):
+        value = value.plain()
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else repr(value)

@@ -1,0 +1,230 @@
+"""The space-time diagram of a run: a line per pursuer, time to the right, each message an arrow from send to arrival.
+
+After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. A message whose loss
+is settled as it leaves has no latency: it is drawn to just before its receiver, at the mean latency of those that
+arrive. One that is lost as it arrives ends on the line of its receiver.
+"""
+
+from collections.abc import Sequence
+from itertools import groupby
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from desim.analysis.activity import changes, chases, decisions
+from desim.analysis.plots import BLUE, GREY, VERMILION, Axes, Figure, styled
+from desim.analysis.reading import ended, started
+from desim.kernel.clock import SECOND, nanoseconds, seconds
+from desim.kernel.faults import Crash
+from desim.simulation import Result
+from desim.view.passages import Passage, Spell, chasing, news, outages, passages
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+
+MOST = 24
+"""How many messages can be told apart in a centimetre; half of them are easily."""
+ARROWS: dict[str, Any] = {
+    **{"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.008},
+    **{"headwidth": 6.0, "headlength": 7.0, "headaxislength": 6.0, "minshaft": 1.0, "minlength": 0.0},
+}
+"""From a place to another, inches wide; heads in widths."""
+SHORT = 0.25
+"""How far before its receiver's line the way of a message ends that is lost as it leaves, in lines."""
+WIDE = 12.0
+"""From this width on there is room for larger type, cm."""
+FEW = 10
+"""Up to so many pursuers are all drawn if nobody says which."""
+
+
+def spacetime(
+    result: Result,
+    begin: float | None = None,
+    end: float | None = None,
+    pursuers: Sequence[int] | None = None,
+    width: float = 17.0,
+) -> Figure:
+    """Draw the messages among pursuers in a window of time, what they decided, and what was broken.
+
+    What is not said is chosen such that there is something to see, and not too much.
+
+    Args:
+        result: of a run whose messages were recorded.
+        begin: of the window, s; None = the start of the run.
+        end: of the window, s; None = as late as the messages can be told apart.
+        pursuers: who, from top to bottom; None = everybody or, of more than ten, those six that changed action most.
+        width: of the figure, cm; that of a column of a paper is 8.5.
+
+    Raises:
+        ValueError: if messages were not recorded, a pursuer does not exist, the window is empty, or the messages in it
+            are too many to be told apart.
+    """
+    shown = list(pursuers) if pursuers is not None else _busiest(result)
+    _check(result, shown, begin, end)
+    window, own = _window(result, shown, begin, end, round(MOST * width))
+    with styled((width / 2.54, 1.2 + 0.3 * len(shown)), font=7 if width < WIDE else 8) as figure:
+        axes = figure.add_subplot()
+        rows = {pursuer: row for row, pursuer in enumerate(shown)}
+        _draw_pursuers(axes, result, rows, window)
+        _draw_outages(axes, result, rows, window)
+        _draw_messages(axes, own, rows, _mean_latency(own))
+        _draw_decisions(axes, result, rows, window)
+        axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
+        axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.set_title(f"{result.scenario.name}, seed {result.seed}", parse_math=False)
+        handles, labels = axes.get_legend_handles_labels()
+        found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
+        figure.legend(
+            list(found.values()),
+            list(found),
+            loc="outside lower center",
+            ncols=3 if width < WIDE else 5,
+            columnspacing=1.0,
+        )
+    return figure
+
+
+def _busiest(result: Result) -> list[int]:
+    """Return the pursuers to draw: all if they are few, else those that changed action most often, ascending."""
+    size, most = len(started(result).active), 6
+    if size <= FEW:
+        return list(range(size))
+    count = np.bincount([change.pursuer for change in changes(result)], minlength=size)
+    return sorted(np.argsort(-count, kind="stable")[:most].tolist())
+
+
+def _check(result: Result, shown: Sequence[int], begin: float | None, end: float | None) -> None:
+    size, last = len(started(result).active), seconds(ended(result).t)
+    for pursuer in shown:
+        if not 0 <= pursuer < size:
+            raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {size - 1}")
+    if len(set(shown)) < len(shown) or not shown:
+        raise ValueError(f"pursuers should be named once each, and at least one, got {list(shown)}")
+    if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
+        until = "its end" if end is None else f"{end:g} s"
+        raise ValueError(f"the window from {begin or 0.0:g} s to {until} is empty: the run lasted {last:g} s")
+
+
+def _window(
+    result: Result, shown: Sequence[int], begin: float | None, end: float | None, most: int
+) -> tuple[Spell, list[Passage]]:
+    """Return the window (ns) and the messages among those shown that are on their way in it.
+
+    Without an end they are half as many as can be told apart, or those of one instant.
+    """
+    among = set(shown)
+    first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
+    last = min(last, ended(result).t)
+    own = [
+        each
+        for each in passages(result)
+        if each.src in among and each.dst in among and each.left <= last and each.until >= first
+    ]
+    if end is None and len(own) > most // 2:
+        last = next((each.left for each in own[most // 2 :] if each.left > first), last)
+        own = [each for each in own if each.left <= last]
+    if len(own) > most:
+        fits = max(own[most].left, first)
+        advice = f"end the window at {seconds(fits):.4g} s, or " if fits > first else ""
+        raise ValueError(
+            f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
+            f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider picture"
+        )
+    return Spell(first, last), own
+
+
+def _mean_latency(own: Sequence[Passage]) -> float:
+    """Return the mean time from send to arrival, s; 0 if nothing arrives."""
+    times = [each.until - each.left for each in own if each.cause is None]
+    return float(np.mean(times)) / SECOND if times else 0.0
+
+
+def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+    """Draw a thin line for each pursuer, thick while it is active."""
+    spells = chasing(result)
+    for pursuer, row in rows.items():
+        axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
+        for spell in spells[pursuer]:
+            if spell.begin > window.end or spell.end < window.begin:
+                continue
+            x = [max(spell.begin, window.begin) / SECOND, min(spell.end, window.end) / SECOND]
+            axes.plot(x, [row, row], color=BLUE, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label="active")
+
+
+def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+    """Shade what was broken: the line of a pursuer, or the whole height."""
+    inside = [each for each in outages(result) if each[1].begin < window.end and each[1].end > window.begin]
+    level = 0
+    for fault, (begin, end) in inside:
+        x = max(begin, window.begin) / SECOND, min(end, window.end) / SECOND
+        if not isinstance(fault, Crash):
+            axes.axvspan(*x, color=GREY, alpha=0.18, lw=0, zorder=0)
+            lower, level = (2, -2 - 8 * level), 1 - level
+            axes.annotate(fault.kind, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
+        elif fault.node in rows:
+            row = rows[fault.node]
+            kind = "broken down" if fault.scope == "robot" else "radio down"
+            look: dict[str, Any] = {"robot": {"hatch": "/////"}, "radio": {"hatch": "xxxx"}}[fault.scope]
+            axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
+
+
+def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], latency: float) -> None:
+    """Draw the messages that arrive as arrows, those that do not as dotted lines to a cross."""
+
+    def kind(each: Passage) -> tuple[str, str]:
+        said = news(each.body)
+        if said is None:
+            return "#555555", "message"
+        return (BLUE, "says: active") if said else ("#777777", "says: inactive")
+
+    arrived = sorted((each for each in own if each.cause is None), key=kind)
+    for (colour, label), group in groupby(arrived, kind):
+        t, row = _ends(list(group), rows)
+        axes.quiver(*t[0:1], *row[0:1], *(t[1:] - t[:1]), *(row[1:] - row[:1]), color=colour, zorder=3.0, **ARROWS)
+        axes.plot([], [], color=colour, marker=">", ms=4, lw=1.0, label=label)
+    lost = [each for each in own if each.cause is not None]
+    if not lost:
+        return
+    t, row = _ends(lost, rows)
+    at_once = t[1] == t[0]
+    way = np.where(at_once, 1.0 - SHORT / np.abs(row[1] - row[0]), 1.0)
+    t[1] += np.where(at_once, latency * way, 0.0)
+    row[1] = row[0] + way * (row[1] - row[0])
+    gaps = np.full(len(lost), np.nan)
+    axes.plot(
+        np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=VERMILION, ls=":", lw=0.8, zorder=3
+    )
+    axes.plot(t[1], row[1], "x", color=VERMILION, ms=4, mew=1.0, zorder=4)
+    axes.plot([], [], color=VERMILION, ls=":", marker="x", ms=4, lw=1.0, label="lost message")
+
+
+def _ends(own: Sequence[Passage], rows: dict[int, int]) -> tuple[Any, Any]:
+    """Return (2, k) times (s) and rows at which messages begin and end."""
+    t = np.array([(each.left, each.until) for each in own], dtype=float).T / SECOND
+    return t, np.array([(rows[each.src], rows[each.dst]) for each in own], dtype=float).T
+
+
+def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+    """Mark the decisions: a tick for each, a triangle where the action changed."""
+    inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
+    changed = {id(each) for each in changes(result)}
+    looks: list[tuple[str, dict[str, Any], list[Any]]] = [
+        ("decides as before", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
+        (
+            "starts",
+            {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
+            [x for x in inside if id(x) in changed and chases(x)],
+        ),
+        (
+            "stops",
+            {"marker": "v", "mfc": "white", "mec": "black", "ms": 5},
+            [x for x in inside if id(x) in changed and not chases(x)],
+        ),
+    ]
+    for label, look, marked in looks:
+        if marked:
+            x, y = [each.t / SECOND for each in marked], [rows[each.pursuer] for each in marked]
+            axes.plot(x, y, ls="", zorder=5, clip_on=False, label=label, **look)

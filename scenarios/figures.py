@@ -1,0 +1,220 @@
+"""Draw the figures of Lee & Bakolas: initial configuration, trajectories, and individual utilities over time.
+
+Of the configurations of Table I, N = 20 and 40: centralised (Algorithm 3) and decentralised (Algorithm 2) for three
+slots delta. The figures show the run of the first seed; the table has means over all. The utility of a pursuer is its
+wonderful-life utility at the actions that are actually played, U_E(S) - U_E(S without i): 0 for who stays.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from desim import Result, Scenario, run
+from desim.analysis.activity import active_time, handovers, relays
+from desim.analysis.course import course
+from desim.analysis.folder import can_plot
+from desim.analysis.hindsight import gains
+from desim.analysis.reading import ended, reading, started
+from desim.analysis.statistics import estimate
+from desim.analysis.tables import aligned
+from desim.kernel.clock import SECOND, seconds
+from desim.scenario import Recording
+from scenarios.study import Options, study
+from scenarios.table1 import DELTAS, centralised, configuration, decentralised
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+COUNTS = (20, 40)
+SAMPLING = 0.02
+"""Between two samples of positions, s."""
+PRINT = 300
+"""Dots per inch of the PNG."""
+SHORT = 0.1
+"""If somebody is alone after this share of a run or less, its beginning is drawn larger."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What happened in one run."""
+
+    active_time: float
+    """Sum over the pursuers, s."""
+    end: float
+    """s"""
+    captured: bool
+    alone: float | None
+    """From when on one pursuer was active alone for the first time, s."""
+    handovers: int
+
+
+def numbers(result: Result) -> Numbers:
+    """Return what happened in a run."""
+    end, alone = ended(result), relays(result)
+    first = seconds(alone[0][0]) if alone else None
+    return Numbers(active_time(result), seconds(end.t), end.reason == "captured", first, handovers(result))
+
+
+def panels(count: int) -> dict[str, Scenario]:
+    """Return the scenario of each panel: the centralised one and one for each slot, positions recorded."""
+    base = configuration(count).model_copy(update={"record": Recording(trajectory=SAMPLING)})
+    found = {"centralised": centralised(base, min(DELTAS))}
+    return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
+
+
+def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[np.bool_]", "NDArray[np.float64]"]:
+    """Return the breakpoints of a run (k + 1,) ns, who was active (k, N), and utilities (k, N) s, 0 of who was not."""
+    parts = list(course(result))
+    times = np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)])
+    active = np.concatenate([part.active for part in parts])
+    return times, active, np.where(active, np.concatenate([gains(part) for part in parts]), 0.0)
+
+
+def initial(result: Result) -> "Figure":
+    """Draw where everyone is at first, with the numbers of the pursuers."""
+    from desim.analysis import plots
+    from desim.view.labels import label_points
+
+    start = started(result)
+    with plots.styled((plots.COLUMN, 3.6), font=7) as figure:
+        axes = figure.add_subplot()
+        places, fast = np.array(start.pursuers), np.array(start.speeds) > min(start.speeds)
+        axes.plot(*places[~fast].T, "o", color=plots.BLUE, ms=4, label=f"pursuer, {min(start.speeds):g} m/s")
+        axes.plot(*places[fast].T, "^", color=plots.BLUE, ms=6, label=f"pursuer, {max(start.speeds):g} m/s")
+        axes.plot(
+            *start.evader, "s", color=plots.VERMILION, ms=4, label=f"evader, {result.scenario.evader.speed:g} m/s"
+        )
+        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", xlim=(-1, 21), ylim=(-1, 21))
+        axes.set(xticks=range(0, 21, 5), yticks=range(0, 21, 5))
+        figure.legend(loc="outside lower center", ncols=3, handletextpad=0.2, columnspacing=1)
+        figure.draw_without_rendering()
+        label_points(axes, places.tolist(), [str(k) for k in range(len(places))], avoid=[start.evader])
+    return figure
+
+
+def trajectories(results: "Mapping[str, Result]") -> "Figure":
+    """Draw the pursuits, four panels with the same axes."""
+    from desim.analysis import plots
+    from desim.view.pursuit import draw_pursuit, label_takeovers
+
+    with plots.styled((plots.COLUMN, 4.1), font=7) as figure:
+        labels: dict[str, Artist] = {}
+        grid = figure.subplots(2, 2, sharex=True, sharey=True).ravel().tolist()
+        for axes, (name, result) in zip(grid, results.items(), strict=True):
+            draw_pursuit(axes, result)
+            end = ended(result)
+            axes.set_title(
+                f"{name}\n{'captured' if end.reason == 'captured' else 'not captured'} after {seconds(end.t):.2f} s"
+            )
+            axes.label_outer()
+            handles, names = axes.get_legend_handles_labels()
+            labels |= dict(zip(names, handles, strict=True))
+        axes.set(xticks=range(0, 21, 5), yticks=range(0, 21, 5))
+        look = {"handlelength": 1.5, "handletextpad": 0.5, "columnspacing": 1.0}
+        figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncols=3, **look)
+        figure.draw_without_rendering()
+        for axes, result in zip(grid, results.values(), strict=True):
+            label_takeovers(axes, result)
+    return figure
+
+
+def utilities(results: "Mapping[str, Result]") -> "Figure":
+    """Draw the individual utilities over time, a panel below the other."""
+    from desim.analysis import plots
+
+    with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
+        rows = figure.subplots(len(results), 1, sharex=True, sharey=True)
+        for axes, (name, result) in zip(rows, results.items(), strict=True):
+            draw_utilities(axes, result)
+            axes.set_title(name, loc="left")
+            axes.label_outer()
+            if (alone := relays(result)) and alone[0][0] < SHORT * ended(result).t:
+                _enlarge(axes, result, 1.1 * seconds(alone[0][0]))
+        rows[-1].set_xlabel("time (s)")
+        figure.supylabel("individual utility (s)", fontsize=7)
+        handles, names = rows[-1].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _enlarge(axes: "Axes", result: Result, until: float) -> None:
+    """Draw the beginning of a panel larger, in its empty part."""
+    inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
+    draw_utilities(inset, result)
+    inset.set_xlim(0.0, until)
+    inset.set_title("the beginning", fontsize=6, pad=2)
+    inset.tick_params(labelsize=6, length=2, pad=1.5)
+
+
+def draw_utilities(axes: "Axes", result: Result) -> None:
+    """Draw the utility of every pursuer while it is active: bold if it is active alone; 0 of who stays is one line."""
+    from desim.analysis import plots
+
+    times, active, found = individual_utilities(result)
+    t = np.repeat(times, 2)[1:-1] / SECOND
+    alone = active & (active.sum(axis=1) == 1)[:, None]
+    axes.axhline(0.0, color=plots.GREY, lw=0.8, label="inactive")
+    looks: list[tuple[NDArray[np.bool_], str, dict[str, Any]]] = [
+        (active & ~alone, "active with others", {"color": plots.SKY, "lw": 0.7}),
+        (alone, "active alone", {"color": plots.BLUE, "lw": 2.0}),
+    ]
+    for shown, label, look in looks:
+        for k, i in enumerate(np.flatnonzero(shown.any(axis=0))):
+            u = np.repeat(np.where(shown[:, i], found[:, i], np.nan), 2)
+            axes.plot(t, u, label=None if k else label, **look)
+
+
+def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
+    """Yield the names and the figures of N pursuers."""
+    results = {name: reading(run(scenario, seed)) for name, scenario in panels(count).items()}
+    yield f"configuration_{count}", initial(results["centralised"])
+    yield f"trajectories_{count}", trajectories(results)
+    yield f"utilities_{count}", utilities({name: each for name, each in results.items() if name != "centralised"})
+
+
+def table(found: dict[tuple[int, str], list[Numbers]]) -> str:
+    """Return the means over the runs as text, a line per panel."""
+    rows: list[Sequence[str]] = [("N", "panel", "active time, s", "ends, s", "captured", "alone from, s", "hand-overs")]
+    for (count, name), runs in found.items():
+        alone = [each.alone for each in runs if each.alone is not None]
+        rows.append(
+            (
+                str(count),
+                name,
+                f"{estimate([each.active_time for each in runs]).mean:.2f}",
+                f"{estimate([each.end for each in runs]).mean:.2f}",
+                f"{sum(each.captured for each in runs)}/{len(runs)}",
+                f"{estimate(alone).mean:.2f}" if alone else "-",
+                f"{estimate([float(each.handovers) for each in runs]).mean:.1f}",
+            )
+        )
+    return aligned(rows)
+
+
+@study("figures", __doc__, runs=1)
+def main(options: Options) -> None:
+    """Measure, draw."""
+    scenarios = {(count, name): each for count in COUNTS for name, each in panels(count).items()}
+    found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", numbers), strict=True))
+    cells = [{"N": n, "panel": name, "runs": [asdict(each) for each in runs]} for (n, name), runs in found.items()]
+    options.show({"cells": cells}, table(found))
+    if not can_plot():
+        click.echo("no pictures without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+        return
+    from desim.analysis.plots import save
+
+    for count in COUNTS:
+        for name, figure in pictures(count, options.seed):
+            for path in save(figure, options.out / f"{options.name}_{name}", dpi=PRINT):
+                click.echo(f"wrote {path}", err=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""The figures of the paper: what is in them, that they can be read, and that they are the same bytes every time."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.transforms import Bbox
+
+from desim import run
+from desim.analysis.activity import active_time
+from desim.analysis.course import course
+from desim.analysis.plots import COLUMN, save
+from desim.analysis.reading import reading, started
+from desim.pursuit.game import wonderful_life_utility
+from scenarios import figures, table1
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Return the run of each panel for N = 20 and seed 0."""
+    return {name: reading(run(scenario, 0)) for name, scenario in figures.panels(20).items()}
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return {name: figure for count in figures.COUNTS for name, figure in figures.pictures(count, 0)}
+
+
+def test_the_panels_are_the_runs_of_table_1(results):
+    """Positions that are sampled change nothing."""
+    base = table1.configuration(20)
+    assert list(results) == ["centralised", "delta = 0.1 s", "delta = 0.01 s", "delta = 0.001 s"]
+    assert active_time(results["delta = 0.01 s"]) == active_time(run(table1.decentralised(base, 0.01), 0))
+    assert active_time(results["centralised"]) == active_time(run(table1.centralised(base, 0.001), 0))
+
+
+@pytest.mark.parametrize("name", ["delta = 0.1 s", "delta = 0.01 s"])
+def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(results, name):
+    times, active, found = figures.individual_utilities(results[name])
+    parts = list(course(results[name]))
+    phi, left = np.concatenate([part.phi for part in parts]), np.concatenate([part.left for part in parts])
+    assert len(times) == len(found) + 1
+    rows = range(0, len(found), 7)
+    expected = [
+        [wonderful_life_utility(phi[k].tolist(), active[k].tolist(), float(left[k]), i) for i in range(20)]
+        for k in rows
+    ]
+    np.testing.assert_allclose(found[rows], expected, atol=1e-9)
+    assert len({tuple(row) for row in active.tolist()}) > 5
+
+
+def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
+    """Bold while it is active alone; together the lines are active as long as the sum of active times."""
+    figure = figures.utilities({name: each for name, each in results.items() if name != "centralised"})
+    for axes, (name, result) in zip(figure.axes[:3], list(results.items())[1:], strict=True):
+        lines = [line for line in axes.lines if len(line.get_xdata()) > 2]
+        shown = 0.0
+        for line in lines:
+            x, y = line.get_xydata().T
+            shown += np.diff(x)[~np.isnan(y[:-1]) & ~np.isnan(y[1:])].sum()
+        assert shown == pytest.approx(active_time(result), rel=1e-9), name
+        thin = {line.get_linewidth() for line in lines}
+        assert len(lines) >= 20
+        assert max(thin) == (2.0 if name != "delta = 0.1 s" else 0.7)
+
+
+@pytest.mark.slow
+def test_a_short_beginning_is_drawn_larger(drawn):
+    (inset,) = drawn["utilities_20"].axes[2].child_axes
+    assert inset.get_xlim() == (0.0, pytest.approx(1.1 * 0.171))
+    assert not drawn["utilities_20"].axes[1].child_axes
+
+
+@pytest.mark.slow
+def test_the_initial_configuration_has_everyone_at_its_place_with_its_number(drawn, results):
+    start = started(results["centralised"])
+    (axes,) = drawn["configuration_20"].axes
+    slow, fast, evader = (line.get_xydata().tolist() for line in axes.lines)
+    assert slow == [list(place) for place in start.pursuers[:-1]]
+    assert fast == [list(start.pursuers[-1])]
+    assert evader == [list(start.evader)]
+    assert [(text.get_text(), tuple(text.xy)) for text in axes.texts] == [
+        (str(k), place) for k, place in enumerate(start.pursuers)
+    ]
+
+
+@pytest.mark.slow
+def test_there_are_three_figures_for_each_size_of_a_column_of_a_paper(drawn):
+    assert list(drawn) == [
+        f"{kind}_{count}" for count in (20, 40) for kind in ("configuration", "trajectories", "utilities")
+    ]
+    assert [len(figure.axes) for figure in drawn.values()] == [1, 4, 3] * 2
+    assert all(figure.get_size_inches()[0] == pytest.approx(COLUMN) for figure in drawn.values())
+
+
+@pytest.mark.slow
+def test_axes_have_units_and_type_is_at_least_six_points(drawn):
+    for name, figure in drawn.items():
+        said = {axes.get_xlabel() for axes in figure.axes if axes.xaxis.label.get_visible()}
+        assert said - {""} == ({"time (s)"} if name.startswith("utilities") else {"x (m)"})
+        ordinate = figure.get_supylabel() or figure.axes[0].get_ylabel()
+        assert ordinate == ("individual utility (s)" if name.startswith("utilities") else "y (m)")
+        assert min(text.get_fontsize() for text in texts(figure)) >= 6.0
+
+
+def texts(figure):
+    """Return all text that is seen."""
+    every = [*figure.axes, *(inset for axes in figure.axes for inset in axes.child_axes)]
+    found = [figure._supylabel] if figure._supylabel else []
+    for axes in every:
+        found += [*axes.texts, axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            found += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    return [text for text in found if text.get_visible() and text.get_text()]
+
+
+def ink(text):
+    """Return the box of a text, without the room below the line, which digits do not use."""
+    box = text.get_window_extent()
+    descent = 0.2 * text.get_fontsize() * text.figure.dpi / 72 if text.get_text().isdigit() else 0.0
+    return Bbox.from_extents(box.x0, box.y0 + descent, box.x1, box.y1)
+
+
+@pytest.mark.slow
+def test_no_text_lies_over_another_or_outside_of_the_picture(drawn):
+    for name, figure in drawn.items():
+        figure.draw_without_rendering()
+        boxes = [(text.get_text(), ink(text)) for text in texts(figure)]
+        boxes.append(("legend", figure.legends[0].get_window_extent()))
+        assert len(boxes) > 8
+        for k, (word, one) in enumerate(boxes):
+            assert figure.bbox.x0 - 1 <= one.x0 < one.x1 <= figure.bbox.x1 + 1, (name, word)
+            assert figure.bbox.y0 - 1 <= one.y0 < one.y1 <= figure.bbox.y1 + 1, (name, word)
+            assert not [(name, word, other) for other, box in boxes[k + 1 :] if one.overlaps(box)]
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from desim.analysis.plots import save
+from scenarios.figures import pictures
+for name, figure in pictures(20, 0):
+    save(figure, Path(sys.argv[1]) / name, dpi=100)
+"""
+
+
+@pytest.mark.slow
+def test_the_figures_are_the_same_bytes_in_another_process(tmp_path, drawn):
+    environment = os.environ | {"PYTHONHASHSEED": "1"}
+    subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path)], env=environment, check=True)
+    (tmp_path / "here").mkdir()
+    here = [
+        path for name in drawn if name.endswith("20") for path in save(drawn[name], tmp_path / "here" / name, dpi=100)
+    ]
+    assert len(here) == 6
+    for path in here:
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+        assert b"<dc:date" not in path.read_bytes()
+
+
+@pytest.mark.slow
+def test_the_study_writes_its_figures_and_its_numbers(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "COUNTS", (20,))
+    done = CliRunner().invoke(figures.main, ["--jobs", "1", "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 0, done.output
+    cells = json.loads(done.stdout)["cells"]
+    assert [cell["panel"] for cell in cells] == [
+        "centralised", "delta = 0.1 s", "delta = 0.01 s", "delta = 0.001 s"
+    ]  # fmt: skip
+    assert cells[2]["runs"] == [
+        {"active_time": pytest.approx(12.19), "end": 4.45, "captured": True, "alone": 1.71, "handovers": 0}
+    ]
+    written = {path.name for path in tmp_path.iterdir()}
+    names = ("configuration_20", "trajectories_20", "utilities_20")
+    assert {f"figures_{name}.{kind}" for name in names for kind in ("svg", "png")} <= written
+    assert "captured" in (tmp_path / "figures.txt").read_text()

@@ -1,0 +1,124 @@
+"""Chromium without a window, driven over a pipe: the DevTools protocol needs no more than `json` and two pipes."""
+
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+from contextlib import contextmanager
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PATIENCE = 30.0
+"""How long an answer may take, s."""
+
+
+class Page:
+    """A page of a browser, and all that it logged, threw or asked for since it was opened."""
+
+    def __init__(self, commands, answers):
+        self._commands, self._answers, self._rest, self._number = commands, answers, b"", 0
+        self._session = None
+        self.errors, self.requests = [], []
+        target = self.tell("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.tell("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Runtime", "Log", "Network", "Page"):
+            self.tell(f"{domain}.enable")
+
+    def tell(self, method, **params):
+        """Send a command and return its result."""
+        self._number += 1
+        command = {"id": self._number, "method": method, "params": params}
+        if self._session is not None:
+            command["sessionId"] = self._session
+        os.write(self._commands, json.dumps(command).encode() + b"\0")
+        while True:
+            answer = self._next()
+            if answer.get("id") == self._number:
+                assert "error" not in answer, answer["error"]
+                return answer["result"]
+
+    def _next(self):
+        """Return the next answer or event, having noted what an event tells."""
+        until = time.monotonic() + PATIENCE
+        while b"\0" not in self._rest:
+            ready, _, _ = select.select([self._answers], [], [], max(until - time.monotonic(), 0.0))
+            chunk = os.read(self._answers, 1 << 20) if ready else b""
+            assert chunk, "the browser does not answer"
+            self._rest += chunk
+        line, _, self._rest = self._rest.partition(b"\0")
+        message = json.loads(line)
+        method, params = message.get("method"), message.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(params["exceptionDetails"])
+        elif method == "Runtime.consoleAPICalled" and params["type"] in {"error", "warning", "assert"}:
+            self.errors.append(params["args"])
+        elif method == "Log.entryAdded" and params["entry"]["level"] in {"error", "warning"}:
+            self.errors.append(params["entry"])
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(params["request"]["url"])
+        return message
+
+    def open(self, path, width=1200, height=850, theme="light"):
+        """Open a file, in a window of a size (px)."""
+        self.tell(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+        )
+        self.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        self.errors.clear()
+        self.requests.clear()
+        self.tell("Page.navigate", url=path.resolve().as_uri())
+        self.until("document.readyState === 'complete'")
+
+    def value(self, expression):
+        """Return what an expression of JavaScript comes to, awaited if it is a promise."""
+        found = self.tell("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in found, found["exceptionDetails"]
+        return found["result"].get("value")
+
+    def until(self, condition):
+        """Wait until a condition in JavaScript holds."""
+        until = time.monotonic() + PATIENCE
+        while not self.value(condition):
+            assert time.monotonic() < until, f"never: {condition}"
+            time.sleep(0.02)
+
+    def press(self, key, text=""):
+        """Press a key and let it go."""
+        self.tell("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
+        self.tell("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+
+@contextmanager
+def page(profile):
+    """Yield a page of a browser of its own, with its profile in a folder."""
+    to_browser, commands = os.pipe()
+    answers, from_browser = os.pipe()
+    program = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+    program += ["--no-first-run", "--disable-background-networking", f"--user-data-dir={profile}"]
+
+    def at_3_and_4():  # where the browser looks for its pipes
+        high = os.dup(to_browser), os.dup(from_browser)
+        os.dup2(high[0], 3)
+        os.dup2(high[1], 4)
+
+    browser = subprocess.Popen(
+        [*program, "--remote-debugging-pipe"],
+        close_fds=False,
+        preexec_fn=at_3_and_4,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(to_browser)
+    os.close(from_browser)
+    try:
+        yield Page(commands, answers)
+    finally:
+        os.close(commands)
+        os.close(answers)
+        browser.terminate()
+        try:
+            browser.wait(10)
+        except subprocess.TimeoutExpired:
+            browser.kill()
+            browser.wait()

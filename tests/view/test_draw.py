@@ -1,0 +1,107 @@
+"""`desim draw`: the same picture from a folder, from a file and from Python, and plain words if there is none."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from desim import load, run
+from desim.analysis.folder import write
+from desim.analysis.plots import save
+from desim.cli.draw import draw
+from desim.view.animation import animate
+from desim.view.perfetto import perfetto
+from desim.view.spacetime import spacetime
+
+TOML = """
+name = "small"
+seed = 2
+horizon = 0.5
+team = { count = 5 }
+protocol = { kind = "sap", schedule = { kind = "poisson", rate = 5.0 } }
+network = { latency = { kind = "lognormal", mean = 0.03, cv = 0.5 }, loss = { kind = "bernoulli", p = 0.2 } }
+record = { messages = true }
+[[fault]]
+kind = "crash"
+node = 1
+at = 0.1
+until = 0.3
+"""
+
+
+def call(*words, code=0):
+    done = CliRunner().invoke(draw, [*map(str, words)])
+    assert done.exit_code == code, done.output
+    assert not done.exception or isinstance(done.exception, SystemExit)
+    return done.output
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(TOML)
+    return tmp_path / "small.toml"
+
+
+@pytest.fixture
+def folder(file, tmp_path):
+    write(run(load(file)), tmp_path / "ran")
+    return tmp_path / "ran"
+
+
+def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(file, folder, tmp_path):
+    said = call("spacetime", folder, "--from", 0.1, "--to", 0.3, "--pursuers", "4,1", "--width", 8.5)
+    assert "spacetime.svg" in said
+    assert "spacetime.png" in said
+    expected = save(spacetime(run(load(file)), 0.1, 0.3, (4, 1), 8.5), tmp_path / "expected", dpi=200)
+    for path in expected:
+        assert (folder / f"spacetime{path.suffix}").read_bytes() == path.read_bytes()
+
+
+def test_a_timeline_of_a_folder_is_that_of_the_run(file, folder):
+    call("perfetto", folder)
+    assert (folder / "trace.perfetto.json").read_text() == perfetto(run(load(file)))
+
+
+def test_a_film_of_a_folder_is_that_of_the_run(file, folder, tmp_path):
+    call("gif", folder, "--from", 0.1, "--to", 0.2, "--speed", 0.5, "--fps", 10)
+    animate(run(load(file)), tmp_path / "expected.gif", begin=0.1, end=0.2, speed=0.5, fps=10)
+    assert (folder / "pursuit.gif").read_bytes() == (tmp_path / "expected.gif").read_bytes()
+    with Image.open(folder / "pursuit.gif") as film:
+        assert film.n_frames == 3
+
+
+def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
+    call("perfetto", file, "--set", "record.messages=false", "-s", 5, "-o", tmp_path / "own.json")
+    made = json.loads((tmp_path / "own.json").read_text())
+    assert made["otherData"] == {"scenario": "small", "seed": 5}
+    assert {event.get("cat") for event in made["traceEvents"]} >= {"message", "fault", "chase"}
+    call("perfetto", file)
+    assert (tmp_path / "small.trace.perfetto.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("spacetime", "ran", "--from", "2"), "the run lasted 0.5 s"),
+        (("spacetime", "ran", "--pursuers", "0,7"), "no pursuer 7"),
+        (("spacetime", "ran", "--pursuers", "0;1"), "numbers with commas between them"),
+        (("gif", "ran", "--speed", "0.0001"), "choose a higher speed"),
+        (("gif", "ran", "--speed", "0"), "--speed"),
+        (("gif", "nowhere"), "nowhere: cannot be read"),
+        (("perfetto", "ran", "-s", "4"), "what is in a DIR has happened"),
+        (("perfetto", "ran", "-o", "no/such/folder.json"), "cannot be written"),
+        (("spacetime", "ran", "-o", "no/such/folder.svg"), "cannot be written"),
+        (("gif", "ran", "-o", "no/such/folder.gif"), "cannot be written"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):
+    assert says in call(*words, code=2)
+
+
+def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
+    write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")
+    assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)
+    call("gif", tmp_path / "quiet")
+    call("perfetto", tmp_path / "quiet")

@@ -1,0 +1,753 @@
+"""The replay: what the page holds is what the trace tells, and a browser shows it."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from base64 import b64decode
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim import Scenario, load, run
+from desim.analysis.activity import relays
+from desim.analysis.folder import write
+from desim.analysis.reading import ended, messages, started
+from desim.analysis.word import belief_error
+from desim.cli import main
+from desim.kernel.clock import SECOND
+from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
+from desim.kernel.faults import Began, Crash, Partition
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
+from desim.pursuit.events import Decided, Halted, Sampled
+from desim.pursuit.word import Announcements
+from desim.scenario import Evader, Motion, Recording, Team
+from desim.view.replay import CHASES, NEVER, STAYS, UNHEARD, _document, _Ticks, replay
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+from tests.view.browser import CHROMIUM, page
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+HOSTILE = "</script><script>window.hurt = 1</script><!-- & \u2028 {{ name }} <b>Bold</b>"
+ALL = Recording(messages=True)
+# 40 pursuers, whose evader is too far away to be captured within 30 s: some 10,000 messages.
+FORTY = Scenario(
+    name=HOSTILE,
+    team=Team(count=40, speeds=0.95),
+    evader=Evader(position=(30.0, 22.0)),
+    protocol=SpatialAdaptivePlay(schedule=Poisson(rate=1.0)),
+    announce=Announcements(heartbeat=5.5),
+    network=Links(latency=Constant(value=0.5), loss=Bernoulli(p=0.05)),
+    record=ALL,
+)
+# Two messages a second and node, of 24 bytes each: 192 ms at 1000 bit/s on a channel that all share, so most wait, and
+# some are dropped.
+CROWDED = FORTY.model_copy(
+    update={
+        "name": "crowded",
+        "horizon": 4.0,
+        "team": Team(count=5, speeds=0.95),
+        "announce": Announcements(heartbeat=0.5),
+        "network": Links(medium=Bitrate(bitrate=1000.0, shared=True, queue_limit=2)),
+    }
+)
+CASES = {
+    "relay": load(SCENARIOS / "relay.toml", ["horizon=1.0"]),
+    "faults": load(SCENARIOS / "faults.toml"),
+    "radio": load(SCENARIOS / "radio.toml", ["horizon=2.0"]),
+    "soak": load(SCENARIOS / "soak.toml", ["horizon=3.0"]),
+    "flooding": load(SCENARIOS / "flooding.toml", ["horizon=1.0", "record.messages=true"]),
+    "token_ring": load(SCENARIOS / "token_ring.toml", ["horizon=1.0", "record.messages=true"]),
+    "crowded": CROWDED,
+    "cold": FORTY.model_copy(
+        update={"name": "cold", "horizon": 2.0, "announce": Announcements(heartbeat=0.5, warm_start=False)}
+    ),
+}
+RESULTS = {}
+
+
+def result_of(name):
+    """Return the run of a case, made once."""
+    if name not in RESULTS:
+        RESULTS[name] = run(CASES[name])
+    return RESULTS[name]
+
+
+def column(text, kind):
+    return np.frombuffer(b64decode(text), kind)
+
+
+def spans(result):
+    """Return when each message was sent, and when it arrived or was lost (inf: neither), by flight and receiver; ns."""
+    begun, over = {}, {}
+    for event in result.trace:
+        if isinstance(event, Queued):
+            begun |= dict.fromkeys(((event.flight, dst) for dst in event.dst), event.t)
+        elif isinstance(event, Broadcast | Sent):
+            dst = event.dst if isinstance(event, Broadcast) else (event.dst,)
+            arrival = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
+            arrival = arrival * len(dst) if len(arrival) < len(dst) else arrival
+            for node, when in zip(dst, arrival, strict=True):
+                begun.setdefault((event.flight, node), event.t)
+                over[event.flight, node] = np.inf if when == LOST else when
+        elif isinstance(event, Lost):
+            over[event.flight, event.dst] = event.t
+    return np.array([(begun[key], over.get(key, np.inf)) for key in begun], float).reshape(-1, 2)
+
+
+def in_flight(result, t):
+    """Return how many messages the trace has in flight at a time, ns."""
+    begin, end = spans(result).T
+    return int(((begin <= t) & (t < end)).sum())
+
+
+def wrong_now(result, t):
+    """Return how many ordered pairs there are of which one has last heard what the other does not do, at a time, ns.
+
+    Only for runs in which each tells of itself and nobody forgets.
+    """
+    size = len(started(result).active)
+    does = np.array(started(result).active)
+    heard = np.tile(does & result.scenario.announce.warm_start, (size, 1))
+    newest = np.zeros((size, size), int)
+    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    for event in result.trace:
+        if event.t > t:
+            break
+        if isinstance(event, Decided):
+            does[event.pursuer] = event.active
+        if isinstance(event, Broadcast):
+            arrival = event.arrival if len(event.arrival) == len(event.dst) else event.arrival * len(event.dst)
+            for node, when in zip(event.dst, arrival, strict=True):
+                if when <= t and (event.flight, node) not in lost and event.seq > newest[node, event.src]:
+                    newest[node, event.src], heard[node, event.src] = event.seq, event.body.active
+    wrong = heard != does
+    return int(wrong[~np.eye(size, dtype=bool)].sum())
+
+
+class Elements(HTMLParser):
+    """What a browser would take a page for."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.scripts, self.title, self._inside = [], "", ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        self._inside = ""
+
+    def handle_data(self, data):
+        if self._inside == "script":
+            self.scripts[-1] += data
+        elif self._inside == "title":
+            self.title += data
+
+
+# What the page holds.
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name):
+    """At ticks of nanoseconds, nothing is rounded in runs of up to 2.1 s; else the times between events are judged."""
+    result = result_of(name)
+    document, of_trace = _document(result), spans(result)
+    said, tick = document["messages"], document["tick"] * SECOND
+    begin = np.repeat(column(said["begin"], "<u4"), column(said["count"], "<u2"))
+    end, fate = column(said["end"], "<u4"), column(said["fate"], "u1")
+    edges = np.unique(of_trace[np.isfinite(of_trace)])
+    for t in (edges[:-1] + edges[1:])[np.diff(edges) > 2 * tick] / 2:
+        assert ((begin <= t / tick) & (t / tick < end)).sum() == ((of_trace[:, 0] <= t) & (t < of_trace[:, 1])).sum()
+    tally, last = messages(result), document["end"]
+    assert len(end) == tally.sent
+    assert ((begin <= last) & (last < end)).sum() == tally.in_flight
+    assert {said["causes"][k - 1].replace(" ", "_"): int((fate == k).sum()) for k in np.unique(fate[fate > 0])} == (
+        tally.lost_by
+    )
+
+
+def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left():
+    result = result_of("crowded")
+    said = _document(result)["messages"]
+    begin, left = column(said["begin"], "<u4"), column(said["left"], "<u4")
+    assert result.trace.of(Queued)
+    assert {"queue"} == set(said["causes"])
+    assert (left > begin).any()
+    assert (left[left != NEVER] >= begin[left != NEVER]).all()
+    dropped = {event.flight for event in result.trace.of(Lost)}
+    gone = {event.flight for event in result.trace.of(Broadcast)}
+    waiting = {event.flight for event in result.trace.of(Queued)} - gone
+    assert dropped & waiting
+    assert (left == NEVER).sum() == len(waiting)
+
+
+@pytest.mark.parametrize("name", ["relay", "faults", "radio", "soak", "flooding", "cold"])
+def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(name):
+    """The integral of the wrong pairs, by counting them between any two changes, is the belief error x N (N - 1) T."""
+    result = result_of(name)
+    document, size = _document(result), len(started(result).active)
+    told, own = document["beliefs"], document["decisions"]
+    changes = [(int(t), 0, k) for k, t in enumerate(column(own["t"], "<u4"))]
+    changes += [(int(t), 1, k) for k, t in enumerate(column(told["t"], "<u4"))]
+    who, active = column(own["who"], "<u2"), column(own["active"], "u1")
+    reader, source, value = column(told["reader"], "<u2"), column(told["source"], "<u2"), column(told["value"], "u1")
+    does, heard = np.array(document["active"]), np.full((size, size), UNHEARD)
+    others, total, before = ~np.eye(size, dtype=bool), 0, 0
+    for t, kind, k in [*sorted(changes), (document["end"], 2, 0)]:
+        total += int((((heard == CHASES) != does) & others).sum()) * (t - before)
+        before = t
+        if kind == 0:
+            does[who[k]] = active[k]
+        elif kind == 1:
+            heard[reader[k], source[k]] = value[k]
+    last = np.full((size, size), -1)
+    for i, j, now in zip(reader, source, value, strict=True):
+        assert now != last[i, j] or now == UNHEARD, "only what changed"
+        last[i, j] = now
+    assert total / (size * (size - 1) * document["end"]) == pytest.approx(belief_error(result), abs=1e-6)
+    assert total > 0
+
+
+def test_who_has_heard_of_nobody_is_not_said_to_believe_that_nobody_chases():
+    """After a cold start all is unheard of at 0 s; after a warm one, nothing."""
+    cold, warm = (_document(result_of(name))["beliefs"] for name in ("cold", "relay"))
+    at_first = [column(told["value"], "u1")[column(told["t"], "<u4") == 0] for told in (cold, warm)]
+    assert at_first[0].tolist() == [UNHEARD] * (40 * 39)
+    assert at_first[1].tolist() == [CHASES] * (20 * 19)
+    assert STAYS in column(cold["value"], "u1")
+
+
+def test_who_forgot_has_heard_of_nobody():
+    """Robot 1 breaks down for 0.1 s and forgets: afterwards it has heard nothing, until the next heartbeats."""
+    crash = Crash(node=1, at=0.5, until=0.6, memory=False)
+    scenario = CASES["cold"].model_copy(
+        update={"fault": (crash,), "announce": Announcements(heartbeat=0.5), "horizon": 1.0}
+    )
+    told = _document(run(scenario))["beliefs"]
+    then = column(told["t"], "<u4") == 0.6 * SECOND
+    assert set(column(told["value"], "u1")[then]) == {UNHEARD}
+    assert set(column(told["reader"], "<u2")[then]) == {1}
+    assert len(column(told["source"], "<u2")[then]) == 39
+
+
+@pytest.mark.parametrize("name", ["relay", "faults"])
+def test_everyone_is_where_it_was_to_the_millimetre(name):
+    result = result_of(name)
+    path = _document(result)["path"]
+    shifts = column(path["shifts"], f"<i{path['bits'] // 8}").reshape(-1, 2 * len(started(result).active) + 2)
+    places = column(path["start"], "<i4") + np.vstack([np.zeros(shifts.shape[1], int), np.cumsum(shifts, axis=0)])
+    known = [started(result), *result.trace.of(Sampled)]
+    there = np.array([[*each.pursuers, each.evader] for each in known]).reshape(len(known), -1)
+    assert np.abs(places / 1000 - there).max() <= 0.0005 + 1e-9
+    assert len(column(path["t"], "<u4")) == len(known)
+
+
+def test_steps_of_more_than_33_metres_are_kept():
+    """A pursuer at 1000 m/s, sampled every 0.05 s, moves by 50,000 mm, which 16 bits do not hold."""
+    fast = Scenario(team=Team(positions=[(0.0, 0.0)], speeds=1000.0), evader=Evader(position=(600.0, 0.0)), horizon=1.0)
+    path = _document(run(fast))["path"]
+    assert path["bits"] == 32
+    assert column(path["shifts"], "<i4").max() == 50_000
+
+
+def test_decisions_and_handovers_are_those_of_the_trace():
+    result = result_of("faults")
+    document = _document(result)
+    said = document["decisions"]
+    found = zip(
+        *(column(said[key], "<u2" if key == "who" else "u1") for key in ("who", "active", "halted")), strict=True
+    )
+    events = [event for event in result.trace if isinstance(event, Decided | Halted)]
+    expected = [(each.pursuer, isinstance(each, Decided) and each.active, isinstance(each, Halted)) for each in events]
+    assert list(found) == expected
+    assert any(halted for _, _, halted in expected)
+    assert column(document["relays"]["who"], "<u2").tolist() == [who for _, who in relays(result)]
+
+
+def test_faults_last_from_their_beginning_to_their_end_or_that_of_the_run():
+    result = result_of("faults")
+    document = _document(result)
+    tick = document["tick"] * SECOND
+    began = [event.fault for event in result.trace.of(Began)]
+    expected = [
+        (round(each.at * SECOND / tick), round(min(each.until * SECOND, ended(result).t) / tick)) for each in began
+    ]
+    assert [(each["begin"], each["end"]) for each in document["faults"]] == expected
+    cut, crash, jam = ({each["kind"]: each for each in document["faults"] if each.get("node", 9) == 9}).values()
+    assert crash == {
+        "kind": "crash",
+        "begin": 2e9 / tick,
+        "end": 4e9 / tick,
+        "node": 9,
+        "scope": "robot",
+        "memory": False,
+    }
+    assert cut == {"kind": "partition", "begin": 1e9 / tick, "end": 3e9 / tick, "groups": [[0, 1, 2, 3, 4]]}
+    assert jam == {"kind": "jamming", "begin": 4.5e9 / tick, "end": 5.5e9 / tick, "centre": [10.0, 10.0], "radius": 4.0}
+
+
+def test_of_two_equal_faults_each_is_over_once():
+    """Two partitions that are alike begin and end together."""
+    cut = Partition(at=0.1, until=0.2, groups=((0,),))
+    document = _document(run(CROWDED.model_copy(update={"fault": (cut, cut)})))
+    assert [each["end"] * document["tick"] for each in document["faults"]] == pytest.approx([0.2, 0.2])
+
+
+def test_of_faults_that_overlap_the_first_may_be_over_last():
+    """The partition of 0.1 s lasts until 0.4 s; the crash of 0.2 s, until 0.3 s."""
+    faults = (Partition(at=0.1, until=0.4, groups=((0,),)), Crash(node=1, at=0.2, until=0.3))
+    document = _document(run(CROWDED.model_copy(update={"fault": faults})))
+    found = [(each["kind"], each["begin"], each["end"]) for each in document["faults"]]
+    tick = document["tick"]
+    assert found == [("partition", 0.1 / tick, 0.4 / tick), ("crash", 0.2 / tick, 0.3 / tick)]
+
+
+def test_links_are_given_unless_everybody_is_linked():
+    ring = load(SCENARIOS / "relay.toml", ["network.graph={kind='ring'}", "team.count=4", "horizon=0.1"])
+    assert column(_document(run(ring))["links"], "<u2").reshape(-1, 2).tolist() == [[0, 1], [0, 3], [1, 2], [2, 3]]
+    assert _document(result_of("relay"))["links"] is None
+    assert _document(result_of("relay"))["range"] is None
+    assert _document(result_of("radio"))["range"] == 15.0
+
+
+@given(st.integers(0, 10**18))
+def test_the_tick_is_the_shortest_that_fits(end):
+    length = _Ticks.fit(end).length
+    assert end // length < 2**31
+    assert length == 1 or end // (length // 10) >= 2**31
+    assert set(str(length)) <= {"0", "1"}
+
+
+def test_ticks_round_to_the_nearest_and_know_never():
+    ticks = column(_Ticks(10)([0, 4, 5, 14, 15, LOST, 10**12]), "<u4")
+    assert ticks.tolist() == [0, 0, 1, 1, 2, NEVER, NEVER]
+
+
+# The page.
+
+
+def test_forty_pursuers_and_ten_thousand_messages_take_less_than_a_megabyte_and_a_second():
+    """Measured: 330 kB and 0.06 s."""
+    result = run(FORTY)
+    assert 9_000 < messages(result).sent < 11_000
+    assert ended(result).t == 30 * SECOND
+    begin = time.process_time()
+    text = replay(result)
+    assert time.process_time() - begin < 1.0
+    assert len(text.encode()) / messages(result).sent < 100.0
+
+
+def test_a_page_is_the_same_bytes_every_time(tmp_path):
+    assert replay(result_of("faults")) == replay(run(CASES["faults"]))
+    assert replay(result_of("faults")) != replay(run(CASES["faults"], seed=5))
+
+
+@pytest.mark.slow
+def test_a_page_is_the_same_bytes_whatever_the_hash_seed():
+    program = (
+        "import sys; from desim import load, run; from desim.view.replay import replay;"
+        f"sys.stdout.write(replay(run(load({str(SCENARIOS / 'faults.toml')!r}, ['horizon=1.0']))))"
+    )
+    pages = [
+        subprocess.run(
+            [sys.executable, "-c", program], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert pages[0] == pages[1]
+    assert len(pages[0]) > 10_000
+
+
+def test_a_hostile_name_is_text():
+    """The page has two scripts, its data and its program, whatever the name; the title is the name."""
+    found = Elements(replay(run(FORTY.model_copy(update={"horizon": 0.1}))))
+    assert found.title == HOSTILE
+    assert len(found.scripts) == 2
+    assert json.loads(found.scripts[0])["active"] == [1] * 40
+    assert not any("hurt" in script for script in found.scripts)
+
+
+def test_a_page_says_what_was_not_recorded():
+    dull = FORTY.model_copy(update={"horizon": 1.0, "record": Recording(trajectory=0.0)})
+    text = replay(run(dull))
+    assert "Positions were not recorded" in text
+    assert f"Messages were not recorded: the {messages(run(dull)).sent:,} that were sent" in text
+    assert "were not recorded" not in replay(run(dull.model_copy(update={"record": ALL})))
+    frozen = dull.model_copy(update={"motion": Motion(frozen=True), "record": Recording(trajectory=0, messages=True)})
+    assert "were not recorded" not in replay(run(frozen))
+
+
+def test_a_run_without_messages_lacks_none():
+    mute = FORTY.model_copy(
+        update={
+            "horizon": 0.5,
+            "record": Recording(),
+            "announce": Announcements(trigger="never"),
+            "team": Team(count=2),
+        }
+    )
+    assert messages(run(mute)).sent == 0
+    assert "were not recorded" not in replay(run(mute))
+
+
+# The command.
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(main, ["replay", *map(str, arguments)])
+
+
+def test_the_page_of_a_folder_is_that_of_the_run(tmp_path):
+    result = result_of("faults")
+    write(result, tmp_path)
+    done = invoke(tmp_path)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "replay.html").read_text(encoding="utf-8") == replay(result)
+    assert done.stdout.startswith(f"{tmp_path / 'replay.html'}: 10 pursuers, 10.13 s, ")
+    assert not done.stderr
+
+
+def test_a_scenario_file_is_run_with_all_that_can_be_looked_at(tmp_path):
+    (tmp_path / "a.toml").write_text(
+        "horizon = 0.2\nteam.count = 3\nrecord.trajectory = 0.0\nevader.position = [60.0, 60.0]\n"
+    )
+    done = invoke(tmp_path / "a.toml", "-o", tmp_path / "b.html", "-s", 4, "--set", "name=x")
+    assert done.exit_code == 0, done.output
+    assert not done.stderr
+    page_of_it = (tmp_path / "b.html").read_text(encoding="utf-8")
+    assert "<h1>x</h1>" in page_of_it
+    assert "3 pursuers, sap, seed 4: not captured within 0.2 s" in page_of_it
+    document = json.loads(Elements(page_of_it).scripts[0])
+    assert len(column(document["path"]["t"], "<u4")) == 1 + 4 + 1  # start; 0, 0.05, 0.1, 0.15 s; end
+    assert document["messages"]["begin"]
+
+
+def test_what_cannot_be_shown_is_said_on_stderr(tmp_path):
+    write(run(FORTY.model_copy(update={"horizon": 0.5, "record": Recording()})), tmp_path)
+    done = invoke(tmp_path)
+    assert done.exit_code == 0
+    assert done.stderr.startswith("warning: Messages were not recorded: the ")
+
+
+@pytest.mark.parametrize(
+    ("prepare", "words"),
+    [
+        (lambda folder: (folder / "trace.jsonl").unlink(), "trace.jsonl: cannot be read: No such file"),
+        (lambda folder: (folder / "run.json").unlink(), "run.json: cannot be read: No such file"),
+        (lambda folder: (folder / "trace.jsonl").write_text('{"event": "Eaten", "t": 0}\n'), "line 1 is no event"),
+        (lambda folder: (folder / "trace.jsonl").write_text(""), "is not of a whole run"),
+    ],
+    ids=["no trace", "no run.json", "no event", "empty"],
+)
+def test_a_folder_that_is_not_of_a_run_is_refused(prepare, words, tmp_path):
+    write(run(CASES["crowded"].model_copy(update={"horizon": 0.1})), tmp_path)
+    prepare(tmp_path)
+    done = invoke(tmp_path)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.output
+
+
+def test_a_folder_of_several_runs_names_them(tmp_path):
+    for seed in range(5):
+        (tmp_path / f"seed-{seed}").mkdir()
+        (tmp_path / f"seed-{seed}" / "trace.jsonl").touch()
+    done = invoke(tmp_path)
+    assert done.exit_code == 2
+    assert "; it holds seed-0, seed-1, seed-2 ..." in done.stderr
+
+
+def test_what_has_happened_has_no_other_seed(tmp_path):
+    for option in (("-s", 3), ("--set", "horizon=1.0")):
+        done = invoke(tmp_path, *option)
+        assert done.exit_code == 2
+        assert "has happened" in done.stderr
+
+
+def test_without_jinja_the_command_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    done = invoke(SCENARIOS / "relay.toml", "--set", "horizon=0.1", "-o", tmp_path / "x.html")
+    assert done.exit_code == 2
+    assert "a replay needs jinja2: pip install" in done.stderr
+
+
+def test_a_page_that_cannot_be_written_is_refused(tmp_path):
+    done = invoke(SCENARIOS / "relay.toml", "--set", "horizon=0.1", "-o", tmp_path / "no" / "x.html")
+    assert done.exit_code == 2
+    assert "x.html: cannot be written: No such file" in done.stderr
+
+
+# In a browser.
+
+in_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="NO BROWSER, so the replay was NOT looked at: apt-get install chromium"
+)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with page(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture
+def shown(browser, tmp_path):
+    """Return what opens the page of a run, and judge in the end that nothing went wrong and nothing left the page."""
+    path = tmp_path / "replay.html"
+
+    def show(result, **window):
+        path.write_text(replay(result), encoding="utf-8")
+        browser.open(path, **window)
+        return browser
+
+    yield show
+    assert browser.errors == []
+    assert browser.requests == [path.resolve().as_uri()]
+
+
+GREEN = """(() => {
+  const copy = new OffscreenCanvas(arena.width, arena.height), hue = [0, 0x8f, 0x69];
+  const context = copy.getContext("2d", { willReadFrequently: true });
+  context.drawImage(arena, 0, 0);
+  const { data } = context.getImageData(0, 0, copy.width, copy.height);
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4)
+    if (hue.every((each, c) => Math.abs(each - data[k + c]) < 3) && data[k + 3] > 250) count++;
+  return count;
+})()"""
+"""How many pixels of the plane have the colour of messages in flight."""
+
+
+AT = """(t => {
+  slider.value = t;
+  slider.dispatchEvent(new Event("input"));
+  replay.draw();
+  return [replay.drawn.flying, flying.textContent, replay.drawn.lost];
+})"""
+"""Seeks a tick, as a hand would, and returns how many messages are drawn, are said to be in flight, and fade."""
+
+
+@in_chromium
+@pytest.mark.parametrize("name", CASES)
+def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown):
+    """Between the instants of the trace and, where a tick is a nanosecond, at some of them."""
+    result = result_of(name)
+    opened, tick = shown(result), round(_document(result)["tick"] * SECOND)
+    edges = np.unique(spans(result))
+    edges = edges[edges <= ended(result).t][:: max(len(edges) // 10, 1)]
+    times = [*((edges[:-1] + edges[1:]) / 2).tolist(), ended(result).t, *(edges.tolist() if tick == 1 else [])]
+    assert len(times) > 9
+    drawn = opened.value(f"{json.dumps([t / tick for t in times])}.map({AT})")
+    expected = [in_flight(result, t) for t in times]
+    assert [found[:2] for found in drawn] == [[count, f"{count:,}"] for count in expected]
+    assert max(expected) > 0
+    fade = opened.value("Math.min(0.5 * speed.value, 1)") * SECOND
+    lost = np.array([event.t for event in result.trace.of(Lost)])
+    assert [found[2] for found in drawn] == [int(((lost <= t) & (t < lost + fade)).sum()) for t in times]
+
+
+@in_chromium
+def test_what_is_counted_is_seen(shown):
+    """Nothing green is on the plane while nothing flies; a dot has a radius of 2.8 px, 24 pixels, some at its rim."""
+    one = Scenario(
+        team=Team(positions=[(0.0, 0.0), (9.0, 9.0)], speeds=1.0, active_at_start=0.0),
+        evader=Evader(position=(9.0, 0.0), speed=0.0),
+        motion=Motion(frozen=True),
+        horizon=2.0,
+        announce=Announcements(heartbeat=1.5, trigger="heartbeat"),
+        network=Links(latency=Constant(value=0.4)),
+        protocol=SpatialAdaptivePlay(schedule=Poisson(rate=0.1)),
+        record=ALL,
+    )
+    result = run(one)
+    opened = shown(result)
+    pixels = {}
+    for t in np.arange(0.05, 2.0, 0.1).tolist():
+        flying = opened.value(f"(replay.seek({t}), replay.drawn.flying)")
+        assert flying == in_flight(result, t * SECOND)
+        pixels.setdefault(flying, []).append(opened.value(GREEN))
+    assert set(pixels[0]) == {0}
+    assert min(pixels[max(pixels)]) >= 8 * max(pixels) > 0
+
+
+@in_chromium
+def test_the_page_counts_sent_and_lost_as_the_tally_does(shown):
+    for name in ("faults", "crowded"):
+        tally = messages(result_of(name))
+        opened = shown(result_of(name))
+        found = opened.value("(replay.seek(1e9), [replay.sent, replay.lost, replay.drawn.flying])")
+        assert found == [tally.sent, tally.lost, tally.in_flight]
+
+
+@in_chromium
+def test_the_page_believes_what_the_trace_tells_forwards_and_backwards(shown):
+    """A tick is a nanosecond here, so that the very instants are judged at which word arrives."""
+    result = result_of("cold")
+    opened = shown(result)
+    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    news = [
+        event.arrival[-1]
+        for event in result.trace.of(Broadcast)
+        if event.arrival[-1] != LOST and (event.flight, event.dst[-1]) not in lost and event.body.active
+    ]
+    stops = next(event.t for event in result.trace.of(Decided) if not event.active)
+    for t in (3e8, 9e8, stops, news[0], news[5], news[0] - 1, 16e8, 2e8, 2e9, 0):
+        opened.value(f"{AT}({t})")
+        assert opened.value("wrong.textContent") == f"{wrong_now(result, t)} of 1,560"
+    assert opened.value("replay.heard.filter((each, k) => k % 41 > 0 && each !== 2).length") == 0
+
+
+@in_chromium
+def test_play_goes_on_pause_stops_and_the_end_is_the_end(shown):
+    opened = shown(result_of("relay"))
+    assert opened.value("[replay.time, replay.playing]") == [0, False]
+    opened.value("document.getElementById('play').click()")
+    opened.until("replay.time > 0.02 && replay.frames > 3")
+    opened.value("document.getElementById('play').click()")
+    there = opened.value("replay.time")
+    assert 0.02 < there < 1.0
+    opened.value("new Promise(done => setTimeout(done, 100))")
+    assert opened.value("[replay.time, replay.playing]") == [there, False]
+    opened.value("(replay.seek(0.99), replay.play())")
+    opened.until("!replay.playing")
+    assert opened.value("replay.time") == 1.0
+
+
+@in_chromium
+def test_the_slider_seeks(shown):
+    opened = shown(result_of("relay"))
+    slide = "(s => { s.value = 0.5 * s.max; s.dispatchEvent(new Event('input')); })(document.getElementById('slider'))"
+    opened.value(slide)
+    assert opened.value("replay.time") == 0.5
+    opened.until("document.getElementById('clock').textContent.startsWith('0.500')")
+    before = opened.value("document.getElementById('arena').toDataURL()")
+    opened.value("replay.seek(0.7)")
+    assert opened.value("document.getElementById('arena').toDataURL()") != before
+    assert opened.value("+document.getElementById('slider').value * 1e-9") == pytest.approx(0.7)
+
+
+@in_chromium
+def test_steps_lead_from_event_to_event(shown):
+    """By key: the right arrow to where an action changed, the left one back; E to another kind of event."""
+    result = result_of("faults")
+    opened = shown(result)
+    active, changed = list(started(result).active), []
+    for event in result.trace:
+        if isinstance(event, Decided | Halted):
+            now = isinstance(event, Decided) and event.active
+            if active[event.pursuer] != now:
+                active[event.pursuer] = now
+                changed.append(event.t / SECOND)
+    changed = sorted(set(changed))
+    for t in changed[:5]:
+        opened.press("ArrowRight")
+        assert opened.value("replay.time") == pytest.approx(t, abs=1e-8)
+    opened.press("ArrowLeft")
+    assert opened.value("replay.time") == pytest.approx(changed[3], abs=1e-8)
+    opened.press("Home")
+    for _ in range(3):
+        opened.press("e")
+    assert opened.value("document.getElementById('kind').value") == "faults"
+    opened.press("ArrowRight")
+    assert opened.value("replay.time") == pytest.approx(result.trace.of(Began)[0].t / SECOND, abs=1e-8)
+    opened.press(" ")
+    assert opened.value("replay.playing")
+    opened.press(" ")
+    assert not opened.value("replay.playing")
+
+
+@in_chromium
+@pytest.mark.parametrize(("width", "theme"), [(1280, "light"), (1280, "dark"), (360, "light")])
+def test_a_page_fits_its_window_and_the_light(width, theme, shown):
+    opened = shown(result_of("faults"), width=width, theme=theme)
+    assert opened.value("document.documentElement.scrollWidth") <= width
+    assert opened.value("document.documentElement.dataset.theme") == theme
+    opened.press("t")
+    assert opened.value("document.documentElement.dataset.theme") != theme
+    small = "[...document.querySelectorAll('button, select')].filter(b => b.offsetHeight && b.offsetHeight < 40)"
+    assert opened.value(f"{small}.length") == 0
+
+
+@in_chromium
+def test_a_tap_chooses_a_pursuer(shown):
+    """The legend below the matrix says what it believes; a second tap lets it go."""
+    opened = shown(result_of("faults"), width=390, height=844)
+    opened.value("document.getElementById('matrix').scrollIntoView()")
+    left, top, size = opened.value("(({ x, y, width }) => [x, y, width])(matrix.getBoundingClientRect())")
+    x, y = left + 60, top + 18 + (size - 18) * 0.75
+    for said in ("7 chases (1 m/s), hears 9 now", "Point at a cell"):
+        for kind in ("mousePressed", "mouseReleased"):
+            opened.tell("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        opened.tell("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
+        opened.until(f"document.getElementById('said').textContent.startsWith({said!r})")
+
+
+@in_chromium
+def test_a_browser_shows_a_hostile_name_as_text(shown):
+    opened = shown(run(FORTY.model_copy(update={"horizon": 0.2})))
+    assert opened.value("document.querySelector('h1').textContent") == HOSTILE
+    assert opened.value("window.hurt") is None
+
+
+@in_chromium
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"record": Recording(trajectory=0.0)},
+        {"team": Team(count=1)},
+        {"team": Team(positions=[(1.0, 1.0)]), "evader": Evader(position=(1.0, 1.0))},
+        {"announce": Announcements(trigger="never")},
+        {"motion": Motion(frozen=True)},
+    ],
+    ids=["nothing recorded", "alone", "captured at once", "nobody speaks", "frozen"],
+)
+def test_a_page_works_also_if_there_is_little_to_show(change, shown):
+    opened = shown(run(FORTY.model_copy(update={"horizon": 1.0} | change)))
+    opened.value("(replay.seek(0.5), replay.play())")
+    opened.until("!replay.playing || replay.time > 0.6")
+    for key in ("ArrowRight", "ArrowLeft", "+", "-", "l", "r", "End"):
+        opened.press(key)
+    assert opened.value("document.querySelectorAll('.warning:not(noscript *)').length") == 2 * ("record" in change)
+
+
+@in_chromium
+def test_ten_thousand_messages_play_without_stutter(shown):
+    """The median time to draw a frame leaves most of the 16.7 ms free; measured: 0.7 ms."""
+    opened = shown(run(FORTY), width=1440)
+    cost = """(() => {
+      const costs = [];
+      for (let k = 0; k < 100; k++) {
+        replay.seek(30 * k / 100);
+        const begin = performance.now();
+        replay.draw();
+        costs.push(performance.now() - begin);
+      }
+      return costs.sort((a, b) => a - b)[50];
+    })()"""
+    assert opened.value(cost) < 8.0
+
+
+@in_chromium
+def test_a_page_that_errs_or_asks_for_something_elsewhere_would_be_noticed(browser, tmp_path):
+    path = tmp_path / "bad.html"
+    path.write_text(
+        "<img src='http://127.0.0.1:9/x.png'>"
+        "<script>console.error('no'); setTimeout(() => { throw Error('no') })</script>"
+    )
+    browser.open(path)
+    browser.until("document.readyState === 'complete'")
+    assert len(browser.errors) >= 2
+    assert "http://127.0.0.1:9/x.png" in browser.requests
