@@ -2,19 +2,21 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
+from html import escape
 from typing import Literal, cast
 
 import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim.kernel.clock import Clock, Phase
+from desim.kernel.clock import Clock, Phase, seconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.faults import Crash, clock_errors, drawn
 from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
+from desim.pursuit.events import Ended
 from desim.pursuit.state import coordinates
 from desim.scenario import Scenario
 from desim.world import World
@@ -27,6 +29,27 @@ class Result:
     scenario: Scenario
     seed: int
     trace: Trace
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: what ran, how it ended, and how much is recorded; metrics are in `analysis`."""
+        protocol = self.scenario.protocol
+        ends = self.trace.of(Ended)
+        rows = {
+            "scenario": self.scenario.name,
+            "seed": str(self.seed),
+            "protocol": getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__),
+            "ended": _told(ends[-1]) if ends else "not yet",
+            "events": f"{len(self.trace):,}",
+        }
+        lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
+        return f"<table>{lines}</table>"
+
+
+def _told(end: Ended) -> str:
+    """Return how a run ended, in words."""
+    if end.reason == "captured":
+        return f"captured by {end.capturer} after {seconds(end.t):.2f} s"
+    return f"{'not captured within' if end.reason == 'horizon' else 'stopped after'} {seconds(end.t):g} s"
 
 
 def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:

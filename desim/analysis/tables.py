@@ -1,7 +1,7 @@
 """Results as plain text that a person reads."""
 
-from collections.abc import Iterator, Sequence
-from math import isfinite, isnan
+from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite, isnan, nan
 from typing import Any
 
 from desim.analysis.metrics import METRICS, Summary, words
@@ -70,6 +70,15 @@ def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
 def as_json(found: Estimate) -> dict[str, Any]:
     """Return an estimate as JSON has it."""
     return {"mean": json_number(found.mean), "half_width": json_number(found.half_width), "runs": found.count}
+
+
+def from_json(made: Mapping[str, Any]) -> Estimate:
+    """Return the estimate that `as_json` wrote, but for rounding."""
+    from scipy.special import stdtrit
+
+    mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
+    count = int(made["runs"])
+    return Estimate(mean, half_width / float(stdtrit(count - 1, 0.975)) if count > 1 else nan, count)
 
 
 def json_number(value: Any) -> Any:

@@ -23,6 +23,8 @@ MOST_TICKS = 8
 """How many values of a key have a tick of their own."""
 MOST_ABREAST = 3
 """How many panels of a phase diagram stand side by side."""
+LETTER = 0.075
+"""About how wide a letter of a legend of 8 points is, in."""
 INK = "#111111"
 """Text on light colours; not black, which pages take for the colour of their text."""
 WIDE = 20.0
@@ -62,26 +64,31 @@ def multiples(result: SweepResult, metrics: Sequence[str], columns: int = 3) -> 
     abscissa = next(iter(swept_numbers(result)), None)
     columns = min(columns, len(metrics))
     rows = -(-len(metrics) // columns)
-    lines = len(result.groups) / len({group.settings[abscissa] for group in result.groups}) if abscissa else 1
-    height = 2.1 * rows + 0.07 * lines if abscissa else (0.8 + 0.2 * len(result.groups)) * rows
-    with styled(figsize=(0.4 + 3.0 * columns, 0.3 + height), font=8.0) as figure:
-        panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None).flat
-        for axes, metric in zip(panels, metrics, strict=False):
+    height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
+    names = list(_lines(result, metrics[0], abscissa)) if abscissa else []
+    width = 0.4 + 3.0 * columns
+    abreast = max(1, int(width / (0.6 + LETTER * max(map(len, names), default=0))))
+    size = (width, 0.3 + height * rows + 0.17 * -(-len(names) // abreast))
+    with styled(figsize=size, font=8.0) as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
+        for axes, metric in zip(panels.flat, metrics, strict=False):
             axes.set_title(_with_unit(metric), loc="left")
             if abscissa is None:
                 _draw_rows(axes, result, metric)
             else:
                 _draw_lines(axes, result, metric, abscissa)
-        for axes in list(figure.axes)[len(metrics) :]:
-            axes.set_axis_off()
-        for axes in figure.axes:
-            axes.label_outer()
-        handles, names = figure.axes[0].get_legend_handles_labels()
-        if len(handles) > 1:
+        for k, axes in enumerate(panels.flat):
+            if k >= len(metrics):
+                axes.set_axis_off()
+            if abscissa is None and k % columns:
+                axes.tick_params(labelleft=False)
+                axes.set_ylabel("")
+            if k + columns < len(metrics):
+                axes.set_xlabel("")
+        if len(names) > 1:
+            found = panels.flat[0].get_legend_handles_labels()
             title = _legend_title(result, abscissa)
-            figure.legend(
-                handles, names, loc="outside lower center", ncols=min(len(names), 4), title=title, title_fontsize=8
-            )
+            figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
     return figure
 
 
@@ -162,26 +169,32 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
     """Draw a metric over a key, a line for each combination of the others."""
     values = sorted({group.settings[abscissa] for group in result.groups})
     places, is_plain = _places(values)
-    others = [key for key in result.keys if key != abscissa]
-    lines: dict[str, list[tuple[float, Estimate]]] = {}
-    for group, found in zip(result.groups, result.estimates(metric), strict=True):
-        given = [text(group.settings[key]) for key in others]
-        if len(others) > 1:
-            given = [f"{key} = {each}" for key, each in zip(others, given, strict=True)]
-        name = ", ".join(given)
-        lines.setdefault(_literal(name), []).append((places[group.settings[abscissa]], found))
+    lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
     looks = list(product(MARKERS, SERIES))
     for k, (name, points) in enumerate(lines.items()):
         marker, colour = looks[k % len(looks)]
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
-        x, y, error = zip(*((at + shift, each.mean, each.half_width) for at, each in sorted(points)), strict=True)
+        known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
+        x, y, error = zip(*known, strict=True)
         axes.errorbar(x, y, error, color=colour, marker=marker, ms=3, lw=1.2, elinewidth=0.8, capsize=2, label=name)
     if len(values) <= MOST_TICKS or not is_plain:
         count = min(len(values), MOST_TICKS)
         ticks = [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
         axes.set_xticks([places[value] for value in ticks], [text(value) for value in ticks])
     axes.set_xlabel(abscissa)
+
+
+def _lines(result: SweepResult, metric: str, abscissa: str) -> dict[str, list[tuple[float, Estimate]]]:
+    """Return a metric by value of a key, for each combination of the others, by its name."""
+    others = [key for key in result.keys if key != abscissa]
+    lines: dict[str, list[tuple[float, Estimate]]] = {}
+    for group, found in zip(result.groups, result.estimates(metric), strict=True):
+        given = [text(group.settings[key]) for key in others]
+        if len(others) > 1:
+            given = [f"{key} = {each}" for key, each in zip(others, given, strict=True)]
+        lines.setdefault(_literal(", ".join(given)), []).append((group.settings[abscissa], found))
+    return lines
 
 
 def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:

@@ -1,0 +1,229 @@
+"""The report of a sweep: one HTML page with all that is known of it, the same bytes every time.
+
+It holds no script and asks for nothing. Its pictures are inline SVG that takes the colours of the page.
+"""
+
+import json
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+from xml.etree import ElementTree
+
+from desim import provenance
+from desim.analysis.metrics import METRICS
+from desim.study.explain import Explanation
+from desim.study.result import SHOWN, SweepResult, text
+from desim.study.store import Store
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches", "messages_sent")
+"""The metrics of the small panels, if they were measured."""
+MAPPED = "active_time"
+"""The metric of the phase diagram."""
+MOST_FAILURES = 20
+"""How many different tracebacks are shown."""
+SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
+"""What is too dark on a dark page, and what stands for it there."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """All that a folder has of a sweep."""
+
+    result: SweepResult
+    fixed: Mapping[str, str]
+    """What is the same in all configurations, by dotted key, as JSON has it."""
+    made: provenance.Document | None
+    """Where it comes from; None if nobody wrote that down, as of stores that were merged."""
+    explanation: Explanation | None = None
+    """What imperfections cost, if that was asked."""
+
+    @classmethod
+    def read(cls, folder: Path, store: str = "sweep.sqlite") -> Self:
+        """Return what is in a folder of `desim sweep`, of `desim explain`, or of both.
+
+        Raises:
+            OSError: if something cannot be read, or there is no store (StoreError).
+            ValueError: if something is not what it should be (ProvenanceError, ...).
+        """
+        with Store(folder / store, must_exist=True) as kept:
+            result, about = SweepResult.of(kept), kept.about
+        path = folder / provenance.FILE
+        made = provenance.read(path) if path.exists() else None
+        scenario = made and made["scenario"] or json.loads(about["scenario"])
+        swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
+        fixed = {key: each for key, each in _leaves(scenario) if not f"{key}.".startswith(swept)}
+        return cls(result, fixed, made, _explanation(folder))
+
+    @property
+    def runs(self) -> int:
+        """How many runs are there."""
+        return sum(len(group.rows) for group in self.result.groups)
+
+    @property
+    def parameters(self) -> dict[str, list[str]]:
+        """The values of each key of the grid, in its order."""
+        return {
+            key: list(dict.fromkeys(text(group.settings[key]) for group in self.result.groups))
+            for key in self.result.keys
+        }
+
+    @property
+    def measured(self) -> list[str]:
+        """The metrics that some run has."""
+        groups = self.result.groups
+        return [
+            name
+            for name, metric in METRICS.items()
+            if metric.is_number and any(each is not None for group in groups for each in group.values(name))
+        ]
+
+
+def report(study: Study) -> str:
+    """Return a page about a sweep; jinja2 and matplotlib (the extra `plot`) are needed."""
+    from jinja2 import Environment
+
+    from desim.study.pictures import multiples, phase, swept_numbers, waterfall
+
+    result, measured = study.result, study.measured
+    panels = [metric for metric in PANELS if metric in measured]
+    found = study.explanation
+    pictures = {
+        "multiples": multiples(result, panels) if panels else None,
+        "phase": phase(result, MAPPED) if len(swept_numbers(result)) > 1 and MAPPED in measured else None,
+        "waterfall": waterfall(found) if found else None,
+    }
+    template = files("desim.view").joinpath("report.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
+    environment.filters["signs"] = _signs
+    failures = list(_failures(result))
+    made = study.made
+    return environment.from_string(template).render(
+        study=study,
+        result=result,
+        tables=result.tables(SHOWN),
+        wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
+        failures=failures[:MOST_FAILURES],
+        more_failures=len(failures) - MOST_FAILURES,
+        command=None if made is None else _command(made),
+        asked=None if made is None else _asked(made),
+        origin={} if made is None else _origin(made),
+        **{name: figure and _inline(figure, name) for name, figure in pictures.items()},
+    )
+
+
+def _explanation(folder: Path) -> Explanation | None:
+    """Return what imperfections cost, if a folder, or `explain` in it, has that."""
+    for path in (folder / "explain.json", folder / "explain" / "explain.json"):
+        if path.exists():
+            try:
+                return Explanation.of(json.loads(path.read_bytes()))
+            except (ValueError, RecursionError) as error:
+                raise ValueError(f"{path}: {error}") from error
+    return None
+
+
+def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, str]]:
+    """Yield what is in a table and its tables, by dotted key; a list of numbers or texts is one value."""
+    if isinstance(node, dict) and node:
+        for key, each in node.items():
+            yield from _leaves(each, f"{above}{key}.")
+    elif isinstance(node, list) and any(isinstance(each, dict) for each in node):
+        for k, each in enumerate(node):
+            yield from _leaves(each, f"{above}{k}.")
+    else:
+        yield above.removesuffix("."), json.dumps(node, ensure_ascii=False)
+
+
+def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield each different traceback: what was raised, the whole, and which runs raised it."""
+    runs: dict[tuple[str, str], list[str]] = {}
+    for group in result.groups:
+        settings = ", ".join(f"{key} = {text(each)}" for key, each in group.settings.items())
+        for row in group.failed:
+            runs.setdefault((row.error, row.traceback), []).append(f"{settings}; seed {row.seed} ({row.status})")
+    yield from ((error, trace, which) for (error, trace), which in runs.items())
+
+
+def _command(made: provenance.Document) -> str:
+    """Return what was typed, as a shell reads it."""
+    program, *arguments = map(str, made["argv"]) if made["argv"] else ("desim",)
+    path = Path(program)
+    if path.name == "desim":
+        return shlex.join(["desim", *arguments])
+    if path.name == "__main__.py":
+        return shlex.join(["python", "-m", path.parent.name, *arguments])
+    return shlex.join([program, *arguments])
+
+
+def _asked(made: provenance.Document) -> int | None:
+    """Return how many runs there should be, if that was said beforehand."""
+    open_ended = made["what"] != "sweep" or any(str(each).startswith("--until") for each in made["argv"])
+    return None if open_ended else int(made["runs"])
+
+
+def _origin(made: provenance.Document) -> dict[str, str]:
+    """Return where results come from, as a reader has it."""
+    state = "" if made["dirty"] is None else " with changes" if made["dirty"] else ", unchanged"
+    told = {
+        "seeds from": str(made["seed"]),
+        "commit": f"{made['commit']}{state}" if made["commit"] else "of no commit",
+        "hash of the code": made["code"],
+        **{f"version of {name}": each or "unknown" for name, each in made["versions"].items()},
+        **{str(name): each for name, each in made["platform"].items()},
+        "folder of the scenario": made["folder"] or "none: it was made by a script",
+    }
+    if made["unrecorded"]:
+        told["parameters that are not recorded"] = ", ".join(map(str, made["unrecorded"]))
+    return {name: str(each) for name, each in told.items()}
+
+
+def _signs(cell: str) -> str:
+    return cell.replace("+-", "±")
+
+
+def _inline(figure: "Figure", name: str) -> "Markup":
+    """Return a figure as SVG within HTML: what it calls its parts begins with a name, for others are on the page."""
+    import matplotlib as mpl
+    from markupsafe import Markup
+
+    from desim.analysis.plots import STYLE
+
+    stream = BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
+    root = ElementTree.fromstring(stream.getvalue())
+    for above in list(root.iter()):
+        for inner in list(above):
+            if inner.tag in {f"{{{SVG}}}metadata", f"{{{SVG}}}style"}:
+                above.remove(inner)
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(f"{{{SVG}}}")
+        attributes = {key.removeprefix(f"{{{XLINK}}}"): each for key, each in element.attrib.items()}
+        element.attrib.clear()
+        element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
+    for key in ("height", "version"):
+        root.attrib.pop(key, None)
+    root.set("role", "img")
+    root.set("aria-labelledby", f"{name}-title")
+    return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree
+
+
+def _attribute(key: str, value: str, name: str) -> str:
+    """Return an attribute of SVG with colours of the page, and ids that no other picture has."""
+    if key == "id":
+        return f"{name}-{value}"
+    if key == "href":
+        return value.replace("#", f"#{name}-", 1)
+    if key == "style":
+        value = re.sub("#[0-9a-f]{6}", lambda found: COLOURS.get(found[0], found[0]), value)
+    return value.replace("url(#", f"url(#{name}-")
