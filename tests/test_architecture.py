@@ -82,6 +82,7 @@ ALLOWED = {
         "desim.scenario_file",
         "desim.simulation",
     },
+    "desim.view.report": {"desim.analysis", "desim.provenance", "desim.study", "desim.view"},
     "desim.view": {
         "desim.analysis",
         "desim.kernel.clock",

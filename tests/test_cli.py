@@ -1103,11 +1103,13 @@ def test_an_option_of_a_sweep_out_of_range_is_refused(file, options):
 def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_path):
     path, out = file(COINS), tmp_path / "out"
     accepted("sweep", path, "-o", out, "-n", 1)
-    store = out / "sweep.sqlite"
+    store, hint = out / "sweep.sqlite", "; remove it, or choose another folder (-o)"
     assert refused("sweep", path, "-o", out, "--set", "horizon=0.6") == [
-        f"{store}: was made by another configuration: horizon was 0.5, is 0.6"
+        f"{store}: was made by another configuration: horizon was 0.5, is 0.6{hint}"
     ]
-    assert refused("sweep", path, "-o", out, "-s", 6) == [f"{store}: was made by another sweep: root seed was 5, is 6"]
+    assert refused("sweep", path, "-o", out, "-s", 6) == [
+        f"{store}: was made by another sweep: root seed was 5, is 6{hint}"
+    ]
     accepted("sweep", path, "-o", tmp_path / "other", "-n", 1, "-s", 6)
     assert refused("merge", out, tmp_path / "other", "-o", tmp_path / "all") == [
         f"{store}: was made by another sweep: root seed was 5, is 6"

@@ -9,6 +9,7 @@ from desim.cli.look import replay
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.options import INTERRUPTED
+from desim.cli.report import report
 
 
 class Commands(click.Group):
@@ -29,5 +30,5 @@ def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
 
 
-for command in (run, replay, draw, sweep, explain, merge, export, check, keys, protocols, schema):
+for command in (run, replay, draw, sweep, explain, report, merge, export, check, keys, protocols, schema):
     main.add_command(command)

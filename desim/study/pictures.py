@@ -89,6 +89,7 @@ def multiples(result: SweepResult, metrics: Sequence[str], columns: int = 3) -> 
             found = panels.flat[0].get_legend_handles_labels()
             title = _legend_title(result, abscissa)
             figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
+        figure.draw_without_rendering()  # the legend makes panels lower, which changes their ticks, which takes room
     return figure
 
 
@@ -136,9 +137,10 @@ def phase(result: SweepResult, metric: str) -> Figure:
 def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) -> None:
     """Draw values (rows upwards) as coloured cells, and each as text, "-" where there is none."""
     # As rectangles: an image would be made of pixels also in an SVG.
+    faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
     for (row, column), value in np.ndenumerate(values):
         there = isfinite(value)
-        red, green, blue, _ = colours.to_rgba(value)
+        red, green, blue, _ = faces[row, column].tolist()
         face = (red, green, blue) if there else "none"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
         dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
@@ -251,7 +253,8 @@ def waterfall(found: Explanation) -> Figure:
         ):
             draw_waterfall(axes, cost)
             axes.set_ylabel(EXPLAINED[metric].replace(", s", " (s)"))
-        figure.suptitle(f"{found.name}: what imperfections cost, {found.runs} runs of equal seeds", fontsize=9)
+        title = f"{found.name}: what imperfections cost, {found.runs} runs of equal seeds"
+        figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
 

@@ -59,7 +59,7 @@ class Study:
             result, about = SweepResult.of(kept), kept.about
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
-        scenario = made and made["scenario"] or json.loads(about["scenario"])
+        scenario = (made and made["scenario"]) or json.loads(about["scenario"])
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         fixed = {key: each for key, each in _leaves(scenario) if not f"{key}.".startswith(swept)}
         return cls(result, fixed, made, _explanation(folder))
@@ -79,12 +79,14 @@ class Study:
 
     @property
     def measured(self) -> list[str]:
-        """The metrics that some run has."""
+        """The metrics that some run has, but for the capture, of which every table tells."""
         groups = self.result.groups
         return [
             name
             for name, metric in METRICS.items()
-            if metric.is_number and any(each is not None for group in groups for each in group.values(name))
+            if metric.is_number
+            and name != "captured"
+            and any(each is not None for group in groups for each in group.values(name))
         ]
 
 

@@ -1,6 +1,7 @@
 """Small sweeps, what goes wrong in them, and who does them: what the tests of many runs share."""
 
 import os
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -159,6 +160,7 @@ def start(*args, mark, **options):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # in the background it is ignored
         **options,
     )
 

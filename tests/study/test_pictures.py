@@ -11,7 +11,7 @@ from desim.analysis.metrics import summary
 from desim.analysis.plots import save
 from desim.scenario import Scenario, Team
 from desim.simulation import run
-from desim.study.pictures import means
+from desim.study.pictures import INK, means, multiples, phase
 from desim.study.result import Group, SweepResult
 from desim.study.store import Row
 
@@ -163,3 +163,99 @@ def test_what_nobody_measured_is_not_drawn():
 def test_a_metric_without_a_unit_has_none():
     axes, _ = drawn({"x": [1.0, 2.0]}, "switches")
     assert axes.get_ylabel() == "switches"
+
+
+# Several metrics.
+
+
+def test_small_panels_show_what_the_pictures_of_each_metric_show():
+    grid, metrics = {"horizon": [1.0, 2.0], "prune": ["inf", "none"]}, ["active_time", "switches", "end_time", "energy"]
+    figure = multiples(result(grid), metrics)
+    assert len(figure.axes) == 6  # of which two are empty
+    assert [axes.axison for axes in figure.axes] == [True] * 4 + [False] * 2
+    for axes, metric in zip(figure.axes, metrics, strict=False):
+        alone, lines = drawn(grid, metric)
+        assert axes.get_title(loc="left") == alone.get_ylabel()
+        here = [container.lines[0] for container in axes.containers]
+        assert [line.get_xydata().tolist() for line in here] == [line.get_xydata().tolist() for line in lines]
+        assert axes.get_legend() is None
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "prune"
+    assert [each.get_text() for each in legend.get_texts()] == ["inf", "none"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", "horizon", "horizon", "horizon", "", ""]
+
+
+@pytest.mark.parametrize("size", [1, 4, 9])
+def test_the_legend_of_small_panels_is_within_the_picture(size):
+    others = {"network.range": [float(k) for k in range(size)], "announce.payload": ["action", "state"]}
+    figure = multiples(result({"x": [1.0, 2.0]} | others), ["active_time"])
+    box = figure.legends[0].get_window_extent()
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0
+    assert box.y1 < figure.axes[0].get_window_extent().y0
+    assert figure.axes[0].get_window_extent().height > 60
+
+
+def test_small_panels_over_no_number_have_a_row_per_configuration():
+    figure = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
+    assert not figure.legends
+    assert [axes.get_ylabel() for axes in figure.axes] == ["prune", ""]
+    assert list(ticks(figure.axes[0].yaxis)) == ["inf", "none"]
+    assert [each.label2.get_visible() or each.label1.get_visible() for each in figure.axes[1].yaxis.majorTicks] == [
+        False
+    ] * 2
+
+
+def test_there_are_no_panels_of_nothing():
+    with pytest.raises(ValueError, match="at least one metric"):
+        multiples(result({"x": [1.0, 2.0]}), [])
+
+
+# Phase diagrams.
+
+
+def written(axes):
+    """Return the text of each cell of a map, by place."""
+    return {tuple(each.get_position()): each.get_text() for each in axes.texts}
+
+
+def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
+    """Of k, k + 1, k + 2, the mean is k + 1; the last key changes fastest, and values are sorted."""
+    figure = phase(result({"x": [2.0, 1.0], "prune": ["inf"], "y": [4.0, inf, 3.0]}), "active_time")
+    (axes,) = figure.axes
+    assert ticks(axes.xaxis) == {"1": 0, "2": 1}
+    assert ticks(axes.yaxis) == {"3": 0, "4": 1, "inf": 2}
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x", "y", "prune = inf")
+    assert written(axes) == {(1, 1): "1", (1, 2): "2", (1, 0): "3", (0, 1): "4", (0, 2): "5", (0, 0): "6"}
+
+
+def test_a_phase_diagram_has_a_panel_for_each_combination_of_the_other_keys_in_the_same_colours():
+    figure = phase(result({"prune": ["inf", "none"], "x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time")
+    one, other = figure.axes
+    assert [one.get_title(), other.get_title()] == ["prune = inf", "prune = none"]
+    assert written(other)[0, 0] == "5"
+    cells = [each for axes in figure.axes for each in zip(axes.texts, axes.patches, strict=True)]
+    faces = [patch.get_facecolor() for _, patch in sorted(cells, key=lambda each: float(each[0].get_text()))]
+    light = [0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue, _ in faces]
+    assert len(set(light)) == 8
+    assert light == sorted(light)
+
+
+def test_what_is_written_on_dark_is_light():
+    axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time").axes[0]
+    for patch, each in zip(axes.patches, axes.texts, strict=True):
+        red, green, blue, _ = patch.get_facecolor()
+        light = 0.299 * red + 0.587 * green + 0.114 * blue
+        assert each.get_color() == ("white" if light < 0.5 else INK)
+    assert {each.get_color() for each in axes.texts} == {"white", INK}
+
+
+def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
+    axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "capture_time").axes[0]
+    assert set(written(axes).values()) == {"-"}
+    assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
+
+
+def test_a_phase_diagram_needs_two_numbers():
+    with pytest.raises(ValueError, match="two keys that take several numbers, there are 1"):
+        phase(result({"x": [1.0, 2.0], "prune": ["inf", "none"], "y": [3.0]}), "active_time")

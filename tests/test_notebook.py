@@ -1,0 +1,111 @@
+"""What a notebook shows of results: text of which nothing is taken for HTML."""
+
+import json
+from html.parser import HTMLParser
+from math import isnan, nan
+
+import pytest
+
+from desim import Scenario, run
+from desim.analysis.statistics import estimate
+from desim.analysis.tables import as_json, from_json
+from desim.pursuit.events import Ended
+from desim.scenario import Evader, Team
+from desim.study.explain import Explanation, explain
+
+HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
+# One pursuer at the place of the evader, which is captured at once; or nobody anywhere near within 0.1 s.
+AT_ONCE = Scenario(name=HOSTILE, team=Team(positions=[(1.0, 1.0)]), evader=Evader(position=(1.0, 1.0)))
+NEVER = Scenario(horizon=0.1, team=Team(positions=[(9.0, 1.0)]), evader=Evader(position=(1.0, 1.0)))
+
+
+class Table(HTMLParser):
+    """The rows of a table, and all tags."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.tags, self.texts = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in {"td", "th"}:
+            self.rows[-1].append("")
+
+    def handle_data(self, data):
+        self.texts.append(data)
+        if self.tags[-1] in {"td", "th"}:
+            self.rows[-1][-1] += data
+
+
+def test_a_run_shows_what_it_was_and_how_it_ended():
+    result = run(AT_ONCE, 5)
+    table = Table(result._repr_html_())
+    assert table.rows == [
+        ["scenario", HOSTILE],
+        ["seed", "5"],
+        ["protocol", "sap"],
+        ["ended", "captured by 0 after 0.00 s"],
+        ["events", f"{len(result.trace):,}"],
+    ]
+    assert set(table.tags) == {"table", "tr", "th", "td"}
+
+
+def test_a_run_without_a_capture_says_so():
+    assert ["ended", "not captured within 0.1 s"] in Table(run(NEVER)._repr_html_()).rows
+
+
+def test_a_run_that_a_watcher_stopped_says_so():
+    result = run(NEVER, 1, lambda event: event.t > 0)
+    assert result.trace.of(Ended)[0].reason == "stopped"
+    ((_, ended),) = [row for row in Table(result._repr_html_()).rows if row[0] == "ended"]
+    assert ended.startswith("stopped after 0.")
+
+
+def test_a_protocol_that_is_a_function_is_called_by_its_name():
+    def mine(agent):
+        yield agent.sleep(1.0)
+
+    assert ["protocol", "mine"] in Table(run(NEVER.model_copy(update={"protocol": mine}))._repr_html_()).rows
+
+
+@pytest.fixture(scope="module")
+def found():
+    base = Scenario(name=HOSTILE, horizon=0.3, team=Team(count=3))
+    return explain(base.model_copy(update={"network": base.network.model_copy(update={"range": 5.0})}), runs=4)
+
+
+def test_an_explanation_shows_its_table(found):
+    table = Table(found._repr_html_())
+    assert table.rows == [[cell.replace("+-", "\N{PLUS-MINUS SIGN}") for cell in row] for row in found.rows()]
+    assert any(HOSTILE in each for each in table.texts)
+    assert set(table.tags) <= {"table", "caption", "tr", "th", "td", "p"}
+    assert all(remark in table.texts for remark in found.remarks())
+    assert found.remarks()
+
+
+def test_an_explanation_is_again_what_its_document_says(found):
+    again = Explanation.of(json.loads(json.dumps(found.document())))
+    assert again.table() == found.table()
+    for metric, cost in found.costs.items():
+        assert again.costs[metric].interacts == cost.interacts
+        assert again.costs[metric].together.mean.standard_error == pytest.approx(
+            cost.together.mean.standard_error, abs=1e-12
+        )
+
+
+@pytest.mark.parametrize("made", [[], {}, {"costs": {}}, {"costs": {"active_time": 1}}, "no"])
+def test_what_is_no_document_of_an_explanation_is_refused(made):
+    with pytest.raises(ValueError, match="is not of an explanation"):
+        Explanation.of(made)
+
+
+@pytest.mark.parametrize("values", [[1.0, 2.0, 4.0], [3.0], [5.0, 5.0]])
+def test_an_estimate_survives_json(values):
+    one = estimate(values)
+    again = from_json(json.loads(json.dumps(as_json(one))))
+    assert (again.mean, again.count) == (one.mean, one.count)
+    assert again.standard_error == pytest.approx(one.standard_error, nan_ok=True)
+    assert isnan(from_json({"mean": None, "half_width": None, "runs": 0}).mean) is isnan(nan)
