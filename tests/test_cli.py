@@ -1107,9 +1107,8 @@ def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_p
     assert refused("sweep", path, "-o", out, "--set", "horizon=0.6") == [
         f"{store}: was made by another configuration: horizon was 0.5, is 0.6{hint}"
     ]
-    assert refused("sweep", path, "-o", out, "-s", 6) == [
-        f"{store}: was made by another sweep: root seed was 5, is 6{hint}"
-    ]
+    seed = f"{store}: was made by another sweep: root seed was 5, is 6{hint}"
+    assert refused("sweep", path, "-o", out, "-s", 6) == [seed]
     accepted("sweep", path, "-o", tmp_path / "other", "-n", 1, "-s", 6)
     assert refused("merge", out, tmp_path / "other", "-o", tmp_path / "all") == [seed]
     assert not (tmp_path / "all").exists()
