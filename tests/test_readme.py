@@ -68,7 +68,6 @@ def test_every_study_the_readme_names_has_help(module):
     "command", [line.split("#")[0].split() for line in README.splitlines() if line.startswith("    desim ")]
 )
 def test_every_command_the_readme_names_runs(command, tmp_path):
-    (tmp_path / "out").mkdir()
     words = [str(tmp_path / word) if word.startswith("out/") else word for word in command[1:] if word != ">"]
     words = [word for word in words if word != "scenario.schema.json"]
     if words[0] in {"sweep", "explain"}:

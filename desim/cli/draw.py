@@ -37,6 +37,7 @@ def _place(source: Path, out: Path | None, name: str) -> Path:
 def _attempt(make: Callable[[], Any], path: Path) -> Any:
     """Make a picture, or end the program and say why that cannot be."""
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         return make()
     except ModuleNotFoundError as error:
         refuse(f"a picture needs {error.name}: pip install 'pursuit-desim[plot]'")

@@ -40,6 +40,7 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     except ModuleNotFoundError as error:
         refuse(f"a replay needs {error.name}: pip install 'pursuit-desim[plot]'")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(page)
     except OSError as error:
         refuse(f"--out {path}: cannot be written: {error.strerror}")

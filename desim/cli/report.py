@@ -25,6 +25,7 @@ def report(folder: Path, out: Path | None) -> None:
     except ValueError as error:
         refuse(str(error))
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(page)
     except OSError as error:
         refuse(f"{path}: cannot be written: {error.strerror}")

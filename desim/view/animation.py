@@ -4,6 +4,7 @@ Frames are drawn over one background in the colours of one palette; equal runs g
 """
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def animate(
         raise ValueError(
             f"there is nothing from {begin:g} s to {last:g} s: the run lasted {seconds(ended(result).t):g} s"
         )
-    if not (speed > 0.0 and 1 <= fps <= 50):
+    if not (0.0 < speed < inf and 1 <= fps <= 50):
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
     pause = 100 // fps * 10  # ms
     step = nanoseconds(speed * pause / 1000.0)

@@ -20,7 +20,7 @@ class Passage(NamedTuple):
     created: int
     """When it was sent, ns; earlier than it left if the transmitter was busy."""
     left: int
-    """When it left or, if it never did, when it was dropped, ns."""
+    """When it left or, if it never did, when it was dropped, ns; after the end of the run if it waited then."""
     until: int
     """When it arrived or was lost, ns; after the end of the run if it was in flight then."""
     cause: Cause | None
@@ -38,24 +38,25 @@ def passages(result: Result) -> list[Passage]:
         ValueError: if messages were sent and not recorded.
     """
     found: dict[tuple[int, int], Passage] = {}
+    never = ended(result).t + 1
     for event in result.trace:
         if isinstance(event, Broadcast | Sent | Queued):
-            for passage in _begun(event):
+            for passage in _begun(event, never):
                 found[passage.flight, passage.dst] = passage
         elif isinstance(event, Lost):
             passage = found[event.flight, event.dst]
-            left = passage.left if passage.body is not None else event.t
+            left = min(passage.left, event.t)
             found[event.flight, event.dst] = passage._replace(left=left, until=event.t, cause=event.cause)
     if not found and messages(result).sent:
         raise ValueError("messages were sent and not recorded: set record.messages = true")
     return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
 
 
-def _begun(event: Broadcast | Sent | Queued) -> Iterator[Passage]:
+def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Passage]:
     """Yield what left or began to wait; if it is lost, when and why follows."""
     if isinstance(event, Queued):
         for dst in event.dst:
-            yield Passage(event.flight, event.src, dst, event.t, event.t, event.t, None, event.size, None)
+            yield Passage(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
         return
     receivers, arrivals = (
         (event.dst, event.arrival) if isinstance(event, Broadcast) else ((event.dst,), (event.arrival,))

@@ -127,8 +127,8 @@ def _window(
         last = next((each.left for each in own[most // 2 :] if each.left > first), last)
         own = [each for each in own if each.left <= last]
     if len(own) > most:
-        fits = max(own[most].left, first)
-        advice = f"end the window at {seconds(fits):.4g} s, or " if fits > first else ""
+        fits = max((each.left for each in own[:most] if each.left < own[most].left), default=first)
+        advice = f"end the window at {seconds(fits):.9f} s, or " if fits > first else ""
         raise ValueError(
             f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
             f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider picture"

@@ -151,8 +151,16 @@ def count(path):
         return 0
 
 
-def start(*args, mark, **options):
-    """Start the command in a process group of its own, all of whose processes bear a mark."""
+def start(*args, mark, prepare=lambda: None, **options):
+    """Start the command in a process group of its own, all of whose processes bear a mark.
+
+    In it a Ctrl-C is heard, which processes in the background inherit to ignore.
+    """
+
+    def begin():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        prepare()
+
     return subprocess.Popen(
         [sys.executable, "-m", "desim", *map(str, args)],
         env={**os.environ, MARK: mark, "PYTHONPATH": str(ROOT)},
@@ -160,7 +168,7 @@ def start(*args, mark, **options):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # in the background it is ignored
+        preexec_fn=begin,
         **options,
     )
 

@@ -108,7 +108,7 @@ def test_files_that_may_not_grow_are_told_of(tmp_path, file, limit):
     driver = sweeps.start(
         *("sweep", file, "-n", 200, "-o", out),
         mark=mark,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit * 1024, limit * 1024)),
+        prepare=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit * 1024, limit * 1024)),
     )
     stdout, stderr = driver.communicate()
     assert (driver.returncode, stdout) == (WRONG_INPUT, ""), stderr

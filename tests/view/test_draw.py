@@ -91,9 +91,9 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
         (("gif", "ran", "--speed", "0"), "--speed"),
         (("gif", "nowhere"), "nowhere: cannot be read"),
         (("perfetto", "ran", "-s", "4"), "what is in a DIR has happened"),
-        (("perfetto", "ran", "-o", "no/such/folder.json"), "cannot be written"),
-        (("spacetime", "ran", "-o", "no/such/folder.svg"), "cannot be written"),
-        (("gif", "ran", "-o", "no/such/folder.gif"), "cannot be written"),
+        (("perfetto", "ran", "-o", "ran/run.json/no.json"), "cannot be written"),
+        (("spacetime", "ran", "-o", "ran/run.json/no.svg"), "cannot be written"),
+        (("gif", "ran", "-o", "ran/run.json/no.gif"), "cannot be written"),
     ],
 )
 def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):

@@ -151,7 +151,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
         spacetime(crowded, 1.0, 4.0)
     until = float(re.search(r"end the window at ([\d.]+) s", str(refused.value))[1])
     assert f"the {round(MOST * 17)} that" in str(refused.value)
-    figure = spacetime(crowded, 1.0, until - 0.01)
+    figure = spacetime(crowded, 1.0, until)
     shown = len(arrows(figure)) + len(dotted(figure))
     assert 0.8 * MOST * 17 < shown <= MOST * 17
     spacetime(crowded, 1.0, 4.0, pursuers=(0, 9))
