@@ -144,6 +144,7 @@ def sweep(
 )
 def merge(stores: tuple[Path, ...], out: Path) -> None:
     """Put the runs of several stores (files or folders) of one sweep together."""
+    from desim import provenance
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
@@ -153,6 +154,9 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
             store.take(part)
+        root = json.loads(store.about.get("root seed", "0"))  # nothing was run
+        made = provenance.document("merge", seed=root, runs=len(store), stores=[str(part.path) for part in parts])
+        provenance.write(out, made)
         click.echo(f"{len(store)} runs are in {out / STORE}")
 
 

@@ -1,5 +1,6 @@
 """The store: what cannot be one is told of by its file, what was done is kept, and parts make a whole."""
 
+import json
 import resource
 import sqlite3
 import threading
@@ -230,3 +231,15 @@ def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
     with closing(sqlite3.connect(tmp_path / "store.sqlite")) as database:
         times = [time for (time,) in database.execute("SELECT active_time FROM results")]
     assert times == [time for group in found.groups for time in group.values("active_time")]
+
+
+def test_a_merged_store_says_what_it_was_made_of(tmp_path, file):
+    parts = [tmp_path / "1", tmp_path / "2"]
+    for k, part in enumerate(parts, start=1):
+        assert command("sweep", file, "--shard", f"{k}/2", "-o", part).exit_code == 0
+    assert command("merge", *parts, "-o", tmp_path / "all").exit_code == 0
+    made = json.loads((tmp_path / "all" / "run.json").read_text())
+    stores = [str(part / f"sweep.{k}-of-2.sqlite") for k, part in enumerate(parts, start=1)]
+    assert (made["what"], made["stores"]) == ("merge", stores)
+    with Store(tmp_path / "all" / "sweep.sqlite") as store:
+        assert made["runs"] == len(store) > 0
