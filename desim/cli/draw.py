@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.look import recorded, simulated
+from desim.cli.look import result_of
 from desim.cli.options import SEED, SET, refuse
 
 if TYPE_CHECKING:
@@ -19,14 +19,10 @@ def draw() -> None:
 
 
 def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return the run in a folder or of a scenario file."""
+    """Return the run in a folder or of a scenario file, ready to be read many times."""
     from desim.analysis.reading import reading
 
-    if not source.is_dir():
-        return reading(simulated(source, seed, overrides))
-    if seed is not None or overrides:
-        raise click.UsageError("--seed and --set are for a scenario FILE: what is in a DIR has happened")
-    return reading(recorded(source))
+    return reading(result_of(source, seed, overrides))
 
 
 def _place(source: Path, out: Path | None, name: str) -> Path:

@@ -28,13 +28,10 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     from desim.view.replay import lacks
     from desim.view.replay import replay as page_of
 
-    is_folder = source.is_dir()
-    if is_folder and (seed is not None or overrides):
-        raise click.UsageError("--seed and --set are for a scenario FILE: what is in a DIR has happened")
-    result = recorded(source) if is_folder else simulated(source, seed, overrides)
+    result = result_of(source, seed, overrides)
     for each in lacks(result):
         click.echo(f"warning: {each}", err=True)
-    path = out or (source / "replay.html" if is_folder else Path(source.stem + ".html"))
+    path = out or (source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
     try:
         page = page_of(result).encode()
     except ModuleNotFoundError as error:
@@ -50,7 +47,16 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     )
 
 
-def recorded(folder: Path) -> "Result":
+def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
+    """Return the run in a folder, or one of a scenario file; end the program if there is none."""
+    if not source.is_dir():
+        return _simulated(source, seed, overrides)
+    if seed is not None or overrides:
+        raise click.UsageError("--seed and --set are for a scenario FILE: what is in a DIR has happened")
+    return _recorded(source)
+
+
+def _recorded(folder: Path) -> "Result":
     """Return the run in a folder, or end the program if there is none."""
     from desim.analysis.folder import read
     from desim.source import ScenarioError
@@ -65,7 +71,7 @@ def recorded(folder: Path) -> "Result":
         refuse(str(error))
 
 
-def simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
+def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return a run of a scenario file of which everything is recorded that can be looked at."""
     from desim.simulation import run
 

@@ -67,11 +67,6 @@ def valid(source: "Source") -> "Scenario":
     return scenario
 
 
-def scenario_of(file: Path, overrides: tuple[str, ...]) -> "Scenario":
-    """Return the scenario of a file; see `source_of`."""
-    return source_of(file, overrides)[1]
-
-
 def make_folder(folder: Path) -> None:
     """Make the output folder, or end the program if it cannot be written."""
     from desim.analysis.folder import can_plot

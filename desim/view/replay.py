@@ -4,7 +4,7 @@ Times are whole ticks, positions whole millimetres. Columns of numbers are typed
 """
 
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from math import isfinite
 from typing import Any, NamedTuple
@@ -18,9 +18,10 @@ from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.reading import ended, messages, reading, started
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
-from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.faults import Crash, Fault, Partition
 from desim.pursuit.events import Decided, Halted, Sampled
 from desim.simulation import Result
+from desim.view.passages import outages
 
 NEVER = 2**32 - 1
 """The tick of what does not happen in the run."""
@@ -158,23 +159,9 @@ def _decisions(result: Result, ticks: _Ticks) -> Document:
     }
 
 
-def _open_times(events: Iterable[object], end: int) -> Iterator[tuple[Fault, int, int]]:
-    """Yield each fault that began, when, and when it or the run was over, ns."""
-    still_open: list[Began] = []
-    for event in events:
-        if isinstance(event, Began):
-            still_open.append(event)
-        elif isinstance(event, Over):
-            began = next(each for each in still_open if each.fault == event.fault)
-            still_open.remove(began)
-            yield began.fault, began.t, event.t
-    yield from ((began.fault, began.t, end) for began in still_open)
-
-
 def _faults(result: Result, ticks: _Ticks) -> list[Document]:
     """Return what was broken when, in order of time."""
-    found = sorted(_open_times(result.trace, ended(result).t), key=lambda each: each[1])
-    return [_fault(fault, begin, until, ticks) for fault, begin, until in found]
+    return [_fault(fault, spell.begin, spell.end, ticks) for fault, spell in outages(result)]
 
 
 def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> Document:
