@@ -22,7 +22,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def cluster(tmp_path_factory):
     """Yield the address of a Dask scheduler with two workers, which know desim, but none of the folders of a test."""
     folder = tmp_path_factory.mktemp("cluster")
