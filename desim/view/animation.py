@@ -1,5 +1,7 @@
 """A run as a GIF for slides: everyone from above, who is active, and the messages on their way.
 
+Messages fly, and are lost, where the replay draws them: see `desim.view.passages`.
+
 Frames are drawn over one background in the colours of one palette; equal runs give equal bytes.
 """
 
@@ -36,6 +38,8 @@ MOST = 1500
 HOLD = 1500
 """How long the last frame stays, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
+SHORT = 0.02
+"""How far before its receiver the cross of a lost message stands, in widths of the picture."""
 SHADES = 10
 """Of each colour, towards white."""
 
@@ -118,9 +122,10 @@ class _Stage:
 
     def __init__(self, figure: Figure, result: Result):
         self._result, self._paths, self._stints = result, Paths(result), stints(result)
-        self._flown = _flights(result, self._paths)
         axes = figure.add_subplot()
         self._set(axes)
+        left, right = axes.get_xlim()
+        self._flown = _flights(result, self._paths, SHORT * (right - left))
         (self._trails,) = axes.plot([], [], color=SKY, lw=1.0, solid_capstyle="butt")
         (self._relay,) = axes.plot([], [], color=BLUE, lw=2.5, solid_capstyle="butt")
         (self._evaded,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
@@ -179,10 +184,22 @@ def _joined(paths: Sequence[Floats]) -> Floats:
 
 
 class _Flights:
-    """Messages as points that move evenly from where the sender was to where the receiver will be."""
+    """Messages as points that fly evenly from where the sender was as they left to where the receiver is at arrival.
 
-    def __init__(self, left: Integers, until: Integers, lost: NDArray[np.bool_], source: Floats, target: Floats):
+    Args:
+        left: (k,) when they left, ns.
+        until: (k,) when they arrived or were lost, ns.
+        lost: (k,) whether they were.
+        source: (k, 2) where the sender was when they left, m.
+        target: (k, 2) where the receiver was when they arrived or were lost, m.
+        short: how far before its receiver a message is lost, m.
+    """
+
+    def __init__(
+        self, left: Integers, until: Integers, lost: NDArray[np.bool_], source: Floats, target: Floats, short: float
+    ):
         self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
+        self._short = short
 
     def under_way(self, t: int) -> Floats:
         """Return the (k, 2) places of messages that are under way."""
@@ -194,12 +211,15 @@ class _Flights:
     def lost_between(self, before: int, t: int) -> Floats:
         """Return the (k, 2) places, just before their receivers, of messages lost between two times."""
         gone = self.lost & (before < self._until) & (self._until <= t)
-        found: Floats = self._source[gone] + 0.9 * (self._target - self._source)[gone]
+        way = (self._target - self._source)[gone]
+        length = np.hypot(way[:, 0], way[:, 1])
+        share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]
+        found: Floats = self._target[gone] - share * way
         return found
 
 
-def _flights(result: Result, paths: Paths) -> _Flights:
-    """Return the messages of a run, none if they were not recorded."""
+def _flights(result: Result, paths: Paths, short: float) -> _Flights:
+    """Return the messages of a run, none if they were not recorded; for `short` see `_Flights`."""
     told = any(isinstance(event, Broadcast | Sent) for event in result.trace)
     own = passages(result) if told else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
@@ -208,4 +228,4 @@ def _flights(result: Result, paths: Paths) -> _Flights:
         sent = np.array([each.src == pursuer for each in own], dtype=bool)
         read = np.array([each.dst == pursuer for each in own], dtype=bool)
         source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
-    return _Flights(left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target)
+    return _Flights(left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target, short)

@@ -1,4 +1,10 @@
-"""What there is to draw of a run beside positions: how each message fared, who chased when, and what was broken."""
+"""What there is to draw of a run beside positions: how each message fared, who chased when, and what was broken.
+
+In every picture a message goes evenly from where its sender was as it left to where its receiver is as it arrives. One
+that is lost, for whatever reason and whenever that was settled, ends in a cross just before its receiver, at the time
+of the loss: so one sees who did not hear. In a space-time diagram, which has lines for places, one that is lost as it
+arrives ends on the line of its receiver.
+"""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple

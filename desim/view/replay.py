@@ -1,31 +1,37 @@
 """The replay of a run: one HTML page with all it needs in it, the same bytes every time.
 
-Times are whole ticks, positions whole millimetres. Columns of numbers are typed arrays in base64, little-endian.
+Times are whole ticks, positions whole millimetres or, if they lie far apart, a coarser unit. Columns of numbers are
+typed arrays in base64, little-endian.
 """
 
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib.resources import files
+from itertools import groupby
 from math import isfinite
 from typing import Any, NamedTuple
 
+import networkx as nx
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from desim.analysis.activity import relays
 from desim.analysis.course import positions_known
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.reading import ended, messages, reading, started
 from desim.kernel.clock import SECOND, seconds
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
+from desim.kernel.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, Fault, Partition
-from desim.pursuit.events import Decided, Halted, Sampled
+from desim.kernel.links import Links
+from desim.kernel.reach import Disk
+from desim.kernel.topology import Topology
+from desim.pursuit.events import Decided, Halted, Sampled, Started
 from desim.simulation import Result
-from desim.view.passages import outages
+from desim.view.passages import outages, passages
 
-NEVER = 2**32 - 1
-"""The tick of what does not happen in the run."""
-MILLIMETRES = 1000
+Floats = NDArray[np.float64]
+LATEST = 2**32 - 1
+"""The last tick of a column."""
 STAYS, CHASES, UNHEARD = range(3)
 """What is believed of somebody."""
 Document = dict[str, Any]
@@ -50,7 +56,12 @@ def replay(result: Result) -> str:
 def lacks(result: Result) -> Iterator[str]:
     """Yield what cannot be shown because it was not recorded."""
     if not positions_known(result):
-        yield "Positions were not recorded, so nobody moves: set record.trajectory to a time greater than 0 s."
+        yield (
+            "Positions were not recorded, so nobody moves and who is near whom is as at the start: set "
+            "record.trajectory to a time greater than 0 s."
+        )
+    if not _falls(result.scenario.network):
+        yield "The reach does not fall with the distance everywhere, so who hears whom is not shown."
     if not _has_messages(result):
         yield (
             f"Messages were not recorded: the {messages(result).sent:,} that were sent are not shown, nor what was "
@@ -81,23 +92,44 @@ class _Ticks(NamedTuple):
 
     length: int
     """ns"""
+    end: int
+    """Of the run, ns."""
 
     @classmethod
     def fit(cls, end: int) -> "_Ticks":
         length = 1
         while end // length >= 2**31:
             length *= 10
-        return cls(length)
+        return cls(length, end)
+
+    @property
+    def last(self) -> int:
+        """The tick at which the run ends."""
+        return self.nearest(self.end)
+
+    def nearest(self, t: int) -> int:
+        """Return the tick of a time, ns."""
+        return (t + self.length // 2) // self.length
 
     def __call__(self, times: ArrayLike) -> str:
-        """Return times (ns, or LOST for never) as a column; what is later than the column can hold is never."""
+        """Return times (ns) as a column; those after the end of the run are later ticks than its last."""
         given = np.asarray(times, np.int64)
-        ticks = np.where(given == LOST, NEVER, np.minimum((given + self.length // 2) // self.length, NEVER))
-        return _column(ticks, "<u4")
+        ticks = (given + self.length // 2) // self.length
+        ticks = np.where(given > self.end, np.maximum(ticks, self.last + 1), ticks)
+        return _column(np.minimum(ticks, LATEST), "<u4")
 
 
 def _column(values: ArrayLike, kind: str) -> str:
-    return b64encode(np.asarray(values, dtype=kind).tobytes()).decode()
+    """Return numbers as a column.
+
+    Raises:
+        ValueError: if one is too great for its kind.
+    """
+    given = np.asarray(values)
+    column = given.astype(kind)
+    if not np.array_equal(column, given):
+        raise ValueError(f"a replay has no room for {np.abs(given).max()} in a column of {np.dtype(kind).name}")
+    return b64encode(column.tobytes()).decode()
 
 
 def _document(result: Result) -> Document:
@@ -108,12 +140,12 @@ def _document(result: Result) -> Document:
     handovers = relays(result)
     return {
         "tick": ticks.length / SECOND,
-        "end": (end.t + ticks.length // 2) // ticks.length,
+        "end": ticks.last,
         "captured": end.reason == "captured",
         "capturer": end.capturer,
         "radius": scenario.capture.radius,
-        "range": scenario.network.range if isfinite(scenario.network.range) else None,
-        "links": _links(result),
+        "arcs": _arcs(result),
+        "reach": _reach(result),
         "speeds": list(start.speeds),
         "active": [int(active) for active in start.active],
         "path": _path(result, ticks),
@@ -125,24 +157,91 @@ def _document(result: Result) -> Document:
     }
 
 
-def _links(result: Result) -> str | None:
-    """Return the pairs of pursuers that the graph links; None if it links everybody."""
+def _arcs(result: Result) -> str | None:
+    """Return the pairs (speaker, hearer) that the graph links; None if it links everybody to everybody."""
     size = len(started(result).active)
-    pairs = sorted({(min(pair), max(pair)) for pair in result.scenario.network.graph(size).edges})
-    return None if len(pairs) == size * (size - 1) // 2 else _column(pairs, "<u2")
+    graph = result.scenario.network.graph(size)
+    every = size * (size - 1) // (1 if graph.is_directed() else 2)
+    return None if graph.number_of_edges() == every else _column(sorted(graph.to_directed().edges), "<u2")
+
+
+def _reach(result: Result) -> Document:
+    """Return up to which distance two pursuers that are linked hear each other, m, as the network judges it.
+
+    `radius` is that of all (None: any distance), `radii` those of the pairs i < j, where chance was drawn once for each
+    pair. Where it is drawn for every message (`chance`), it is where every second one is received. With a reach that
+    does not fall with the distance there is no such distance (`known`).
+    """
+    links, size = result.scenario.network, len(started(result).active)
+    said: Document = {"known": True, "chance": False, "radius": None, "radii": None}
+    if not isfinite(links.range):
+        return said
+    if isinstance(links.reach, Disk):
+        return said | {"radius": links.range}
+    if not _falls(links):
+        return said | {"known": False}
+    places = _places(result)
+    farthest = 2.0 * float(np.hypot(*np.ptp(places.reshape(-1, 2), axis=0))) + 1.0
+    if links.fading == "message":
+        return said | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
+    return said | {"radii": _column(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
+
+
+def _falls(links: Links) -> bool:
+    """Return whether reception is nowhere likelier than nearer by, as far as can be told."""
+    if not isfinite(links.range):
+        return True
+    chance = links.reach(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
+    return not (np.diff(chance) > 1e-12).any()
+
+
+def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
+    """Return the (size, size) distances up to which any two nodes hear each other, m: what halving leaves."""
+    places = np.zeros((size, 2))
+    found = np.zeros((size, size))
+    graph = nx.complete_graph(size)
+    frozen = links.fading == "frozen"
+    topology = Topology(graph, links.range, lambda: places, links.reach, frozen=frozen, seed=seed)
+    for node in range(size):
+        low, high = np.zeros(size), np.full(size, farthest)
+        for _ in range(64):
+            places[:, 0] = middle = (low + high) / 2.0
+            places[node] = 0.0
+            heard = np.isin(np.arange(size), topology.neighbours(node))
+            low, high = np.where(heard, middle, low), np.where(heard, high, middle)
+        found[node] = low
+    return found
+
+
+def _samples(result: Result) -> list[Started | Sampled]:
+    """Return when it is known where everyone was."""
+    return [started(result), *(() if result.scenario.motion.frozen else result.trace.of(Sampled))]
+
+
+def _places(result: Result) -> Floats:
+    """Return the (samples, N + 1, 2) places of everyone, pursuers first, m."""
+    return np.array([[*each.pursuers, each.evader] for each in _samples(result)])
+
+
+def _per_metre(places: Floats) -> float:
+    """Return how many units of length a metre has: millimetres, or ten times as much until all fits 32 bits."""
+    per_metre = 1000.0
+    while np.abs(places).max() * per_metre >= 2**30:
+        per_metre /= 10.0
+    return per_metre
 
 
 def _path(result: Result, ticks: _Ticks) -> Document:
     """Return where everyone was, pursuers first: at the start, and by how much that changed until each sample."""
-    frozen = result.scenario.motion.frozen
-    known = [started(result), *(() if frozen else result.trace.of(Sampled))]
-    places = np.array([[*each.pursuers, each.evader] for each in known])  # (samples, N + 1, 2)
-    millimetres = np.rint(places * MILLIMETRES).astype(np.int64).reshape(len(known), -1)
-    shifts = np.diff(millimetres, axis=0)
+    places = _places(result)
+    per_metre = _per_metre(places)
+    units = np.rint(places * per_metre).astype(np.int64).reshape(len(places), -1)
+    shifts = np.diff(units, axis=0)
     kind = "<i2" if np.abs(shifts).max(initial=0) < 2**15 else "<i4"
     return {
-        "t": ticks([each.t for each in known]),
-        "start": _column(millimetres[0], "<i4"),
+        "t": ticks([each.t for each in _samples(result)]),
+        "per_metre": per_metre,
+        "start": _column(units[0], "<i4"),
         "bits": 8 * np.dtype(kind).itemsize,
         "shifts": _column(shifts, kind),
     }
@@ -173,8 +272,7 @@ def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> Document:
         said = {"groups": [list(group) for group in fault.groups]}
     else:
         said = {"centre": list(fault.centre), "radius": fault.radius}
-    first, last = ((t + ticks.length // 2) // ticks.length for t in (begin, until))
-    return {"kind": fault.kind, "begin": first, "end": last} | said
+    return {"kind": fault.kind, "begin": ticks.nearest(begin), "end": ticks.nearest(until)} | said
 
 
 def _messages(result: Result, ticks: _Ticks) -> Document:
@@ -183,58 +281,20 @@ def _messages(result: Result, ticks: _Ticks) -> Document:
     A message is in flight from the instant at which it is sent, or begins to wait for its transmitter, until it arrives
     or is lost.
     """
-    lost: dict[int, dict[int, Lost]] = {}
-    for each in result.trace.of(Lost):
-        lost.setdefault(each.flight, {})[each.dst] = each
-    causes = sorted({each.cause for losses in lost.values() for each in losses.values()})
-    number = {cause: k for k, cause in enumerate(causes, start=1)}
-    rows = sorted(_transmissions(result), key=lambda row: row.begin)
-    end: list[int] = []
-    fate: list[int] = []
-    for row in rows:
-        losses = lost.get(row.flight)
-        if losses is None:
-            end += row.arrival
-            fate += [0] * len(row.dst)
-        else:
-            known = [losses.get(dst) for dst in row.dst]
-            end += [when if lose is None else lose.t for when, lose in zip(row.arrival, known, strict=True)]
-            fate += [0 if lose is None else number[lose.cause] for lose in known]
+    own = sorted(passages(result), key=lambda each: (each.created, each.flight, each.dst))
+    rows = [list(row) for _, row in groupby(own, key=lambda each: each.flight)]
+    causes = sorted({each.cause for each in own if each.cause is not None})
+    number = {None: 0} | {cause: k for k, cause in enumerate(causes, start=1)}
     return {
-        "begin": ticks([row.begin for row in rows]),
-        "left": ticks([row.left for row in rows]),
-        "src": _column([row.src for row in rows], "<u2"),
-        "count": _column([len(row.dst) for row in rows], "<u2"),
-        "dst": _column([dst for row in rows for dst in row.dst], "<u2"),
-        "end": ticks(end),
-        "fate": _column(fate, "u1"),
+        "begin": ticks([row[0].created for row in rows]),
+        "left": ticks([row[0].left for row in rows]),
+        "src": _column([row[0].src for row in rows], "<u2"),
+        "count": _column([len(row) for row in rows], "<u2"),
+        "dst": _column([each.dst for each in own], "<u2"),
+        "end": ticks([each.until for each in own]),
+        "fate": _column([number[each.cause] for each in own], "u1"),
         "causes": [cause.replace("_", " ") for cause in causes],
     }
-
-
-class _Transmission(NamedTuple):
-    flight: int
-    begin: int
-    left: int
-    src: int
-    dst: tuple[int, ...]
-    arrival: Sequence[int]
-
-
-def _transmissions(result: Result) -> Iterator[_Transmission]:
-    """Yield what left, and what waited in vain to leave."""
-    waiting: dict[int, Queued] = {}
-    for event in result.trace:
-        if isinstance(event, Queued):
-            waiting[event.flight] = event
-        elif isinstance(event, Broadcast | Sent):
-            waiting.pop(event.flight, None)
-            dst = event.dst if isinstance(event, Broadcast) else (event.dst,)
-            arrival = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
-            arrival = arrival if len(arrival) == len(dst) else arrival * len(dst)
-            yield _Transmission(event.flight, event.created, event.t, event.src, dst, arrival)
-    for queued in waiting.values():
-        yield _Transmission(queued.flight, queued.t, LOST, queued.src, queued.dst, [LOST] * len(queued.dst))
 
 
 def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> Document:

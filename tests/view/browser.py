@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import time
 from contextlib import contextmanager
+from tempfile import TemporaryDirectory
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE = 30.0
@@ -90,35 +91,37 @@ class Page:
 
 
 @contextmanager
-def page(profile):
-    """Yield a page of a browser of its own, with its profile in a folder."""
+def page():
+    """Yield a page of a browser of its own, of which nothing is left."""
     to_browser, commands = os.pipe()
     answers, from_browser = os.pipe()
-    program = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
-    program += ["--no-first-run", "--disable-background-networking", f"--user-data-dir={profile}"]
 
     def at_3_and_4():  # where the browser looks for its pipes
         high = os.dup(to_browser), os.dup(from_browser)
         os.dup2(high[0], 3)
         os.dup2(high[1], 4)
 
-    browser = subprocess.Popen(
-        [*program, "--remote-debugging-pipe"],
-        close_fds=False,
-        preexec_fn=at_3_and_4,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    os.close(to_browser)
-    os.close(from_browser)
-    try:
-        yield Page(commands, answers)
-    finally:
-        os.close(commands)
-        os.close(answers)
-        browser.terminate()
+    with TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True) as folder:
+        program = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+        program += ["--no-first-run", "--disable-background-networking", f"--user-data-dir={folder}/profile"]
+        browser = subprocess.Popen(
+            [*program, "--remote-debugging-pipe"],
+            close_fds=False,
+            preexec_fn=at_3_and_4,
+            env=os.environ | {"TMPDIR": folder},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_browser)
+        os.close(from_browser)
         try:
-            browser.wait(10)
-        except subprocess.TimeoutExpired:
-            browser.kill()
-            browser.wait()
+            yield Page(commands, answers)
+        finally:
+            os.close(commands)
+            os.close(answers)
+            browser.terminate()
+            try:
+                browser.wait(10)
+            except subprocess.TimeoutExpired:
+                browser.kill()
+                browser.wait()

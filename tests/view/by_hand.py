@@ -16,6 +16,8 @@ ACTIVE, INACTIVE = Assignment(True), Assignment(False)
 def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Result:
     """Return the run: 0 and 1 are active at first, then 0 alone until it breaks down, nobody, and 2 alone.
 
+    Of its messages, that of 100 ms is lost to 2 as it leaves, that of 250 ms leaves late and is lost as it arrives,
+    that of 650 ms is dropped before it leaves, that of 900 ms is in flight at the end, that of 950 ms still waits then.
     Pursuer 0 runs from (0, 0) along x, 1 stays at (10, 0), 2 stays at (0, 10); the evader runs from (5, 5) along y.
     More events are put in by their times (ns).
     """
@@ -29,6 +31,7 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         Lost(750 * MS, 2, 1, 0, "queue"),
         Lost(750 * MS, 2, 1, 2, "queue"),
         Broadcast(900 * MS, 3, 1, 2, (0, 2), (1200 * MS,), 900 * MS, 24, INACTIVE),
+        Queued(950 * MS, 4, 0, (1,), 24),
     ]
     own = [
         Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (True, True, False)),
@@ -45,7 +48,7 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         for t in samples
     ]
     end = [
-        Tally(1000 * MS, 6, 1, 4, 2, {"crash": 1, "loss": 1, "queue": 2}, 3, 104, 0.0),
+        Tally(1000 * MS, 8, 1, 4, 3, {"crash": 1, "loss": 1, "queue": 2}, 3, 80, 0.0),
         Ended(1000 * MS, "captured", 2),
     ]
     trace = Trace()

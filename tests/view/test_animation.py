@@ -7,7 +7,7 @@ from PIL import Image
 
 from desim import load, run
 from desim.analysis.plots import styled
-from desim.view.animation import COLOURS, HOLD, MOST, SHADES, _Stage, animate, frames
+from desim.view.animation import COLOURS, HOLD, MOST, SHADES, SHORT, _Stage, animate, frames
 from scenarios.study import SCENARIOS
 from tests.view.by_hand import MS, history
 
@@ -72,9 +72,10 @@ def test_a_message_moves_evenly_from_its_sender_to_where_its_receiver_will_be():
 
 
 def test_a_loss_is_seen_in_the_frame_after_it_near_its_receiver():
-    """0.9 of the way from (1, 0) to (0, 10)."""
+    """On the way from (1, 0) to (0, 10), 0.02 of the picture's 11 m before its end."""
     result = history(samples=range(0, 1001, 100))
-    assert at(result, 100, before=50)["crosses"] == [[pytest.approx(0.1), pytest.approx(9.0)]]
+    before = SHORT * 11.0 / np.hypot(1, 10)
+    assert at(result, 100, before=50)["crosses"] == [[pytest.approx(before), pytest.approx(10.0 - 10.0 * before)]]
     assert at(result, 150, before=100)["crosses"] == []
     assert len(at(result, 800, before=700)["crosses"]) == 2
 

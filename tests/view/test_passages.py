@@ -31,6 +31,7 @@ def test_each_message_to_each_receiver_is_one_passage_in_order_of_leaving():
         Passage(2, 1, 2, 650 * MS, 750 * MS, 750 * MS, "queue", 24, None),
         Passage(3, 1, 0, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
         Passage(3, 1, 2, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
+        Passage(4, 0, 1, 950 * MS, 1000 * MS + 1, 1000 * MS + 1, None, 24, None),
     ]
 
 

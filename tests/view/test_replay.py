@@ -9,6 +9,7 @@ from base64 import b64decode
 from html.parser import HTMLParser
 from pathlib import Path
 
+import networkx as nx
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -23,18 +24,22 @@ from desim.analysis.word import belief_error
 from desim.cli import main
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
-from desim.kernel.faults import Began, Crash, Partition
+from desim.kernel.faults import Began, Crash, Jamming, Partition
+from desim.kernel.graphs import Edge, Edges, Ring
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.reach import LogDistance, QuasiUnitDisk
+from desim.kernel.topology import Topology
 from desim.pursuit.events import Decided, Halted, Sampled
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
-from desim.view.replay import CHASES, NEVER, STAYS, UNHEARD, _document, _Ticks, replay
+from desim.view.replay import CHASES, LATEST, STAYS, UNHEARD, _column, _document, _Ticks, lacks, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
-from tests.view.browser import CHROMIUM, page
+from tests.view.browser import CHROMIUM
+from tests.view.by_hand import MS, history
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HOSTILE = "</script><script>window.hurt = 1</script><!-- & \u2028 {{ name }} <b>Bold</b>"
@@ -168,7 +173,7 @@ def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name):
     said, tick = document["messages"], document["tick"] * SECOND
     begin = np.repeat(column(said["begin"], "<u4"), column(said["count"], "<u2"))
     end, fate = column(said["end"], "<u4"), column(said["fate"], "u1")
-    edges = np.unique(of_trace[np.isfinite(of_trace)])
+    edges = np.unique(of_trace[of_trace <= ended(result).t])
     for t in (edges[:-1] + edges[1:])[np.diff(edges) > 2 * tick] / 2:
         assert ((begin <= t / tick) & (t / tick < end)).sum() == ((of_trace[:, 0] <= t) & (t < of_trace[:, 1])).sum()
     tally, last = messages(result), document["end"]
@@ -181,17 +186,34 @@ def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name):
 
 def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left():
     result = result_of("crowded")
-    said = _document(result)["messages"]
+    document = _document(result)
+    said = document["messages"]
     begin, left = column(said["begin"], "<u4"), column(said["left"], "<u4")
     assert result.trace.of(Queued)
     assert {"queue"} == set(said["causes"])
     assert (left > begin).any()
-    assert (left[left != NEVER] >= begin[left != NEVER]).all()
+    assert (left >= begin).all()
     dropped = {event.flight for event in result.trace.of(Lost)}
     gone = {event.flight for event in result.trace.of(Broadcast)}
     waiting = {event.flight for event in result.trace.of(Queued)} - gone
     assert dropped & waiting
-    assert (left == NEVER).sum() == len(waiting)
+    first = np.cumsum(column(said["count"], "<u2"), dtype=int) - column(said["count"], "<u2")
+    assert (left == column(said["end"], "<u4")[first]).sum() == len(waiting), "latency is never 0 here"
+    assert (left > document["end"]).sum() == len(waiting - dropped) > 0
+
+
+def test_a_message_that_never_leaves_is_in_flight_to_the_end():
+    """By hand: sent at 950 ms, it waits as the run ends, at 1000 ms."""
+    said = _document(history())["messages"]
+    assert [int(column(said[key], "<u4")[-1]) for key in ("begin", "left", "end")] == [950 * MS, 10**9 + 1, 10**9 + 1]
+    assert [column(said[key], "<u2")[-1] for key in ("src", "count", "dst")] == [0, 1, 1]
+    assert column(said["count"], "<u2").tolist() == [2, 1, 2, 2, 1]
+
+
+def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick():
+    """At ticks of 10 ns, 4,000,000,004 ns is the last tick, as is the end."""
+    ticks = _Ticks.fit(4 * SECOND)
+    assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [4 * 10**8, 4 * 10**8 + 1, LATEST]
 
 
 @pytest.mark.parametrize("name", ["relay", "faults", "radio", "soak", "flooding", "cold"])
@@ -251,7 +273,7 @@ def test_everyone_is_where_it_was_to_the_millimetre(name):
     places = column(path["start"], "<i4") + np.vstack([np.zeros(shifts.shape[1], int), np.cumsum(shifts, axis=0)])
     known = [started(result), *result.trace.of(Sampled)]
     there = np.array([[*each.pursuers, each.evader] for each in known]).reshape(len(known), -1)
-    assert np.abs(places / 1000 - there).max() <= 0.0005 + 1e-9
+    assert np.abs(places / path["per_metre"] - there).max() <= 0.0005 + 1e-9
     assert len(column(path["t"], "<u4")) == len(known)
 
 
@@ -315,12 +337,78 @@ def test_of_faults_that_overlap_the_first_may_be_over_last():
     assert found == [("partition", 0.1 / tick, 0.4 / tick), ("crash", 0.2 / tick, 0.3 / tick)]
 
 
-def test_links_are_given_unless_everybody_is_linked():
-    ring = load(SCENARIOS / "relay.toml", ["network.graph={kind='ring'}", "team.count=4", "horizon=0.1"])
-    assert column(_document(run(ring))["links"], "<u2").reshape(-1, 2).tolist() == [[0, 1], [0, 3], [1, 2], [2, 3]]
-    assert _document(result_of("relay"))["links"] is None
-    assert _document(result_of("relay"))["range"] is None
-    assert _document(result_of("radio"))["range"] == 15.0
+@pytest.mark.parametrize(("far", "per_metre"), [(1e6, 1000.0), (2e6, 100.0), (9e8, 1.0)])
+def test_places_far_away_are_in_a_coarser_unit_and_none_is_wrong(far, per_metre):
+    """2^31 mm are 2147 km; half of it is kept free for the differences."""
+    team = Team(positions=[(far, 0.0), (-far, 3.0)], speeds=1.0)
+    evader = Evader(position=(0.0, -far))
+    result = run(Scenario(team=team, evader=evader, motion=Motion(frozen=True), horizon=0.1))
+    path = _document(result)["path"]
+    assert path["per_metre"] == per_metre
+    assert (column(path["start"], "<i4") / per_metre).tolist() == [far, 0.0, -far, 3.0, 0.0, -far]
+
+
+def test_a_column_has_no_number_that_it_does_not_hold():
+    with pytest.raises(ValueError, match="no room for 65536"):
+        _column([1, 65536], "<u2")
+
+
+def test_the_graph_is_given_by_speaker_and_hearer_unless_everybody_is_linked():
+    def arcs(graph):
+        given = load(SCENARIOS / "relay.toml", [f"network.graph={graph}", "team.count=3", "horizon=0.1"])
+        found = _document(run(given))["arcs"]
+        return found and column(found, "<u2").reshape(-1, 2).tolist()
+
+    assert arcs("{kind='star'}") == [[0, 1], [0, 2], [1, 0], [2, 0]]
+    one_way = "{kind='edges', directed=true, edges=[{src=2, dst=0}, {src=0, dst=1}]}"
+    assert arcs(one_way) == [[0, 1], [2, 0]]
+    assert arcs("{kind='complete'}") is None
+    every = ", ".join(f"{{src={i}, dst={j}}}" for i in range(3) for j in range(3) if i != j)
+    assert arcs(f"{{kind='edges', directed=true, edges=[{every}]}}") is None
+
+
+LOG = LogDistance(exponent=3.0, shadowing=6.0)
+
+
+@pytest.mark.parametrize(
+    ("links", "radius"),
+    [
+        (Links(), None),
+        (Links(reach=LOG), None),
+        (Links(range=15.0), 15.0),
+        (Links(range=15.0, reach=LOG, fading="message"), pytest.approx(15.0, rel=1e-12)),
+        (Links(range=15.0, reach=QuasiUnitDisk(certain=0.5, p=0.4), fading="message"), 7.5),
+    ],
+)
+def test_all_hear_each_other_up_to_a_distance(links, radius):
+    """With luck anew for each message, up to where every second one is received."""
+    reach = _document(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reach"]
+    chance = links.fading == "message"
+    assert reach == {"known": True, "chance": chance, "radius": radius, "radii": None}
+
+
+@pytest.mark.parametrize("reach", [LOG, QuasiUnitDisk(certain=0.5, p=0.4)])
+def test_with_luck_once_per_pair_each_has_a_distance_up_to_which_the_network_lets_it_hear(reach):
+    """At each pair's distance its word is received, 1e-9 m beyond it is not; judged by the network's own topology."""
+    links, size = Links(range=10.0, reach=reach), 12
+    scenario = FORTY.model_copy(update={"network": links, "horizon": 0.1, "team": Team(count=size)})
+    result = run(scenario, seed=5)
+    radii = column(_document(result)["reach"]["radii"], "<f8")
+    pairs = np.transpose(np.triu_indices(size, 1))
+    for (i, j), radius in zip(pairs.tolist(), radii.tolist(), strict=True):
+        places = np.zeros((size, 2))
+        topology = Topology(nx.complete_graph(size), 10.0, lambda at=places: at, reach, seed=5)
+        for apart in (radius, radius + 1e-9):
+            places[j] = apart, 0.0
+            assert (j in topology.audible(i)) == (i in topology.audible(j)) == (apart == radius)
+    assert len(set(radii.tolist())) > 1
+
+
+def test_a_reach_that_does_not_fall_with_distance_is_said_not_to_be_shown():
+    links = Links(range=10.0, reach=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
+    result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
+    assert not _document(result)["reach"]["known"]
+    assert any("who hears whom is not shown" in each for each in lacks(result))
 
 
 @given(st.integers(0, 10**18))
@@ -331,9 +419,9 @@ def test_the_tick_is_the_shortest_that_fits(end):
     assert set(str(length)) <= {"0", "1"}
 
 
-def test_ticks_round_to_the_nearest_and_know_never():
-    ticks = column(_Ticks(10)([0, 4, 5, 14, 15, LOST, 10**12]), "<u4")
-    assert ticks.tolist() == [0, 0, 1, 1, 2, NEVER, NEVER]
+def test_ticks_round_to_the_nearest():
+    ticks = column(_Ticks(10, 10**6)([0, 4, 5, 14, 15]), "<u4")
+    assert ticks.tolist() == [0, 0, 1, 1, 2]
 
 
 # The page.
@@ -498,12 +586,6 @@ in_chromium = pytest.mark.skipif(
 )
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with page(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
-
-
 @pytest.fixture
 def shown(browser, tmp_path):
     """Return what opens the page of a run, and judge in the end that nothing went wrong and nothing left the page."""
@@ -609,6 +691,104 @@ def test_the_page_believes_what_the_trace_tells_forwards_and_backwards(shown):
         opened.value(f"{AT}({t})")
         assert opened.value("wrong.textContent") == f"{wrong_now(result, t)} of 1,560"
     assert opened.value("replay.heard.filter((each, k) => k % 41 > 0 && each !== 2).length") == 0
+
+
+# Word takes no time, so that who receives a broadcast tells who hears its sender at that instant; the pursuers move and
+# are sampled at every step. Edges are one-way from each node to the next three.
+AT_ONCE = Scenario(
+    name="at once",
+    horizon=2.0,
+    team=Team(count=8, speeds=3.0),
+    evader=Evader(position=(30.0, 22.0)),
+    protocol=SpatialAdaptivePlay(schedule=Poisson(rate=2.0)),
+    announce=Announcements(heartbeat=0.15),
+    record=Recording(messages=True, trajectory=0.01),
+)
+ONE_WAY = Edges(directed=True, edges=tuple(Edge(src=k, dst=(k + step) % 8) for k in range(8) for step in (1, 2, 3)))
+JAM = Jamming(centre=(10.0, 10.0), radius=6.0, at=0.5, until=1.5)
+HEARING = {
+    "range": {"network": Links(range=8.0)},
+    "directed": {"network": Links(graph=ONE_WAY, range=14.0)},
+    "ring": {"network": Links(graph=Ring())},
+    "jamming": {"fault": (JAM,)},
+    "partition": {"fault": (Partition(at=0.4, until=1.6, groups=((0, 1, 2), (5, 6))),)},
+    "crash": {"fault": (Crash(node=3, at=0.4, until=1.2, scope="radio"), Crash(node=5, at=0.8))},
+    "frozen luck": {"network": Links(range=8.0, reach=LOG)},
+    "all": {
+        "network": Links(graph=ONE_WAY, range=12.0, reach=QuasiUnitDisk(), range_check="delivery"),
+        "fault": (JAM, Crash(node=3, at=0.4, until=1.2), Partition(at=1.0, groups=((0, 1, 4),))),
+    },
+}
+
+
+@in_chromium
+@pytest.mark.parametrize("name", HEARING)
+def test_the_page_links_whom_the_network_lets_hear(name, shown):
+    """Whoever speaks is heard, at that instant, by those who have its sender among whom they hear on the page."""
+    result = run(AT_ONCE.model_copy(update=HEARING[name]))
+    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    spoke = result.trace.of(Broadcast)
+    heard = [sorted(dst for dst in event.dst if (event.flight, dst) not in lost) for event in spoke]
+    opened = shown(result)
+    asked = json.dumps([(event.t / SECOND, event.src) for event in spoke])
+    hearers = "all.flatMap((sources, i) => sources.includes(src) ? [i] : [])"
+    assert opened.value(f"{asked}.map(([t, src]) => (replay.seek(t), (all => {hearers})(replay.hears)))") == heard
+    assert len({len(each) for each in heard}) > (name != "ring")
+
+
+@in_chromium
+def test_whose_radio_is_down_neither_hears_nor_is_heard(shown):
+    """3 is down from 0.4 s to 1.2 s, 5 from 0.8 s on."""
+    opened = shown(run(AT_ONCE.model_copy(update=HEARING["crash"])))
+    for t, deaf in ((0.39, set()), (0.4, {3}), (0.8, {3, 5}), (1.2, {5}), (2.0, {5})):
+        hears = opened.value(f"(replay.seek({t}), replay.hears)")
+        up = set(range(8)) - deaf
+        assert hears == [sorted(up - {k}) if k in up else [] for k in range(8)]
+
+
+@in_chromium
+def test_a_way_of_one_direction_is_told_from_one_of_two(shown):
+    """Pursuer 3 hears 0 to 2 and is heard by 4 to 6; the plane differs from that of links of both ways."""
+    planes = []
+    for graph in (ONE_WAY, Edges(edges=ONE_WAY.edges)):
+        change = {"network": Links(graph=graph), "announce": Announcements(trigger="never"), "horizon": 0.1}
+        opened = shown(run(AT_ONCE.model_copy(update=change)))
+        planes.append(opened.value("(replay.choose(3), document.getElementById('arena').toDataURL())"))
+        said = "hears 3 now, is heard by 3 and" if graph is ONE_WAY else "hears 6 now and"
+        assert said in opened.value("document.getElementById('said').textContent")
+    assert planes[0] != planes[1]
+
+
+@in_chromium
+def test_who_hears_whom_is_said_to_be_a_matter_of_chance(shown):
+    opened = shown(run(AT_ONCE.model_copy(update={"network": Links(range=8.0, reach=LOG, fading="message")})))
+    assert "with even chance or more" in opened.value("document.querySelector('.key').textContent")
+    assert "now with even chance or more" in opened.value("(replay.choose(3), said.textContent)")
+
+
+@in_chromium
+def test_messages_fly_between_where_they_were_sent_and_where_they_arrive(shown):
+    """By hand: from (1, 0) at 100 ms to (10, 0) at 200 ms; at 160 ms it is at 6.4 m, though its sender has gone on.
+
+    A message that waits is at its sender, one that is lost is just before its receiver.
+    """
+    opened = shown(history(samples=range(0, 1001, 100)))
+    places = "(t => (replay.seek(t), replay.places))"
+    opened.until("(replay.draw(), replay.scale > 1)")
+    rim = opened.value("9 / replay.scale")
+
+    def between(source, target, share):
+        way = np.subtract(target, source)
+        unit = way / np.hypot(*way)
+        return pytest.approx(np.add(source, unit * rim + share * (way - 2 * rim * unit)).tolist(), abs=1e-6)
+
+    found = opened.value(f"{places}(0.16)")
+    assert found["flying"] == [between((1, 0), (10, 0), 0.6)]
+    assert found["lost"] == [between((1, 0), (0, 10), 1.0)]
+    assert opened.value(f"{places}(0.28)")["flying"] == [between((0, 10), (4, 0), 0.0)]
+    assert opened.value(f"{places}(0.45)")["flying"] == [between((0, 10), (4, 0), 0.75)]
+    assert opened.value(f"{places}(0.55)")["lost"] == [between((0, 10), (4, 0), 1.0)]
+    assert opened.value(f"{places}(1.0)")["flying"][-1] == between((4, 0), (10, 0), 0.0)
 
 
 @in_chromium
