@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 LATENCIES = (0.0, 0.1, 0.5, 1.0)
 TIMES = np.arange(0.0, 5.0, 0.02)
+DASHES = ("-", (0, (6, 1.5)), (0, (3, 1.5)), (0, (1, 1)))
+"""The longer the latency, the shorter the dashes."""
 FILE = SCENARIOS / "relay.toml"
 
 
@@ -40,12 +42,15 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     with plots.styled(figsize=(8.4, 4.8)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
         plots.draw_trajectory(left, result)
+        left.set_anchor("N")  # so that all room that is left is for the legend
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)
-        for colour, (latency, mean) in zip(plots.SERIES, means.items(), strict=False):
-            right.plot(TIMES, mean, color=colour, lw=1.8, label=f"{latency:g} s")
+        looks = zip(plots.SERIES, DASHES, strict=False)
+        for (colour, dash), (latency, mean) in zip(looks, means.items(), strict=False):
+            right.plot(TIMES, mean, color=colour, ls=dash, lw=1.8, label=f"{latency:g} s")
         right.axhline(1.0, color=plots.GREY, lw=0.8, ls=":")
         right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
-        right.legend(title="one-way latency")
+        right.set_yticks(range(0, 21, 5))
+        right.legend(title="one-way latency", handlelength=3, reverse=True)  # as the lines lie
     return figure
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from desim import provenance
 from desim.cli import main
 from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
@@ -465,6 +466,24 @@ def test_a_step_that_may_jump_across_the_capture_disc_is_warned_of(file):
 )
 def test_what_is_in_order_is_not_warned_of(file, change):
     assert accepted("check", file(DUEL), "--set", change).stderr == ""
+
+
+# replay
+
+
+def test_a_replay_that_cannot_be_made_is_said_in_a_line(file, tmp_path, monkeypatch):
+    def fail(result):
+        raise ValueError("no positions were recorded")
+
+    monkeypatch.setattr("desim.view.replay.replay", fail)
+    assert refused("replay", file(DUEL), "-o", tmp_path / "x.html") == ["no positions were recorded"]
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_a_replay_under_another_name_is_refused_before_anything_runs(file, monkeypatch):
+    monkeypatch.setattr("desim.simulation.run", lambda *_: pytest.fail("it ran"))
+    (said,) = refused("replay", file(DUEL), "-o", "x.gif")
+    assert said == "--out x.gif: should end in .html, or have no suffix, got .gif"
 
 
 # check, schema, protocols, help
@@ -1027,6 +1046,62 @@ def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path):
     for folder in ("all", "whole"):
         accepted("export", tmp_path / folder, tmp_path / f"{folder}.csv")
     assert (tmp_path / "all.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def asked(folder):
+    """Return the command lines that a run.json tells of, without the program, the last one last."""
+    made = provenance.read(folder / "run.json")
+    return [each["argv"][1:] for each in (*made.get("earlier", ()), made)]
+
+
+@pytest.fixture
+def typed(monkeypatch):
+    """Return what calls the command, and sees to it that run.json has these words as typed."""
+
+    def call(*words):
+        monkeypatch.setattr("sys.argv", ["desim", *map(str, words)])
+        accepted(*words)
+        return list(map(str, words))
+
+    return call
+
+
+def test_a_smaller_sweep_into_the_same_folder_leaves_what_is_written_of_the_larger(file, tmp_path, typed):
+    out = ("-o", tmp_path / "out")
+    typed("sweep", file(COINS), *out)
+    whole = (tmp_path / "out" / "run.json").read_bytes()
+    typed("sweep", file(COINS), *out, "-n", 1)
+    typed("sweep", file(COINS), *out, "--set", "sweep.grid.network.range=[inf]")
+    assert (tmp_path / "out" / "run.json").read_bytes() == whole
+
+
+def test_a_larger_sweep_takes_the_place_of_a_smaller_and_what_neither_covers_is_kept(file, tmp_path, typed):
+    path, out = file(COINS), ("-o", tmp_path / "out")
+    typed("sweep", path, *out, "-n", 1)
+    wide = typed("sweep", path, *out, "-n", 2)
+    assert asked(tmp_path / "out") == [wide]
+    other = typed("sweep", path, *out, "-n", 1, "--set", "sweep.grid.network.range=[2.0]")
+    until = typed("sweep", path, *out, "--until", "active_time:1e-9", "-n", 1)
+    assert asked(tmp_path / "out") == [wide, other, until]
+    typed("sweep", path, *out, "-n", 2)
+    assert asked(tmp_path / "out") == [wide, other, until]
+    all_of_it = typed("sweep", path, *out, "-n", 2, "--set", "sweep.grid.network.range=[1.0, 2.0, inf]")
+    assert asked(tmp_path / "out") == [until, all_of_it]
+
+
+def test_a_merged_store_tells_the_command_of_each_part(file, tmp_path, typed):
+    path = file(COINS)
+    parts = [typed("sweep", path, "-o", tmp_path / "parts", "--shard", f"{k}/3") for k in (1, 2, 3)]
+    assert asked(tmp_path / "parts") == parts[:1], "they may be done at once, and all write the same"
+    together = typed("merge", tmp_path / "parts", "-o", tmp_path / "parts")
+    assert asked(tmp_path / "parts") == [*parts, together]
+
+
+def test_a_run_json_that_cannot_be_read_is_written_anew(file, tmp_path, typed):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "run.json").write_text('{"what": "swe')
+    words = typed("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
+    assert asked(tmp_path / "out") == [words]
 
 
 def test_runs_are_exported_a_row_each(file, tmp_path):

@@ -1,6 +1,6 @@
 """Pictures from results: matplotlib figures that are the same bytes every time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from desim.analysis.names import PICTURES, files
 from desim.analysis.reading import ended
 from desim.kernel.clock import seconds
 from desim.pursuit.events import Sampled
@@ -19,18 +21,38 @@ from desim.simulation import Result
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-__all__ = ["COLUMN", "GREY", "SERIES", "Axes", "Figure", "draw_trajectory", "save", "styled", "trajectory"]
+__all__ = [
+    "COLUMN",
+    "EVADER",
+    "GREY",
+    "SERIES",
+    "Axes",
+    "Figure",
+    "draw_trajectory",
+    "place",
+    "save",
+    "styled",
+    "trajectory",
+]
 
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, in."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "desim",
+    "pdf.fonttype": 42,  # TrueType; publishers refuse Type 3
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
 }
+EVADER: Mapping[str, Any] = {
+    **{"color": VERMILION, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
+    **{"marker": "s", "markevery": [0]},
+}
+"""The path of an evader: dashed, to be told from those of pursuers in grey, too, from a square on."""
+UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
+"""What matplotlib is to leave out of each kind of picture."""
 
 
 @contextmanager
@@ -49,12 +71,22 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
         figure.set_layout_engine("none")  # or it would be settled anew, a little differently, each time it is saved
 
 
-def save(figure: Figure, stem: Path, *, dpi: int = 150) -> list[Path]:
-    """Write a figure as SVG and PNG (at so many dots per inch), without a date; return their paths."""
-    paths = [stem.with_suffix(".svg"), stem.with_suffix(".png")]
+def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
+    """Write a figure without a date and return what was written: one file, or SVG and PNG if no suffix is named.
+
+    Args:
+        figure: of `styled`.
+        path: with a suffix of `PICTURES`, or without.
+        dpi: dots per inch of a PNG.
+
+    Raises:
+        ValueError: if the suffix is of no such picture.
+    """
+    paths = files(path, PICTURES, PICTURES[:2])
     with mpl.rc_context(STYLE):
-        figure.savefig(paths[0], metadata={"Date": None})
-        figure.savefig(paths[1], dpi=dpi)
+        for each in paths:
+            kind = each.suffix.lower()
+            figure.savefig(each, format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
     return paths
 
 
@@ -72,6 +104,13 @@ def trajectory(result: Result) -> Figure:
     return figure
 
 
+def place(axes: Axes) -> None:
+    """Let axes be those of the plane: one scale, metres, and ticks at the same distances on both."""
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
+
+
 def draw_trajectory(axes: Axes, result: Result) -> None:
     """Draw where everyone went on given axes; see `trajectory`."""
     samples = result.trace.of(Sampled)
@@ -81,7 +120,7 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     evader = np.array([sample.evader for sample in samples])
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
     others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    place(axes)
     axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
     for i in others:
         label = "pursuer that chased for a while" if i == others[0] else None
@@ -90,7 +129,6 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
         axes.plot(
             *pursuers[:, end.capturer].T, color=BLUE, lw=2.0, label=f"pursuer {end.capturer}, which captures", zorder=3
         )
-    axes.plot(*evader.T, color=VERMILION, lw=1.6, label="evader", zorder=4)
-    axes.plot(*evader[0], "s", color=VERMILION, ms=5, zorder=4)
+    axes.plot(*evader.T, lw=1.6, ms=5, label="evader", **EVADER)
     if end.reason == "captured":
         axes.plot(*evader[-1], "*", color="black", ms=11, zorder=5, label=f"capture, {seconds(end.t):.2f} s")

@@ -1,11 +1,12 @@
 """`desim draw`: pictures of a run that was recorded, or is run for them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from desim.analysis.names import PICTURES, files
 from desim.cli.look import result_of
 from desim.cli.options import SEED, SET, refuse
 
@@ -25,31 +26,41 @@ def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     return reading(result_of(source, seed, overrides))
 
 
-def _place(source: Path, out: Path | None, name: str) -> Path:
-    """Return where a picture goes: into the folder of the run, or beside nothing else, here."""
-    return out or (source / name if source.is_dir() else Path(f"{source.stem}.{name}"))
+def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
+    """Return the files of a picture: those that were asked for, or in the folder of the run, or beside nothing, here.
 
-
-def _attempt(make: Callable[[], Any], path: Path) -> Any:
-    """Make a picture, or end the program and say why that cannot be."""
+    The program is ended if the name that was asked for is of something else.
+    """
+    if out is None:
+        return [source / f"{name}{each}" if source.is_dir() else Path(f"{source.stem}.{name}{each}") for each in usual]
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return make()
+        return files(out, kinds, usual)
+    except ValueError as error:
+        refuse(f"--out {error}")
+
+
+def _attempt(make: Callable[[], Any], *paths: Path) -> None:
+    """Make the files of a picture and say where they are, or end the program and say why that cannot be."""
+    try:
+        paths[0].parent.mkdir(parents=True, exist_ok=True)
+        make()
     except ModuleNotFoundError as error:
         refuse(f"a picture needs {error.name}: pip install 'pursuit-desim[plot]'")
     except ValueError as error:
         refuse(str(error))
     except OSError as error:
-        refuse(f"--out {path}: cannot be written: {error.strerror}")
-
-
-def _told(*paths: Path) -> None:
+        refuse(f"--out {paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
         click.echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
 
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
-OUT = click.option("-o", "--out", type=click.Path(path_type=Path), help="The file; default: in DIR, or here.")
+OUT = click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The file, its suffix names its kind; default: in DIR, or here.",
+)
 FROM = click.option("--from", "begin", type=click.FloatRange(min=0), help="Begin of the window, s; default: the start.")
 
 
@@ -84,16 +95,18 @@ def spacetime(
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Draw a line per pursuer and an arrow per message, as SVG and PNG."""
-    path = _place(source, out, "spacetime.svg")
+    """Draw a line per pursuer and an arrow per message, as SVG and PNG or, if --out says so, as one of them or PDF."""
+    paths = _places(source, out, "spacetime", PICTURES, PICTURES[:2])
 
-    def make() -> list[Path]:
+    def make() -> None:
         from desim.analysis.plots import save
         from desim.view.spacetime import spacetime as drawn
 
-        return save(drawn(_of(source, seed, overrides), begin, end, pursuers, width), path, dpi=200)
+        figure = drawn(_of(source, seed, overrides), begin, end, pursuers, width)
+        for path in paths:
+            save(figure, path, dpi=200)
 
-    _told(*_attempt(make, path))
+    _attempt(make, *paths)
 
 
 @draw.command()
@@ -103,7 +116,7 @@ def spacetime(
 @SET
 def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Write a timeline for https://ui.perfetto.dev, which shows it without sending it anywhere."""
-    path = _place(source, out, "trace.perfetto.json")
+    (path,) = _places(source, out, "trace.perfetto", [".json"], [".json"])
 
     def make() -> None:
         from desim.view.perfetto import write
@@ -111,7 +124,6 @@ def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[
         write(_of(source, seed, overrides), path)
 
     _attempt(make, path)
-    _told(path)
 
 
 @draw.command()
@@ -140,7 +152,7 @@ def gif(
     overrides: tuple[str, ...],
 ) -> None:
     """Film the pursuit from above, for slides."""
-    path = _place(source, out, "pursuit.gif")
+    (path,) = _places(source, out, "pursuit", [".gif"], [".gif"])
 
     def make() -> None:
         from desim.view.animation import animate
@@ -148,4 +160,3 @@ def gif(
         animate(_of(source, seed, overrides), path, begin=begin or 0.0, end=end, speed=speed, fps=fps)
 
     _attempt(make, path)
-    _told(path)

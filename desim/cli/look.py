@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from desim.analysis.names import files
 from desim.cli.options import SEED, SET, refuse, source_of
 
 if TYPE_CHECKING:
@@ -28,14 +29,16 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     from desim.view.replay import lacks
     from desim.view.replay import replay as page_of
 
+    path = page_at(out, source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
     result = result_of(source, seed, overrides)
-    for each in lacks(result):
-        click.echo(f"warning: {each}", err=True)
-    path = out or (source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
     try:
+        for each in lacks(result):
+            click.echo(f"warning: {each}", err=True)
         page = page_of(result).encode()
     except ModuleNotFoundError as error:
         refuse(f"a replay needs {error.name}: pip install 'pursuit-desim[plot]'")
+    except ValueError as error:
+        refuse(str(error))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(page)
@@ -45,6 +48,14 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     click.echo(
         f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB"
     )
+
+
+def page_at(out: Path | None, usual: Path) -> Path:
+    """Return where a page goes; end the program if the name that was asked for is of something else."""
+    try:
+        return usual if out is None else files(out, [".html"], [".html"])[0]
+    except ValueError as error:
+        refuse(f"--out {error}")
 
 
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":

@@ -1,6 +1,7 @@
 """Many runs: `desim sweep`, `merge`, `export`."""
 
 import json
+import re
 import sys
 import time
 from contextlib import ExitStack
@@ -26,7 +27,7 @@ from desim.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from desim.scenario import Scenario
+    from desim.provenance import Document
     from desim.study.result import SweepResult
     from desim.study.store import Store
     from desim.study.sweep import Job, Plan
@@ -121,7 +122,7 @@ def sweep(
             click.echo(_plan_text(plan, jobs_of_plan, store, until))
             return
         plan.enter(store)
-        _note(folder, scenario, plan, file)
+        _note(folder, plan, file, until, shard)
         with working(jobs, cluster, store) as workers:
             found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
         done = len(store) - before
@@ -155,7 +156,11 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         for part in parts:
             store.take(part)
         root = json.loads(store.about.get("root seed", "0"))  # nothing was run
-        made = provenance.document("merge", seed=root, runs=len(store), stores=[str(part.path) for part in parts])
+        made = provenance.document(
+            "merge", seed=root, runs=len(store), stores=[str(part.path) for part in parts], cwd=str(Path.cwd())
+        )
+        if earlier := [_part(each, part.path) for part in parts for each in _asked(part.path.parent)]:
+            made["earlier"] = earlier
         provenance.write(out, made)
         click.echo(f"{len(store)} runs are in {out / STORE}")
 
@@ -218,14 +223,73 @@ def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str
     return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
 
 
-def _note(folder: Path, scenario: "Scenario", plan: "Plan", file: Path) -> None:
-    """Write down where the results of a sweep come from."""
+def _note(
+    folder: Path,
+    plan: "Plan",
+    file: Path,
+    until: tuple[str, float] | None,
+    shard: tuple[int, int] | None,
+) -> None:
+    """Write down where the results of a sweep come from, unless an earlier command asked for all of them, too.
+
+    What earlier commands asked for beyond this one is kept, as `earlier`.
+    """
     from desim import provenance
 
     made = provenance.document(
-        "sweep", scenario, seed=plan.root, runs=len(plan.cells) * plan.reps, folder=file.parent, reps=plan.reps
+        "sweep",
+        plan.base,
+        seed=plan.root,
+        runs=len(plan.cells) * plan.reps,
+        folder=file.parent,
+        reps=plan.reps,
+        until=until,
+        shards=shard and shard[1],  # any of them: they may be done all at once
+        cwd=str(Path.cwd()),
     )
+    before, now = _asked(folder), _of(made)
+    if any(_covers(each, now) for each in before):
+        return
+    if rest := [each for each in before if not _covers(now, each)]:
+        made["earlier"] = rest
     provenance.write(folder, made)
+
+
+def _asked(folder: Path) -> "list[Document]":
+    """Return what each command asked for that made the results in a folder, the last one last; [] if nobody knows."""
+    from desim import provenance
+
+    try:
+        made = provenance.read(folder / provenance.FILE)
+    except (OSError, ValueError):
+        return []
+    return [*made.get("earlier", ()), _of(made)]
+
+
+def _of(made: "Document") -> "Document":
+    """Return what a command asked for, of the document about its results."""
+    is_sweep = made["what"] == "sweep" and made["scenario"] is not None
+    grid = made["scenario"]["sweep"]["grid"] if is_sweep else None
+    return {"argv": made["argv"], "grid": grid} | {key: made.get(key) for key in ("reps", "until", "shards", "cwd")}
+
+
+def _covers(one: "Document", other: "Document") -> bool:
+    """Return whether a command asked for all that another did, of a sweep that is the same but for its extent."""
+    if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
+        return False
+    more = all(each in one["grid"][key] for key, values in other["grid"].items() for each in values)
+    alike = all(one[key] == other[key] for key in ("until", "shards"))
+    return more and alike and int(one["reps"]) >= int(other["reps"])
+
+
+def _part(asked: "Document", store: Path) -> "Document":
+    """Return what was asked for such that it makes one store: if that is of a shard, with its number."""
+    if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
+        return asked
+    part, parts = found.groups()
+    return asked | {
+        "argv": [re.sub(rf"^(--shard=)?\d+/{parts}$", rf"\g<1>{part}/{parts}", each) for each in asked["argv"]]
+    }
 
 
 def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:

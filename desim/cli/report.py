@@ -1,9 +1,11 @@
 """`desim report`: a page about a sweep."""
 
+import shlex
 from pathlib import Path
 
 import click
 
+from desim.cli.look import page_at
 from desim.cli.options import STORE, refuse, storing
 
 
@@ -15,7 +17,8 @@ def report(folder: Path, out: Path | None) -> None:
     from desim.view.report import Study
     from desim.view.report import report as page_of
 
-    path = out or folder / "report.html"
+    path = page_at(out, folder / "report.html")
+    _check_merged(folder)
     try:
         with storing(folder):
             study = Study.read(folder, STORE)
@@ -31,3 +34,12 @@ def report(folder: Path, out: Path | None) -> None:
         refuse(f"{path}: cannot be written: {error.strerror}")
     groups = study.result.groups
     click.echo(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
+
+
+def _check_merged(folder: Path) -> None:
+    """End the program if a folder has parts of a sweep, and not yet the whole."""
+    parts = sorted(each.name for each in folder.glob("sweep.*-of-*.sqlite"))
+    if parts and not (folder / STORE).exists():
+        told = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
+        where = shlex.quote(str(folder))
+        refuse(f"{folder}: holds parts of a sweep ({told}); put them together first: desim merge {where} -o {where}")

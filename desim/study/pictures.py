@@ -1,7 +1,6 @@
 """Pictures of many runs."""
 
 from collections.abc import Sequence
-from itertools import product
 from math import inf, isfinite, log10, nan
 
 import numpy as np
@@ -15,6 +14,7 @@ from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Fig
 from desim.analysis.statistics import Estimate
 from desim.study.explain import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation
 from desim.study.result import SweepResult, text
+from desim.study.units import unit_of
 
 MARKERS = "osD^v"
 APART = 0.012
@@ -22,9 +22,13 @@ APART = 0.012
 MOST_TICKS = 8
 """How many values of a key have a tick of their own."""
 MOST_ABREAST = 3
-"""How many panels of a phase diagram stand side by side."""
+"""How many panels of a phase diagram stand side by side, at most."""
+PAGE = 9.4
+"""The width of what has many panels, in."""
 LETTER = 0.075
-"""About how wide a letter of a legend of 8 points is, in."""
+"""About how wide a letter of 8 points is, in."""
+CELL = 0.68, 0.45
+"""The least width and the height of a cell of a phase diagram, in."""
 INK = "#111111"
 """Text on light colours; not black, which pages take for the colour of their text."""
 WIDE = 20.0
@@ -112,25 +116,27 @@ def phase(result: SweepResult, metric: str) -> Figure:
         others = ", ".join(f"{key} = {text(each)}" for key, each in group.settings.items() if key not in (x, y))
         panel = panels.setdefault(others, np.full((len(over[y]), len(over[x])), nan))
         panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
-    columns = min(len(panels), MOST_ABREAST)
-    rows = -(-len(panels) // columns)
     known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high), "cividis")
-    size = (1.6 + columns * (0.5 + 0.52 * len(over[x])), 0.8 + rows * (0.5 + 0.36 * len(over[y])))
+    longest = max(map(len, [*map(_written, known.tolist()), *map(text, over[x])]), default=0)
+    across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
+    columns = max(1, min(len(panels), MOST_ABREAST, int((PAGE - 0.8) / across)))
+    rows = -(-len(panels) // columns)
+    size = (0.8 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
     with styled(figsize=size, font=8.0) as figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
             _draw_map(axes, panel, colours)
             axes.set_title(others, fontsize=8, parse_math=False)
-            axes.set(xlabel=x, ylabel=y)
+            axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
             axes.set_xticks(range(len(over[x])), map(text, over[x]))
             axes.set_yticks(range(len(over[y])), map(text, over[y]))
         for axes in shared.flat[len(panels) :]:
             axes.set_axis_off()
         for axes in shared.flat:
             axes.label_outer()
-        figure.suptitle(_with_unit(metric), fontsize=9)
+        figure.suptitle(_with_unit(metric), fontsize=8)
     return figure
 
 
@@ -144,11 +150,17 @@ def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) 
         face = (red, green, blue) if there else "none"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
         dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        written = f"{value:.3g}" if there else "-"
-        axes.text(column, row, written, ha="center", va="center", fontsize=7, color="white" if dark else INK)
+        axes.text(column, row, _written(value), ha="center", va="center", color="white" if dark else INK)
     axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
+
+
+def _written(value: float) -> str:
+    """Return a mean as a cell has it: three digits, and more only of what is greater."""
+    if not isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def swept_numbers(result: SweepResult) -> list[str]:
@@ -159,6 +171,11 @@ def swept_numbers(result: SweepResult) -> list[str]:
 def _with_unit(metric: str) -> str:
     unit = METRICS[metric].unit
     return f"{words(metric)} ({unit})" if unit else words(metric)
+
+
+def _key_with_unit(key: str) -> str:
+    unit = unit_of(key)
+    return _literal(f"{key} ({unit})" if unit else key)
 
 
 def _is_swept_number(result: SweepResult, key: str) -> bool:
@@ -173,18 +190,17 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
     places, is_plain = _places(values)
     lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
-    looks = list(product(MARKERS, SERIES))
     for k, (name, points) in enumerate(lines.items()):
-        marker, colour = looks[k % len(looks)]
+        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 and 6 of them: 30 looks
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)
-        axes.errorbar(x, y, error, color=colour, marker=marker, ms=3, lw=1.2, elinewidth=0.8, capsize=2, label=name)
+        axes.errorbar(x, y, error, color=colour, marker=marker, ms=3.5, lw=1.2, elinewidth=0.8, capsize=2, label=name)
     if len(values) <= MOST_TICKS or not is_plain:
         count = min(len(values), MOST_TICKS)
         ticks = [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
         axes.set_xticks([places[value] for value in ticks], [text(value) for value in ticks])
-    axes.set_xlabel(abscissa)
+    axes.set_xlabel(_key_with_unit(abscissa))
 
 
 def _lines(result: SweepResult, metric: str, abscissa: str) -> dict[str, list[tuple[float, Estimate]]]:
@@ -207,7 +223,7 @@ def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
 def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
     """Return what the names of lines are values of; None if they say it themselves."""
     others = [key for key in result.keys if key != abscissa]
-    return others[0] if len(others) == 1 else None
+    return _key_with_unit(others[0]) if len(others) == 1 else None
 
 
 def _places(values: Sequence[float]) -> tuple[dict[float, float], bool]:
@@ -237,7 +253,7 @@ def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
     axes.errorbar(x, range(len(names)), xerr=error, fmt="o", color=SERIES[0], ms=4, elinewidth=0.8, capsize=2)
     axes.set_yticks(range(len(names)), names, fontsize=7)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_ylabel(", ".join(result.keys))
+    axes.set_ylabel(", ".join(map(_key_with_unit, result.keys)))
 
 
 def _literal(name: str) -> str:

@@ -11,7 +11,7 @@ The pursuers are the threads of one process; each receiver is a process, whose t
 
 import json
 from collections.abc import Iterator
-from math import isfinite
+from math import inf, isfinite, nextafter
 from pathlib import Path
 from typing import Any
 
@@ -122,8 +122,14 @@ def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more:
 
 
 def _microseconds(t: int) -> float | int:
-    """Return a time (ns) in microseconds; a float has room for the nanoseconds of 100 days."""
-    return t / 1000 if t % 1000 else t // 1000
+    """Return a time (ns) in microseconds, such that a thousand times it, cut off as Perfetto does, is the time again.
+
+    A float has room for the nanoseconds of 100 days.
+    """
+    if t % 1000 == 0:
+        return t // 1000
+    found = t / 1000
+    return found if int(found * 1000.0) == t else nextafter(found, inf)
 
 
 def _plain(value: Any) -> Any:

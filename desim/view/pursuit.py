@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from desim.analysis.activity import changes, relays
-from desim.analysis.plots import BLUE, GREY, SKY, VERMILION, Axes
+from desim.analysis.plots import BLUE, EVADER, GREY, SKY, Axes, place
 from desim.analysis.reading import ended, started
 from desim.pursuit.events import Sampled
 from desim.simulation import Result
@@ -85,7 +85,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
         ValueError: if the run recorded no positions.
     """
     paths, end = Paths(result), ended(result)
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    place(axes)
     axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
     looks: dict[bool, dict[str, Any]] = {
         False: {"color": SKY, "lw": 0.8},
@@ -98,8 +98,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     places = [paths.at(pursuer, np.array([t]))[0] for t, pursuer in relays(result)]
     if places:
         axes.plot(*np.transpose(places), "D", ls="", mfc="white", mec=BLUE, mew=0.9, ms=4, zorder=5, label="takes over")
-    axes.plot(*paths.evader.T, color=VERMILION, lw=1.2, ls=(0, (3, 1.5)), gapcolor="white", zorder=4, label="evader")
-    axes.plot(*paths.evader[0], "s", color=VERMILION, ms=3, zorder=4)
+    axes.plot(*paths.evader.T, lw=1.2, ms=3, label="evader", **EVADER)
     if end.reason == "captured":
         axes.plot(*paths.evader[-1], "*", color="black", ms=7, mew=0, zorder=7, label="capture")
 

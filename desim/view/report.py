@@ -6,7 +6,7 @@ It holds no script and asks for nothing. Its pictures are inline SVG that takes 
 import json
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
@@ -19,6 +19,7 @@ from desim.analysis.metrics import METRICS
 from desim.study.explain import Explanation
 from desim.study.result import SHOWN, SweepResult, text
 from desim.study.store import Store
+from desim.study.units import unit_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -106,7 +107,7 @@ def report(study: Study) -> str:
     }
     template = files("desim.view").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["signs"] = _signs
+    environment.filters |= {"signs": _signs, "unit": unit_of}
     failures = list(_failures(result))
     made = study.made
     return environment.from_string(template).render(
@@ -116,7 +117,7 @@ def report(study: Study) -> str:
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
         failures=failures[:MOST_FAILURES],
         more_failures=len(failures) - MOST_FAILURES,
-        command=None if made is None else _command(made),
+        commands=[] if made is None else _commands(made),
         asked=None if made is None else _asked(made),
         origin={} if made is None else _origin(made),
         **{name: figure and _inline(figure, name) for name, figure in pictures.items()},
@@ -156,9 +157,21 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
     yield from ((error, trace, which) for (error, trace), which in runs.items())
 
 
-def _command(made: provenance.Document) -> str:
-    """Return what was typed, as a shell reads it."""
-    program, *arguments = map(str, made["argv"]) if made["argv"] else ("desim",)
+def _commands(made: provenance.Document) -> list[str]:
+    """Return what was typed to make all that is there, and where, as a shell reads it."""
+    lines: list[str] = []
+    before = None
+    for each in (*made.get("earlier", ()), made):
+        place = each.get("cwd")
+        if place is not None and place != before:
+            lines.append(shlex.join(["cd", str(place)]))
+        lines.append(_command(each["argv"]))
+        before = place
+    return lines
+
+
+def _command(argv: Sequence[str]) -> str:
+    program, *arguments = map(str, argv) if argv else ("desim",)
     path = Path(program)
     if path.name == "desim":
         return shlex.join(["desim", *arguments])
@@ -169,7 +182,8 @@ def _command(made: provenance.Document) -> str:
 
 def _asked(made: provenance.Document) -> int | None:
     """Return how many runs there should be, if that was said beforehand."""
-    open_ended = made["what"] != "sweep" or any(str(each).startswith("--until") for each in made["argv"])
+    is_until = any(str(each).startswith("--until") for each in made["argv"])
+    open_ended = made["what"] != "sweep" or is_until or made.get("earlier")
     return None if open_ended else int(made["runs"])
 
 
@@ -215,6 +229,7 @@ def _inline(figure: "Figure", name: str) -> "Markup":
         element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
     for key in ("height", "version"):
         root.attrib.pop(key, None)
+    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # type as large as in print
     root.set("role", "img")
     root.set("aria-labelledby", f"{name}-title")
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree

@@ -34,6 +34,8 @@ SHORT = 0.25
 """How far before its receiver's line the way of a message ends that is lost as it leaves, in lines."""
 WIDE = 12.0
 """From this width on there is room for larger type, cm."""
+PALE = "#8c8c8c"
+"""What says that somebody is inactive; lighter in grey than what says the contrary."""
 FEW = 10
 """Up to so many pursuers are all drawn if nobody says which."""
 
@@ -178,7 +180,7 @@ def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], lat
         said = news(each.body)
         if said is None:
             return "#555555", "message"
-        return (BLUE, "says: active") if said else ("#777777", "says: inactive")
+        return (BLUE, "says: active") if said else (PALE, "says: inactive")
 
     arrived = sorted((each for each in own if each.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):

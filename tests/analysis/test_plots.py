@@ -1,6 +1,9 @@
 """Pictures: their structure and their bytes, not their pixels."""
 
+import os
 import re
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -48,6 +51,7 @@ def test_the_axes_have_names_with_units_and_one_scale():
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (m)", "y (m)")
     assert axes.get_aspect() == 1.0
     assert axes.get_title() == "chase, seed 3"
+    assert np.unique(np.diff(axes.get_xticks())) == np.unique(np.diff(axes.get_yticks()))
 
 
 def test_the_paths_of_the_evader_and_of_those_who_moved_are_drawn():
@@ -58,8 +62,9 @@ def test_the_paths_of_the_evader_and_of_those_who_moved_are_drawn():
     assert [[7.0, 7.0], [8.0, 7.0], [9.0, 7.0]] in paths
     assert [list(each) for each in START] in paths
     assert all(paths.count(path) == 1 for path in paths)
-    # Where the evader began, and where it was captured.
-    assert [path for path in paths if len(path) == 1] == [[[1.0, 2.0]], [[1.0, 4.0]]]
+    assert [path for path in paths if len(path) == 1] == [[[1.0, 4.0]]], "where the evader was captured"
+    (evader,) = [line for line in axes.lines if line.get_label() == "evader"]
+    assert (evader.get_marker(), evader.get_markevery(), evader.is_dashed()) == ("s", [0], True)
 
 
 @pytest.mark.parametrize(
@@ -134,6 +139,40 @@ def test_the_svg_has_no_date_and_the_png_no_time(tmp_path):
 def test_a_picture_takes_the_name_it_is_given_and_says_where_it_is(tmp_path):
     assert save(trajectory(chase()), tmp_path / "run") == [tmp_path / "run.svg", tmp_path / "run.png"]
     assert sorted(tmp_path.iterdir()) == [tmp_path / "run.png", tmp_path / "run.svg"]
+
+
+def test_a_picture_named_by_its_suffix_is_that_one(tmp_path):
+    heads = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF", ".PDF": b"%PDF"}
+    for kind, head in heads.items():
+        path = tmp_path / f"v1.2{kind}"
+        assert save(trajectory(chase()), path) == [path]
+        assert path.read_bytes().startswith(head)
+    assert len([*tmp_path.iterdir()]) == len(heads)
+    assert save(trajectory(chase()), tmp_path / "v1.3") == [tmp_path / "v1.3.svg", tmp_path / "v1.3.png"]
+    with pytest.raises(ValueError, match=r"should end in \.svg or \.png or \.pdf"):
+        save(trajectory(chase()), tmp_path / "x.gif")
+
+
+PDF = """
+import sys
+from pathlib import Path
+from desim.analysis.plots import save, styled
+with styled((2, 2)) as figure:
+    figure.add_subplot().set(title="many different letters: \u03c4")
+save(figure, Path(sys.argv[1]))
+"""
+
+
+def test_a_pdf_has_no_date_and_no_bitmap_type_and_is_the_same_bytes_in_another_process(tmp_path):
+    """Its fonts are TrueType (Type 42), for publishers refuse Type 3."""
+    for seed in "12":
+        environment = os.environ | {"PYTHONHASHSEED": seed}
+        subprocess.run([sys.executable, "-c", PDF, str(tmp_path / f"{seed}.pdf")], env=environment, check=True)
+    once, twice = ((tmp_path / f"{seed}.pdf").read_bytes() for seed in "12")
+    assert once == twice
+    assert b"Date" not in once
+    assert b"/CIDFontType2" in once or b"/TrueType" in once
+    assert b"/Type3" not in once
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Pictures of a sweep: what is drawn where."""
 
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from math import inf, isnan
 
 import numpy as np
@@ -42,7 +42,7 @@ def test_one_key_is_a_line_over_its_values():
     assert line.get_xdata().tolist() == [1.0, 2.0, 5.0]
     assert line.get_ydata().tolist() == [1.0, 2.0, 3.0]
     assert ticks(axes.xaxis) == {"1": 1.0, "2": 2.0, "5": 5.0}
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("horizon", "active time (s)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("horizon (s)", "active time (s)")
     assert axes.get_title() == "a <b> & $c$, 95 % intervals"
     assert axes.get_legend() is None
 
@@ -78,12 +78,13 @@ def test_lines_over_several_other_keys_are_named_by_all_of_them():
     axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.frozen": [True, False]})
     assert len(lines) == 4
     assert axes.get_legend().get_texts()[0].get_text() == "prune = inf, motion.frozen = true"
-    assert axes.get_xlabel() == "network.range"
+    assert axes.get_xlabel() == "network.range (m)"
 
 
 def test_many_lines_look_different():
     _, lines = drawn({"network.range": [1.0, 2.0], "prune": [str(k) for k in range(20)]})
     assert len({(line.get_color(), line.get_marker()) for line in lines}) == 20
+    assert len({line.get_marker() for line in lines[:5]}) == 5, "in grey, too"
 
 
 def test_infinity_stands_to_the_right_of_all():
@@ -182,7 +183,7 @@ def test_small_panels_show_what_the_pictures_of_each_metric_show():
     (legend,) = figure.legends
     assert legend.get_title().get_text() == "prune"
     assert [each.get_text() for each in legend.get_texts()] == ["inf", "none"]
-    assert [axes.get_xlabel() for axes in figure.axes] == ["", "horizon", "horizon", "horizon", "", ""]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", *["horizon (s)"] * 3, "", ""]
 
 
 @pytest.mark.parametrize("size", [1, 4, 9])
@@ -254,6 +255,31 @@ def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "capture_time").axes[0]
     assert set(written(axes).values()) == {"-"}
     assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
+
+
+@pytest.mark.parametrize("panels", [1, 3])
+@pytest.mark.parametrize("size", [3, 8])
+def test_what_is_written_in_a_cell_fits_into_it(panels, size):
+    """Values of up to 20,000, and panels of one width beside each other."""
+    grid = {"prune": [str(k) for k in range(panels)], "x": [k + 0.125 for k in range(size)], "y": [1.0, 2.0]}
+    found = result(grid)
+    many = tuple(
+        replace(
+            group, rows=tuple(replace(row, summary=replace(row.summary, active_time=1e4 + k)) for row in group.rows)
+        )
+        for k, group in enumerate(found.groups)
+    )
+    figure = phase(replace(found, groups=many), "active_time")
+    figure.draw_without_rendering()
+    assert figure.get_size_inches()[0] <= 9.4
+    for axes in figure.axes:
+        if not axes.axison:
+            continue
+        width = axes.get_window_extent().width / size
+        assert all(each.get_window_extent().width < 0.95 * width for each in axes.texts)
+        ticks = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_visible()]
+        assert all(one.x1 < other.x0 for one, other in pairwise(ticks))
+    assert {each.get_text() for each in figure.axes[0].texts} >= {"10,000", "10,001"}
 
 
 def test_a_phase_diagram_needs_two_numbers():

@@ -94,6 +94,9 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
         (("perfetto", "ran", "-o", "ran/run.json/no.json"), "cannot be written"),
         (("spacetime", "ran", "-o", "ran/run.json/no.svg"), "cannot be written"),
         (("gif", "ran", "-o", "ran/run.json/no.gif"), "cannot be written"),
+        (("gif", "ran", "-o", "x.png"), "--out x.png: should end in .gif, or have no suffix, got .png"),
+        (("perfetto", "ran", "-o", "x.html"), "--out x.html: should end in .json, "),
+        (("spacetime", "ran", "-o", "x.jpg"), "--out x.jpg: should end in .svg or .png or .pdf, "),
     ],
 )
 def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):
@@ -105,3 +108,23 @@ def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
     assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)
     call("gif", tmp_path / "quiet")
     call("perfetto", tmp_path / "quiet")
+
+
+def test_a_picture_is_of_the_kind_that_its_name_says(file, folder, tmp_path):
+    """And of a name without one, nothing is lost."""
+    window = ("--from", 0.1, "--to", 0.2)
+    assert call("spacetime", folder, *window, "-o", tmp_path / "a" / "x.pdf").count("\n") == 1
+    assert [each.name for each in (tmp_path / "a").iterdir()] == ["x.pdf"]
+    call("spacetime", folder, *window, "-o", tmp_path / "b" / "v1.2")
+    call("perfetto", folder, "-o", tmp_path / "b" / "v1.2")
+    call("gif", folder, *window, "-o", tmp_path / "b" / "v1.2")
+    assert sorted(each.name for each in (tmp_path / "b").iterdir()) == [
+        f"v1.2.{x}" for x in ("gif", "json", "png", "svg")
+    ]
+    with Image.open(tmp_path / "b" / "v1.2.gif") as film:
+        assert film.format == "GIF"
+
+
+def test_a_wrong_name_is_refused_before_anything_runs(file, monkeypatch):
+    monkeypatch.setattr("desim.simulation.run", lambda *_: pytest.fail("it ran"))
+    assert "should end in .gif" in call("gif", file, "-o", "x.png", code=2)

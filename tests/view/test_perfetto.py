@@ -5,9 +5,12 @@ import json
 from collections import Counter, defaultdict
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from desim import load, run, summary
-from desim.view.perfetto import perfetto, trace_events, write
+from desim.view.passages import chasing, passages
+from desim.view.perfetto import _microseconds, perfetto, trace_events, write
 from scenarios.study import SCENARIOS
 from tests.view.by_hand import MS, history
 
@@ -67,6 +70,118 @@ def test_the_check_would_notice(harm):
     harm(harmed)
     with pytest.raises((AssertionError, KeyError)):
         check(harmed)
+
+
+class Imported:
+    """A trace as Perfetto has it, after `json_trace_tokenizer.cc` and `json_trace_parser_impl.cc` of its importer.
+
+    An event is dropped, and a failure counted, where an assertion stands here. Microseconds are multiplied by 1000 and
+    cut off; events are sorted by that, as they come. A thread has a stack of slices, of which an instant is one that
+    takes no time; what overlaps another without lying in it is lost.
+    """
+
+    def __init__(self, text):
+        document = json.loads(text)
+        known = {"traceEvents", "systemTraceEvents", "metadata", "displayTimeUnit", "otherData"}
+        assert document.keys() <= known, "the rest of the file is skipped"
+        assert next(iter(document)) == "displayTimeUnit", "else it may come too late"
+        assert document["displayTimeUnit"] in {"ms", "ns"}
+        self.threads, self.counters, self.waits = defaultdict(list), defaultdict(list), []
+        self.process_names, self.thread_names, self._begun = {}, {}, {}
+        events = document["traceEvents"]
+        assert all("ts" in event or event["ph"] == "M" for event in events)
+        for event in sorted(events, key=lambda event: self._ns(event.get("ts", 0))):
+            assert 0 <= event["pid"] < 2**32
+            assert 0 <= event["tid"] < 2**32
+            assert isinstance(event["name"], str)
+            assert event["name"]
+            {"M": self._name, "X": self._slice, "i": self._instant, "C": self._count, "b": self._begin, "e": self._end}[
+                event["ph"]
+            ](event)
+        assert not self._begun, "what never ends is drawn to the end of all"
+
+    @staticmethod
+    def _ns(value):
+        assert type(value) in {int, float}
+        return value * 1000 if isinstance(value, int) else int(value * 1000.0)
+
+    def _name(self, event):
+        kind, args = event["name"], event["args"]
+        assert kind in {"process_name", "thread_name", "process_sort_index", "thread_sort_index"}
+        if kind.endswith("index"):
+            assert type(args["sort_index"]) is int
+        else:
+            names, key = (self.process_names, "pid") if kind == "process_name" else (self.thread_names, "tid")
+            assert names.setdefault(event[key], args["name"]) == args["name"] != ""
+
+    def _push(self, event, end):
+        begin = self._ns(event["ts"])
+        ends = self.threads[event["tid"]]  # of the slices that are open
+        while ends and ends[-1] <= begin:
+            ends.pop()
+        assert all(end <= each for each in ends), f"{event} overlaps"
+        ends.append(end)
+
+    def _slice(self, event):
+        begin, length = self._ns(event["ts"]), self._ns(event["dur"])
+        assert length >= 0
+        self._push(event, begin + length)
+        self.waits.append((event["name"], begin, begin + length))
+
+    def _instant(self, event):
+        assert event["s"] in {"g", "p", "t"}
+        if event["s"] == "t":
+            self._push(event, self._ns(event["ts"]))
+
+    def _count(self, event):
+        for name, value in event["args"].items():
+            assert type(value) in {int, float}
+            self.counters[event["pid"], f"{event['name']} {name}"].append((self._ns(event["ts"]), value))
+
+    def _begin(self, event):
+        assert isinstance(event["id"], str)
+        assert event["id"]
+        assert key(event) not in self._begun
+        self._begun[key(event)] = self._ns(event["ts"])
+
+    def _end(self, event):
+        self.waits.append((event["name"], self._begun.pop(key(event)), self._ns(event["ts"])))
+
+
+def test_perfetto_loses_nothing_of_it(ran):
+    """Chases and messages last as long as in the run, to the nanosecond, and nothing overlaps on a thread."""
+    found = Imported(perfetto(ran))
+    chased = [(begin, end) for spells in chasing(ran) for begin, end in spells]
+    assert sorted((begin, end) for name, begin, end in found.waits if name == "active") == sorted(chased)
+    flown = [(f"{each.src} to {each.dst}", each.left, each.until) for each in passages(ran)]
+    assert sorted(each for each in found.waits if " to " in each[0]) == sorted(flown)
+    assert len(found.counters) == 1
+    assert all(tid in found.thread_names for tid in found.threads)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda event: event.pop("ts"),
+        lambda event: event.pop("pid"),
+        lambda event: event.update(ph="B"),
+        lambda event: event.update(s="x", ph="i"),
+        lambda event: event.update(ph="X", dur=10**9, ts=100_000),
+        lambda event: event.update(ph="C", args={"number": "many"}),
+        lambda event: event.update(ph="b", cat="x", id=""),
+    ],
+    ids=["no time", "no process", "never ends", "no scope", "overlaps", "no number", "no id"],
+)
+def test_what_perfetto_would_drop_is_found(harm):
+    document = json.loads(perfetto(history()))
+    harm(next(event for event in document["traceEvents"] if event["ph"] == "i" and event["tid"] == 3))
+    with pytest.raises((AssertionError, KeyError)):
+        Imported(json.dumps(document))
+
+
+@given(t=st.integers(0, 100 * 86_400 * 10**9))
+def test_a_time_is_the_same_nanosecond_where_it_is_read(t):
+    assert Imported._ns(json.loads(json.dumps(_microseconds(t)))) == t
 
 
 def test_ids_are_unique_among_messages_and_among_faults(events):
@@ -157,6 +272,8 @@ def test_a_run_by_hand_reads_line_by_line():
         ("b", 4, 7, 900_000, "1 to 2", "3.2"),
         ("e", 1, 1, 1_000_000, "jamming", "fault 1"),
         ("i", 1, 1, 1_000_000, "captured", None),
+        ("b", 3, 6, 1_000_000.001, "0 to 1", "4.1"),
+        ("e", 3, 6, 1_000_000.001, "0 to 1", "4.1"),
         ("e", 2, 5, 1_200_000, "1 to 0", "3.0"),
         ("e", 4, 7, 1_200_000, "1 to 2", "3.2"),
     ]

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 from desim import Scenario, provenance
 from desim.analysis.metrics import summary
 from desim.analysis.tables import with_half_width
+from desim.cli.many import merge
 from desim.cli.report import report as command
 from desim.scenario import Team
 from desim.simulation import run
@@ -27,7 +28,7 @@ from desim.study.store import Row, Store
 from desim.study.sweep import Plan
 from desim.study.workers import workers_for
 from desim.view.report import MOST_FAILURES, Study, report
-from tests.view.browser import CHROMIUM, page
+from tests.view.browser import CHROMIUM
 
 HOSTILE = "</script><script>window.hurt = 1</script><!-- & \u2028 {{ name }} <b>Bold</b> $x_1$ </svg>"
 BASE = Scenario(name=HOSTILE, horizon=0.05, team=Team(count=2))
@@ -131,7 +132,7 @@ def test_parameters_are_the_swept_keys_and_the_rest_is_fixed(tmp_path):
     assert study.fixed["team.box"] == "[0.0, 20.0]"
     assert not {"horizon", "network.range", "prune", "seed", "name"} & study.fixed.keys()
     texts = Elements(report(study)).texts
-    assert texts[texts.index("network.range") + 1] == "4, inf"
+    assert texts[texts.index("network.range") + 1 :][:2] == ["4, inf ", "m"]
     assert texts[texts.index("team.count") + 1] == "2"
 
 
@@ -155,6 +156,25 @@ def test_the_command_is_that_of_run_json(argv, expected, tmp_path):
     texts = Elements(page_of(swept(tmp_path, argv=argv))).texts
     assert expected in texts
     assert shlex.split(expected)[-1] == argv[-1]
+
+
+def test_all_commands_that_made_it_are_told_and_where_they_were_typed(tmp_path):
+    made = provenance.read(swept(tmp_path) / "run.json")
+    earlier = {"argv": ["desim", "sweep", "first.toml"], "cwd": "/a b"}
+    provenance.write(tmp_path, made | {"earlier": [earlier, earlier], "cwd": "/c", "runs": 99})
+    elements = Elements(page_of(tmp_path))
+    told = "cd '/a b'\ndesim sweep first.toml\ndesim sweep first.toml\ncd /c\ndesim sweep 'x y.toml'"
+    assert told in elements.texts
+    assert any(", 36 runs" in each for each in elements.texts), "nobody knows of how many"
+
+
+def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(tmp_path):
+    """96 px to the inch; a width of 72 in the view box is an inch."""
+    text = page_of(swept(tmp_path))
+    widths = [int(each) for each in re.findall(r'style="--width: (\d+)px"', text)]
+    boxes = [float(each) for each in re.findall(r'viewBox="0 0 ([\d.]+) ', text)]
+    assert len(widths) == 2
+    assert widths == [pytest.approx(each * 96 / 72, abs=1) for each in boxes]
 
 
 def test_what_it_was_made_with_is_told(tmp_path):
@@ -342,6 +362,26 @@ def test_a_folder_that_is_not_of_a_sweep_is_refused(prepare, said, tmp_path):
     assert "Traceback" not in done.output
 
 
+def test_a_folder_with_parts_of_a_sweep_says_how_to_put_them_together(tmp_path):
+    (swept(tmp_path) / "sweep.sqlite").rename(tmp_path / "sweep.1-of-1.sqlite")
+    done = invoke(tmp_path)
+    assert done.exit_code == 2
+    assert (
+        f"holds parts of a sweep (sweep.1-of-1.sqlite); put them together first: desim merge {tmp_path} -o"
+        in done.stderr
+    )
+    assert CliRunner().invoke(merge, shlex.split(done.stderr.split("desim merge ")[1])).exit_code == 0
+    assert invoke(tmp_path).exit_code == 0
+
+
+def test_a_page_of_another_kind_is_refused(tmp_path):
+    done = invoke(swept(tmp_path), "-o", tmp_path / "x.pdf")
+    assert done.exit_code == 2
+    assert "x.pdf: should end in .html, or have no suffix, got .pdf" in done.stderr
+    assert invoke(tmp_path, "-o", tmp_path / "v1.2").exit_code == 0
+    assert (tmp_path / "v1.2.html").exists()
+
+
 def test_without_what_it_needs_the_command_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     done = invoke(swept(tmp_path))
@@ -361,12 +401,6 @@ def test_a_page_that_cannot_be_written_is_refused(tmp_path):
 in_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="NO BROWSER, so the report was NOT looked at: apt-get install chromium"
 )
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with page(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,28 @@
+"""How files of results are called: what a name ends in says what is in them."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+PICTURES = (".svg", ".png", ".pdf")
+"""Suffixes of diagrams; the first two are made if nobody says which."""
+SUFFIX = re.compile(r"\.[A-Za-z]\w*")
+"""What can name a kind of file; the ".2" of "v1.2" does not."""
+
+
+def files(path: Path, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
+    """Return the files that somebody who names a path wants.
+
+    Args:
+        path: with a suffix that is allowed, that one file; without, so many more with the usual ones after its name.
+        kinds: suffixes that are allowed, as ".svg"; in upper case, too.
+        usual: of those that are made if none is named.
+
+    Raises:
+        ValueError: if the path has another suffix.
+    """
+    if path.suffix.lower() in kinds:
+        return [path]
+    if SUFFIX.fullmatch(path.suffix):
+        raise ValueError(f"{path}: should end in {' or '.join(kinds)}, or have no suffix, got {path.suffix}")
+    return [path.with_name(path.name + each) for each in usual]
