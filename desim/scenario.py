@@ -1,6 +1,7 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
 from collections.abc import Iterator, Mapping, Set
+from math import inf
 from types import FunctionType
 from typing import Annotated, Any, Literal, Self
 
@@ -24,10 +25,25 @@ from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
-from desim.pursuit.evasion import PureEvasion, Strategy
+from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
+from desim.pursuit.perception import Mind
+from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
-from desim.value import SHORTEST, Coordinate, Horizon, Length, OneOf, Period, Probability, Speed, Time, Truth, Value
+from desim.value import (
+    SHORTEST,
+    Coordinate,
+    Horizon,
+    Length,
+    Limit,
+    OneOf,
+    Period,
+    Probability,
+    Speed,
+    Time,
+    Truth,
+    Value,
+)
 
 
 def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -118,22 +134,55 @@ class Team(Value):
 
 
 class Evader(Value):
-    """The evader: from where, how fast, and by what strategy it flees."""
+    """An evader, or several that are alike: from where, how fast, and by what strategy they flee."""
 
+    count: Annotated[int, Field(ge=1, le=1_000, strict=True)] = 1
+    """Number of such evaders."""
     position: Point | None = None
     """Initial position [x, y], m; if absent it is drawn from `box`, anew for every seed."""
     box: Box = (8.0, 12.0)
     """Lower and upper bound of both initial coordinates, m."""
     speed: Speed = 0.9
     """Speed v_e, m/s."""
-    strategy: Annotated[Strategy, OneOf(PureEvasion, takes=("state", "rng"))] = PureEvasion()
+    strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
     """How it flees."""
+    sight: Limit = inf
+    """Distance up to which it sees pursuers, m."""
+    reaction: Time = 0.0
+    """Time by which it is late, s: it sees where pursuers were, and who chased, that long ago."""
 
-    def start(self, seed: int) -> NDArray[np.float64]:
-        """Return the (2,) initial position, m."""
+    def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
+        """Return the (2,) initial position, m, of the evader with this index among all of the scenario."""
         if self.position is not None:
             return np.array(self.position)
-        return stream(seed, "evader").uniform(*self.box, size=2)
+        return stream(seed, "evader", index).uniform(*self.box, size=2)
+
+    @property
+    def listens(self) -> bool:
+        """Whether it hears the pursuers' radio."""
+        return bool(getattr(self.strategy, "listens", False))
+
+    def mind(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> Mind:
+        """Return what one such evader perceives and chooses in a run.
+
+        Args:
+            rng: its own.
+            speeds: (N,) of the pursuers, m/s.
+            radius: distance at which it is captured, m.
+        """
+        return Mind(
+            self.strategy,
+            rng,
+            speed=self.speed,
+            speeds=speeds,
+            radius=radius,
+            sight=self.sight,
+            reaction=self.reaction,
+        )
+
+
+def _form_of_evaders(value: Any) -> str:
+    return "list" if isinstance(value, list | tuple) else "table"
 
 
 class Capture(Value):
@@ -253,7 +302,13 @@ class Scenario(Value):
     """Who has no choice but to stay, whatever the protocol: nobody; who can never capture (phi = inf); or also who
     would be late (phi >= r)."""
     team: Team = Team()
-    evader: Evader = Evader()
+    evader: Annotated[
+        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], Field(min_length=1), Tag("list")],
+        Discriminator(_form_of_evaders),
+    ] = Evader()
+    """Who flees: a table or, for evaders that differ, a list of tables."""
+    sensing: Sensing = Sensing()
+    """What the pursuers see of it."""
     capture: Capture = Capture()
     motion: Motion = Motion()
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
@@ -265,6 +320,12 @@ class Scenario(Value):
     """What breaks."""
     record: Recording = Recording()
     sweep: Sweep = Sweep()
+
+    @property
+    def evaders(self) -> tuple[Evader, ...]:
+        """(M,) what each evader is like; evader j of an action is number j - 1 of them."""
+        kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
+        return tuple(kind for kind in kinds for _ in range(kind.count))
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

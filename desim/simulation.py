@@ -3,13 +3,13 @@
 from collections import defaultdict
 from dataclasses import dataclass
 from html import escape
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim.kernel.clock import Clock, Phase, seconds
+from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.faults import Crash, clock_errors, drawn
@@ -17,9 +17,16 @@ from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
 from desim.pursuit.events import Ended
+from desim.pursuit.perception import Eavesdropper
+from desim.pursuit.sensing import Watch, reports
 from desim.pursuit.state import coordinates
 from desim.scenario import Scenario
 from desim.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from desim.pursuit.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
@@ -62,8 +69,10 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
+    radio = Eavesdropper() if any(evader.listens for evader in scenario.evaders) else None
+    watchers = watchers if radio is None else (radio, *watchers)
     trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.stop())
-    world = World(env, scenario, seed, trace)
+    world = World(env, scenario, seed, trace, radio)
     faults = drawn(scenario.fault, world.size, scenario.horizon, seed)
 
     def positions() -> NDArray[np.float64]:
@@ -95,9 +104,16 @@ class _Crew:
 
     def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
         self._env, self._scenario, self._world = env, scenario, world
+        clocks = [
+            NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
+        ]
+        self._watch = Watch(scenario.sensing, world, network, clocks) if scenario.sensing.limited else None
+        if self._watch is not None:
+            world.look_through(self._watch)
+        views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
         self._agents = [
-            Agent(pursuer, env, world, network, seed, scenario.announce, offset=offset, drift=drift)
-            for pursuer, (offset, drift) in enumerate(clock_errors(scenario.fault, world.size, seed))
+            Agent(pursuer, env, view, network, seed, scenario.announce, clock=clock, omniscient=world)
+            for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
         self._processes: dict[int, list[simpy.Process]] = {}
@@ -119,6 +135,9 @@ class _Crew:
             self._processes[pursuer] = [relay, process] if self._embodied else [relay]
             if speaks and announce.beats:
                 env.process(heartbeats(agent.in_phase(Phase.HEARTBEAT), announce.heartbeat))
+            if self._watch is not None:
+                sight, period = self._watch.sights[pursuer], self._watch.sensing.period
+                env.process(reports(agent.in_phase(Phase.HEARTBEAT), sight, period))
 
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer whose robot, not only its radio, broke down."""
@@ -144,6 +163,8 @@ class _Crew:
                 self._world.repair(node)
                 self._repaired[node].succeed(remembers)
         self._agents[node].repaired(restarted=not remembers)
+        if self._watch is not None and not remembers:
+            self._watch.sights[node].forget()
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
         """Run a process of a pursuer from time 0 on, in order of ids whatever the order in which they were made.

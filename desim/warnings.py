@@ -1,6 +1,6 @@
 """What is legal but probably unintended: keys of a scenario that have no effect, and what breaks a theorem."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any
 
@@ -14,13 +14,9 @@ from desim.scenario import Scenario
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield what is legal but probably unintended: the key it concerns, and why."""
     fastest = max(scenario.team.all_speeds())
-    if fastest <= scenario.evader.speed:
-        yield (
-            "team.speeds",
-            f"no pursuer is faster than the evader: the fastest moves at {fastest} m/s, the evader at"
-            f" {scenario.evader.speed} m/s, so every time of capture is inf"
-            + (" and nobody will chase" if scenario.prune != "none" else ""),
-        )
+    flights = [evader.speed for evader in scenario.evaders]
+    if fastest <= max(flights):
+        yield "team.speeds", _out_of_reach(fastest, flights, scenario.prune != "none")
     yield from _of_network(scenario)
     yield from broken(scenario)
     schedule: Any = getattr(scenario.protocol, "schedule", None)
@@ -31,13 +27,27 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
             "motion.step",
             f"the step of {scenario.motion.step:g} s is longer than the horizon of {scenario.horizon:g} s",
         )
-    stride = scenario.motion.step * max(fastest, scenario.evader.speed)
+    stride = scenario.motion.step * max(fastest, *flights)
     if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
         yield (
             "motion.step",
             f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
             f" than 2 x radius = {2 * scenario.capture.radius:g} m",
         )
+
+
+def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str:
+    """Return that no pursuer is faster than some evaders, given speeds (m/s) and whether nobody may chase these."""
+    quick = [flight for flight in flights if flight >= fastest]
+    which, they, whose, whom = (
+        ("the evader", "the evader", "", "")
+        if len(flights) == 1
+        else (f"{len(quick)} of the {len(flights)} evaders", "the slowest of these", " of theirs", " them")
+    )
+    return (
+        f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
+        f" time of capture{whose} is inf{f' and nobody will chase{whom}' if pruned else ''}"
+    )
 
 
 def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:

@@ -1,21 +1,25 @@
 """The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from itertools import count
 from typing import Literal
 
 import numpy as np
 import simpy
+from numpy.typing import NDArray
 
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
-from desim.pursuit.capture import RadialTime
-from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion import first_contact, within
+from desim.pursuit.perception import Eavesdropper
 from desim.pursuit.reckoning import Sightings, nearer
+from desim.pursuit.sensing import Watch
 from desim.pursuit.state import Floats, Points, State, complex_points, coordinates
+from desim.pursuit.surroundings import Surroundings
+from desim.pursuit.target import Target
 from desim.scenario import Scenario
 from desim.value import FARTHEST
 
@@ -25,43 +29,75 @@ class World:
 
     Everyone moves in straight pieces that all began at one instant: the last motion step, or the last order inside
     it. Capture is foreseen from the pieces and happens at its instant, unless an order comes first.
+
+    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. With one evader it is
+    a truth: whether the pursuer is active.
+
+    Args:
+        env: the clock of the simulation.
+        scenario: what the world is like.
+        seed: of its random streams.
+        trace: where its events go.
+        radio: what evaders that listen hear; nothing if None.
     """
 
-    def __init__(self, env: Clock, scenario: Scenario, seed: int, trace: Trace):
-        self._env, self._trace = env, trace
+    def __init__(self, env: Clock, scenario: Scenario, seed: int, trace: Trace, radio: Eavesdropper | None = None):
+        self._env, self._trace, self._radio = env, trace, radio
         self._capture, self._motion = scenario.capture, scenario.motion
         self._horizon = nanoseconds(scenario.horizon)
-        self._flee, self._evader_speed = scenario.evader.strategy, scenario.evader.speed
-        self._evader_rng = stream(seed, "evader strategy")
         self._speeds = np.array(scenario.team.all_speeds())
         self._guidance = scenario.team.guidance
-        self._radial_time = RadialTime(self._speeds, self._evader_speed, self._capture.radius)
-        self._slow: list[bool] = self._radial_time.slow.tolist()
+        self._targets = [
+            Target(
+                number,
+                evader.speed,
+                evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, scenario.capture.radius),
+                Sightings(scenario.team.guidance, remembers=_reckons(scenario)),
+                speeds=self._speeds,
+                radius=scenario.capture.radius,
+            )
+            for number, evader in enumerate(scenario.evaders, start=1)
+        ]
+        self._at_large = list(self._targets)
+        self._free: Sequence[int] = range(1, len(self._targets) + 1)
+        self._lone = len(self._targets) == 1
         self._prune = scenario.prune
-        self._closing_bound = float(self._speeds.max()) + self._evader_speed
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
         self.over = env.event()
         self.end: Ended | None = None
 
-        self._origins = complex_points(np.vstack([scenario.team.start(seed), scenario.evader.start(seed)]))
+        evaders = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]
+        self._origins = complex_points(np.vstack([scenario.team.start(seed), *evaders]))
         self._since = 0
         self._velocities = np.zeros_like(self._origins)
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._seen = Sightings(self._guidance, remembers=_reckons(scenario))
-        self._active = scenario.team.start_profile(seed)
-        self._state = State(0, self._origins, self._active)
-        self._capture_times: tuple[float, ...] | None = None
-        self._active = self._active & [self.may_chase(pursuer) for pursuer in range(self.size)]
-        self._enter(State(0, self._origins, self._active))
-        self._paces = self._speeds * self._active
+        self._enter(0, self._origins)
+        self._watch: Watch | None = None
+        start: NDArray[np.int64] | NDArray[np.bool_] = scenario.team.start_profile(seed)
+        if not self._lone:
+            start = start * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
+        self._act(start)
+        self._prune_actions()
+
+    def look_through(self, watch: Watch) -> None:
+        """Let pursuers see no more than they do, and chase the evaders where they believe them to be."""
+        self._watch = watch
+        watch.look(self._env.now)
+        self._prune_actions()
+
+    def _prune_actions(self) -> None:
+        """Let those stay that may not do what they do."""
+        able = [action and self._may(pursuer, action) for pursuer, action in enumerate(self._profile)]
+        self._act(self._actions * np.array(able, dtype=bool))
 
     def begin(self) -> None:
         """Record the start and set motion, record and horizon going."""
-        evader, pursuers = _points(self.state())
-        self._trace.append(Started(0, evader, pursuers, tuple(self._speeds.tolist()), self.profile()))
+        evader, others = self._evaders()
+        speeds = tuple(self._speeds.tolist())
+        self._trace.append(Started(0, evader, _points(self.places()), speeds, self.profile(), others))
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
         if not self._motion.frozen:
@@ -71,102 +107,153 @@ class World:
 
     # What can be sensed.
 
-    def state(self) -> State:
-        """Return where everyone is now, and who chases."""
-        now = self._env.now
-        if self._state.t != now and not self._motion.frozen:
-            elapsed = seconds(now - self._since)
-            self._enter(State(now, self._origins + self._velocities * elapsed, self._active))
-        return self._state
+    def state(self, evader: int = 1) -> State:
+        """Return where everyone and an evader are now, and who chases it."""
+        players, target = self._players_now(), self._targets[evader - 1]
+        state = target.state
+        if state is None:
+            chasers = self._chasers[evader - 1]
+            state = State(self._time, players[: self.size], players.item(self.size + evader - 1), chasers)
+            target.state = state
+        return state
 
-    def capture_times(self) -> tuple[float, ...]:
-        """Return every pursuer's time of capture now, s."""
-        state = self.state()
-        if self._capture_times is None:
-            self._capture_times = tuple(self._radial_time(state.distances).tolist())
-        return self._capture_times
+    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+        """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
+        self.state(evader)
+        target = self._targets[evader - 1]
+        return target.times or target.capture_times()
 
     def time_left(self, now: int) -> float:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
         return seconds(self._horizon if self._motion.frozen else self._horizon - now)
 
-    def may_chase(self, pursuer: int) -> bool:
-        """Return whether a pursuer has the choice to chase (`Scenario.prune`)."""
-        if self._prune == "infeasible":
-            return self.capture_times()[pursuer] < self.time_left(self._env.now)
-        return self._prune == "none" or not self._slow[pursuer]
+    def may_chase(self, pursuer: int, evader: int = 1, view: Surroundings | None = None) -> bool:
+        """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
 
-    def capture_time_from(self, pursuer: int, position: complex) -> float:
+        By the true times of capture, or by those of a view.
+        """
+        target = self._targets[evader - 1]
+        if target.captured is not None:
+            return False
+        if self._prune == "infeasible":
+            return (view or self).capture_times(evader)[pursuer] < self.time_left(self._env.now)
+        return self._prune == "none" or not target.slow[pursuer]
+
+    def _may(self, pursuer: int, evader: int) -> bool:
+        """Return whether a pursuer has the choice to chase an evader, as far as it knows."""
+        view = self if self._watch is None else self._watch.sights[pursuer]
+        return view.may_chase(pursuer, evader)
+
+    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
-        return self._radial_time.of(pursuer, abs(self.state().evader - position))
+        return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
+
+    def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
+        """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
+        distances = np.abs(place - self.places()) + slack
+        return tuple(self._targets[evader - 1].radial_time(distances).tolist())
+
+    def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
+        """Return the time of capture of a pursuer over a distance (m), s."""
+        return self._targets[evader - 1].radial_time.of(pursuer, distance)
+
+    def distances(self, evader: int) -> Floats:
+        """Return the (N,) distances of the pursuers to an evader now, m."""
+        return self.state(evader).distances
+
+    def velocity(self, evader: int) -> complex:
+        """Return how an evader moves now, m/s."""
+        return complex(self._velocities[self.size + evader - 1])
+
+    def evader_speed(self, evader: int) -> float:
+        """Return how fast an evader can move, m/s."""
+        return self._targets[evader - 1].speed
+
+    @property
+    def frozen(self) -> bool:
+        """Return whether nobody moves."""
+        return self._motion.frozen
 
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
-        return complex(self.state().players[pursuer])
+        return self._players_now().item(pursuer)
 
     def places(self) -> Points:
         """Return the (N,) positions of the pursuers, m."""
-        return self.state().pursuers
+        return self._players_now()[: self.size]
 
-    def evader(self) -> complex:
-        """Return the position of the evader, m."""
-        return self.state().evader
+    def evader(self, evader: int = 1) -> complex:
+        """Return the position of an evader, m."""
+        return self._players_now().item(self.size + evader - 1)
+
+    @property
+    def evader_count(self) -> int:
+        """Return how many evaders there were at first, M."""
+        return len(self._targets)
+
+    def evaders(self) -> Sequence[int]:
+        """Return the evaders that have not been captured."""
+        return self._free
 
     @property
     def radius(self) -> float:
-        """Return the distance at which the evader is captured, m."""
+        """Return the distance at which an evader is captured, m."""
         return self._capture.radius
 
     def speed(self, pursuer: int) -> float:
         """Return how fast a pursuer moves if it does, m/s."""
         return float(self._speeds[pursuer])
 
-    def reckoned(self, position: complex, speed: float, age: int, *, exact: bool) -> complex:
-        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased since, m.
+    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
 
         Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
         is now.
         """
         if self._motion.frozen or not age:
             return position
+        target, now = self._targets[evader - 1], self._env.now
+        end = now if target.captured is None else max(target.captured, now - age)
         if not exact:
-            return nearer(position, self.state().evader, speed * seconds(age))
-        now = self._env.now
-        return self._seen.place(position, speed, now - age, now)
+            return nearer(position, self.evader(evader), speed * seconds(end - now + age))
+        return target.seen.place(position, speed, now - age, end)
 
     def obeys(self, pursuer: int) -> bool:
         """Return whether a pursuer would follow an order: it is not broken."""
         return not self._broken[pursuer]
 
-    def active(self, pursuer: int) -> bool:
-        """Return whether a pursuer chases."""
-        return bool(self._active[pursuer])
+    def action(self, pursuer: int) -> int:
+        """Return which evader a pursuer chases, or 0."""
+        return self._profile[pursuer]
 
-    def profile(self) -> tuple[bool, ...]:
-        """Return who chases."""
-        return tuple(self._active.tolist())
+    def profile(self) -> tuple[int, ...]:
+        """Return what everybody does."""
+        return tuple(self._profile)
 
     # What changes it.
 
-    def order(self, pursuer: int, active: bool) -> None:
-        """Let a pursuer chase or stay from this very instant on; one that may not chase stays.
+    def order(self, pursuer: int, action: int) -> None:
+        """Let a pursuer chase an evader or stay from this very instant on; one that may not chase it stays.
 
         Raises:
-            ValueError: if there is no such pursuer.
+            ValueError: if there is no such pursuer, or no such evader.
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
-        active = bool(active) and not self._broken[pursuer] and self.may_chase(pursuer)
-        self._trace.append(Decided(self._env.now, pursuer, active))
-        self._set(pursuer, active)
+        if not 0 <= action <= len(self._targets):
+            raise ValueError(f"an action should be 0 or an evader, 1 .. {len(self._targets)}, got {action}")
+        able = action and not self._broken[pursuer] and self._may(pursuer, action)
+        action = int(action) if able else 0
+        self._trace.append(Decided(self._env.now, pursuer, bool(action) if self._lone else action))
+        self._set(pursuer, action)
 
     def halt(self, pursuer: int) -> None:
         """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
         self._broken = self._broken.copy()
         self._broken[pursuer] = True
-        if self._active[pursuer]:
+        if self._profile[pursuer]:
             self._trace.append(Halted(self._env.now, pursuer))
-            self._set(pursuer, active=False)
+            self._set(pursuer, 0)
         self._foresee_capture()
 
     def repair(self, pursuer: int) -> None:
@@ -175,27 +262,40 @@ class World:
         self._broken[pursuer] = False
         self._foresee_capture()
 
-    def _set(self, pursuer: int, active: bool) -> None:
-        """Let a pursuer chase or stay from this instant on."""
-        if self._active[pursuer] == active:
+    def _set(self, pursuer: int, action: int) -> None:
+        """Let a pursuer do something from this instant on."""
+        if self._profile[pursuer] == action:
             return
-        now, state = self._env.now, self.state()
-        self._active = self._active.copy()
-        self._active[pursuer] = active
-        self._paces = self._speeds * self._active
-        self._enter(State(now, state.players, self._active))
+        actions = self._actions.copy()
+        actions[pursuer] = action
+        self._act(actions)
+        now = self._env.now
         if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
-            sight, place = self._seen.last, state.players[[pursuer]]
             velocities = self._velocities.copy()
-            velocities[[pursuer]] = self._courses(
-                sight.at(now) - place, sight.aim - place, sight.flight, self._paces[[pursuer]]
-            )
+            if self._watch is not None and action and not self._watch.sights[pursuer].sees(action):
+                velocities[[pursuer]] = self._course_blind(pursuer, self._watch)
+            else:
+                sight, place = self._targets[max(action, 1) - 1].seen.last, self._players_now()[[pursuer]]
+                velocities[[pursuer]] = self._courses(
+                    sight.at(now) - place, sight.aim - place, sight.flight, self._paces[[pursuer]]
+                )
             self._break(velocities)
+
+    def _act(self, actions: NDArray[np.int64] | NDArray[np.bool_]) -> None:
+        """Let everybody do something, as far as paces and states are concerned."""
+        self._actions: NDArray[np.int64] | NDArray[np.bool_] = actions
+        self._profile: list[int] = actions.tolist()
+        self._chasers = [np.equal(actions, target.number) for target in self._targets]
+        for chasers in self._chasers:
+            chasers.setflags(write=False)
+        self._paces = self._speeds * (actions > 0)
+        self._enter(self._env.now, self._players_now())
 
     def sample(self) -> None:
         """Record where everyone is, if positions are wanted."""
         if self._sampling:
-            self._trace.append(Sampled(self._env.now, *_points(self.state())))
+            evader, others = self._evaders()
+            self._trace.append(Sampled(self._env.now, evader, _points(self.places()), others))
 
     def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
         """End the pursuit at this instant; only the first end counts."""
@@ -211,22 +311,49 @@ class World:
         """Give everyone a new heading at every motion step."""
         for end in count(step, step):
             yield Instant(self._env, self._step_end, Phase.MOTION)
-            state = self.state()
+            players, now = self._players_now(), self._env.now
             self._step_end = min(end, self._horizon)
-            heading = self._flee(state, self._evader_rng)
-            if not abs(heading) <= 1.0 + 1e-9:
-                raise ValueError(f"an evader's heading should be at most 1 long, got {heading} from {self._flee!r}")
-            flight = self._evader_speed * heading
-            first = self._motion.order == "evader_first"
-            ahead = flight * seconds(self._step_end - state.t) if first else 0j
-            seen = flight if first else complex(self._velocities[-1])
-            self._seen.see(state.t, state.evader, state.evader + ahead, seen)
-            velocities = np.empty_like(state.players)
-            velocities[:-1] = self._courses(state.offsets, state.offsets + ahead, seen, self._paces)
-            velocities[-1] = flight
+            first, duration = self._motion.order == "evader_first", seconds(self._step_end - now)
+            handover = self._radio is not None and self._radio.hands_over(now)
+            velocities = np.empty_like(players)
+            for row, target in enumerate(self._targets, start=self.size):
+                state, flight = self.state(target.number), target.flight(handover=handover)
+                way = flight * duration if first else 0j
+                seen = flight if first else complex(self._velocities[row])
+                target.seen.see(now, state.evader, state.evader + way, seen)
+                velocities[row] = flight
+            if self._lone:
+                velocities[:-1] = self._courses(state.offsets, state.offsets + way, seen, self._paces)
+            else:
+                velocities[: self.size] = self._courses_to_chased(players[: self.size])
+            if self._watch is not None:
+                for pursuer in self._watch.blind(self._actions):
+                    velocities[[pursuer]] = self._course_blind(pursuer, self._watch)
             self._break(velocities)
+            if self._watch is not None:
+                self._watch.look(now)
 
-    def _courses(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+    def _course_blind(self, pursuer: int, watch: Watch) -> Points:
+        """Return the (1,) velocity of a pursuer that chases an evader which it does not see, m/s.
+
+        It does not go beyond where the evader is believed to be at the end of the step.
+        """
+        estimate = watch.sights[pursuer].estimate(int(self._actions[pursuer]))
+        if estimate is None:
+            return np.zeros(1, dtype=complex)
+        duration = seconds(self._step_end - self._env.now)
+        gap = np.array([estimate.place - self._players_now()[pursuer]])
+        aim = gap + (estimate.velocity * duration if self._motion.order == "evader_first" else 0j)
+        return self._courses(gap, aim, estimate.velocity, np.minimum(self._paces[[pursuer]], np.abs(aim) / duration))
+
+    def _courses_to_chased(self, pursuers: Points) -> Points:
+        """Return the (N,) velocities of the pursuers, m/s, where each chases an evader of its own."""
+        sights = [target.seen.last for target in self._targets]
+        chased = np.maximum(self._actions, 1) - 1
+        places, aims, flights = (np.array([sight[k] for sight in sights])[chased] for k in (1, 2, 3))
+        return self._courses(places - pursuers, aims - pursuers, flights, self._paces)
+
+    def _courses(self, gaps: Points, aims: Points, flight: complex | Points, speeds: Floats) -> Points:
         """Return the velocities that the law of guidance gives, m/s; see `desim.pursuit.guidance.Guidance`."""
         law = self._guidance
         velocities = law(gaps, aims, flight, speeds)
@@ -236,7 +363,7 @@ class World:
 
     def _break(self, velocities: Points) -> None:
         """Begin new straight pieces here and now."""
-        self._origins, self._since = self.state().players, self._env.now
+        self._origins, self._since = self._players_now(), self._env.now
         self._velocities = velocities
         self._foresee_capture()
 
@@ -245,28 +372,51 @@ class World:
         self._capture_ahead = None
         if self._motion.frozen:
             return
-        state, radius = self.state(), self._capture.radius
-        duration = seconds(self._step_end - state.t)
-        if state.distances[state.nearest] - radius > self._closing_bound * duration:
-            return
-        approach = self._velocities[-1] - self._velocities[:-1]
-        offsets = np.where(self._broken, FARTHEST, state.offsets) if self._broken.any() else state.offsets
-        if self._capture.test == "segment":
-            contact = first_contact(offsets, approach, radius, duration)
-        else:
-            row = within(offsets + approach * duration, radius)
-            contact = None if row is None else (duration, row)
-        if contact is not None:
-            after, capturer = contact
+        first: tuple[float, int] | None = None
+        for target in self._at_large:
+            contact = self._contact(target)
+            if contact is not None and (first is None or contact[0] < first[0]):
+                first, captured = contact, target
+        if first is not None:
+            after, capturer = first
             self._capture_ahead = self._at(
-                min(state.t + nanoseconds(after), self._step_end),
+                min(self._env.now + nanoseconds(after), self._step_end),
                 Phase.CAPTURE,
-                lambda event: self._seize(event, capturer),
+                lambda event: self._seize(event, captured, capturer),
             )
 
-    def _seize(self, foreseen: simpy.Event, capturer: int) -> None:
-        if foreseen is self._capture_ahead:
+    def _contact(self, target: Target) -> tuple[float, int] | None:
+        """Return in how many s, and by whom, an evader is captured before the step ends; None if it is not."""
+        state, radius = self.state(target.number), self._capture.radius
+        duration = seconds(self._step_end - state.t)
+        if state.distances[state.nearest] - radius > target.closing_bound * duration:
+            return None
+        approach = self._velocities[self.size + target.number - 1] - self._velocities[: self.size]
+        offsets = np.where(self._broken, FARTHEST, state.offsets) if self._broken.any() else state.offsets
+        if self._capture.test == "segment":
+            return first_contact(offsets, approach, radius, duration)
+        row = within(offsets + approach * duration, radius)
+        return None if row is None else (duration, row)
+
+    def _seize(self, foreseen: simpy.Event, target: Target, capturer: int) -> None:
+        if foreseen is not self._capture_ahead:
+            return
+        if not self._lone:
+            self._trace.append(Captured(self._env.now, target.number, capturer))
+            self._remove(target)
+        if self._lone or not self._at_large:
             self.finish("captured", capturer)
+
+    def _remove(self, target: Target) -> None:
+        """Let an evader be captured: it is still, and who chased it stays until it decides anew."""
+        target.captured = self._env.now
+        self._at_large.remove(target)
+        self._free = [each.number for each in self._at_large]
+        velocities = self._velocities.copy()
+        velocities[self.size + target.number - 1] = 0.0
+        velocities[: self.size][self._actions == target.number] = 0.0
+        self._act(np.where(self._actions == target.number, 0, self._actions))
+        self._break(velocities)
 
     def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
         """Record positions at every multiple of a period."""
@@ -279,18 +429,32 @@ class World:
         event.callbacks.append(act)
         return event
 
-    def _enter(self, state: State) -> None:
-        self._state = state
-        self._capture_times = None
+    def _players_now(self) -> Points:
+        """Return where the pursuers, and after them the evaders, are now."""
+        now = self._env.now
+        if self._time != now and not self._motion.frozen:
+            self._enter(now, self._origins + self._velocities * seconds(now - self._since))
+        return self._players
+
+    def _enter(self, t: int, players: Points) -> None:
+        """Take note of where everyone is at an instant (ns), and that what was known of the one before is not of it."""
+        players.setflags(write=False)
+        self._time, self._players = t, players
+        for target in self._targets:
+            target.state = target.times = None
+
+    def _evaders(self) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
+        """Return the positions of the first evader and of the others as [x, y]."""
+        first, *others = _points(self._players_now()[self.size :])
+        return first, tuple(others)
 
 
-def _points(state: State) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
-    """Return the positions of the evader and of the pursuers as [x, y]."""
-    *pursuers, evader = ((x, y) for x, y in coordinates(state.players).tolist())
-    return evader, tuple(pursuers)
+def _points(points: Points) -> tuple[tuple[float, float], ...]:
+    """Return positions as [x, y]."""
+    return tuple((x, y) for x, y in coordinates(points).tolist())
 
 
 def _reckons(scenario: Scenario) -> bool:
-    """Return whether the path of the evader has to be remembered."""
+    """Return whether the paths of the evaders have to be remembered."""
     located = scenario.announce.payload == "state" or getattr(scenario.protocol, "reckons", False)
     return located and scenario.announce.reckoning == "exact"

@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from desim.pursuit.agent import Agent
-from protocols.rule import LearningRule, best
+from protocols.rule import LearningRule, best, present
 
 Willingness = Annotated[float, Field(gt=0, le=1, strict=True)]
 """A probability that is not 0."""
@@ -45,7 +45,7 @@ class BetterReply(LearningRule):
         """Yield a better action or the present one."""
         while True:
             worth = self.utilities(me)
-            present = int(me.action)
-            better = [action for action, value in enumerate(worth) if value > worth[present]]
+            now = present(me, worth)
+            better = [action for action, value in worth.items() if value > worth[now]]
             willing = me.rng.random() < self.alpha
-            yield better[me.rng.integers(len(better))] if better and willing else present
+            yield better[me.rng.integers(len(better))] if better and willing else now

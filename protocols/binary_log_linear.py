@@ -15,6 +15,7 @@ from typing import Literal
 
 from desim.pursuit.agent import Agent
 from desim.pursuit.game import logit
+from protocols.rule import present
 from protocols.sap import LogLinear, drawn
 
 
@@ -23,28 +24,29 @@ class BinaryLogLinear(LogLinear):
 
     kind: Literal["binary_log_linear"] = "binary_log_linear"
 
-    def trial(self, me: Agent, actions: int) -> int:
-        """Return the action that is tried, of so many: each of the others with equal chances."""
-        return (int(me.action) + int(me.rng.integers(1, actions))) % actions
+    def trial(self, me: Agent, options: list[int], now: int) -> int:
+        """Return the action that is tried, of those it may choose: each but the present one with equal chances."""
+        return options[(options.index(now) + int(me.rng.integers(1, len(options)))) % len(options)]
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the present action or the one that is tried."""
         for inverse_tau in self.inverse_temperatures(me):
             worth = self.utilities(me)
-            present, trial = int(me.action), self.trial(me, len(worth))
-            tried = drawn(logit([worth[present], worth[trial]], inverse_tau), me.rng)
-            yield trial if tried else present
+            now = present(me, worth)
+            trial = self.trial(me, list(worth), now)
+            yield (now, trial)[drawn(logit([worth[now], worth[trial]], inverse_tau), me.rng)]
 
 
 class SelectiveSAP(BinaryLogLinear):
     """As the binary rule, but the action that is tried is drawn from all, and may be the present one again.
 
-    Each action of the restricted set R_i but the present one is tried with probability 1 / max |R_i|. Here all sets
-    are alike: to stay and to chase.
+    Each action of the restricted set R_i, to stay or to chase an evader that it may chase, but the present one is tried
+    with probability 1 / max |R_i|. The greatest set has all M + 1 actions.
     """
 
     kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]
 
-    def trial(self, me: Agent, actions: int) -> int:
-        """Return the action that is tried, of so many: each with equal chances."""
-        return int(me.rng.integers(actions))
+    def trial(self, me: Agent, options: list[int], now: int) -> int:
+        """Return the action that is tried: each it may choose with probability 1 / (M + 1), else the present one."""
+        place = int(me.rng.integers(me.evader_count + 1))
+        return options[place] if place < len(options) else now

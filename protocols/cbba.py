@@ -1,17 +1,17 @@
-"""The consensus-based bundle algorithm with one task: an auction in which word has stamps, so that it can grow old.
+"""The consensus-based bundle algorithm with bundles of one task: an auction in which word has stamps, and grows old.
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Table I (see
-    `decision`), for bundles of one task. Other than there, s_i[k] is when k sent its word and not when i received it,
-    so a stamp is always by the clock of whom it is about, and clocks need not agree; a winner of whom no newer word
-    comes is given up; wherever bids are compared, of equal ones that of the lower id is greater, and all are brought
-    up to date if positions are sensed.
+    `decision`) for each evader, which are the tasks. Other than there, s_i[k] is when k sent its word and not when i
+    received it, so a stamp is always by the clock of whom it is about, and clocks need not agree; a winner of whom no
+    newer word comes is given up; at each turn a pursuer chooses and bids anew; wherever bids are compared, of equal
+    ones that of the lower id is greater, and all are brought up to date if positions are sensed.
 Parameters: schedule (with Rounds these are the rounds of the paper), patience.
 Assumes: a connected graph, or there is a winner in each component; and word that is repeated, by heartbeats or at each
     revision. Else the winner seems to have fallen silent, and in the end everybody gives everybody up, and chases.
     Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
     differ by less than word is old, in s, may both chase to the end (`cbaa` has figures, which are the same here; with
     positions sensed 0.9 s on the mean and 2.4 s at worst).
-Messages: announcements of 40 bytes and 8 for each pursuer; news is a new winner.
+Messages: announcements of 24 bytes, 16 for each evader and 8 for each pursuer; news is a new winner.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over as soon as patience ends.
 """
 
@@ -22,24 +22,24 @@ from typing import ClassVar, Literal, NamedTuple
 from desim.kernel.clock import seconds
 from desim.pursuit.agent import Agent
 from desim.value import Extent
-from protocols.claims import NO_BID, NOBODY, Auction, Bid, current, offer, unread
+from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, current, told, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """Take the winner over from the sender; know of no winner any more; change nothing."""
 
 
 class StampedClaim(NamedTuple):
-    """Whom a pursuer holds for the winner, and how old its word of each other is."""
+    """Whom a pursuer holds for the winner of each evader, and how old its word of each other is; see `Claim`."""
 
-    active: bool
-    winner: int
-    amount: float
+    active: int
+    winner: int | tuple[int, ...]
+    amount: float | tuple[float, ...]
     """The winning bid y, s."""
     stamps: tuple[float, ...]
     """s[m]: when the latest word of m was sent that it knows of, at one hop or more, by the clock of m, s."""
 
     @property
-    def news(self) -> tuple[bool, int]:
+    def news(self) -> tuple[int, int | tuple[int, ...]]:
         """What is told at once if it changes: action and winner."""
         return self.active, self.winner
 
@@ -54,27 +54,27 @@ class CBBA(Auction):
     many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield whether it is the winner."""
-        best, read = NO_BID, dict[int, int]()
+        """Yield the evader of which it is the winner."""
+        bids, read = [NO_BID] * me.evader_count, dict[int, int]()
         stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: when a stamp was last found newer
         while True:
-            up_to_date = current(me)
-            best = up_to_date(best)
+            up_to_date = [current(me, k + 1) for k in range(me.evader_count)]
+            bids = [update(bid) for update, bid in zip(up_to_date, bids, strict=True)]
             for record in unread(me, read, StampedClaim):
-                k, (_, winner, amount, theirs) = record.src, record.body
-                bid = up_to_date(Bid(winner, amount))
-                verdict = decision(me.id, k, *best, stamps, *bid, theirs)
-                best = {"update": bid, "reset": NO_BID, "leave": best}[verdict]
+                k, theirs = record.src, record.body.stamps
+                for task, (mine, bid) in enumerate(zip(bids, bids_of(record.body), strict=True)):
+                    bid = up_to_date[task](bid)
+                    verdict = decision(me.id, k, *mine, stamps, *bid, theirs)
+                    bids[task] = {"update": bid, "reset": NO_BID, "leave": mine}[verdict]
                 heard = [*theirs[:k], seconds(record.sent), *theirs[k + 1 :]]
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))
-            if best.winner == me.id or (best != NO_BID and me.now - since[best.winner] > self.patience):
-                best = NO_BID  # its own bid is made anew
-            best = max(best, offer(me), key=lambda bid: bid.rank)
-            wins = best.winner == me.id
+            late = [bid.winner != NOBODY and me.now - since[bid.winner] > self.patience for bid in bids]
+            others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
+            action, bids = chosen(me, others)
             stamps[me.id] = me.now
-            me.claim(StampedClaim(wins, *best, tuple(stamps)))
-            yield wins
+            me.claim(StampedClaim(*told(action, bids), tuple(stamps)))
+            yield action
 
 
 def decision(

@@ -1,7 +1,7 @@
-"""The centralised benchmark: who would capture the evader first is sent to chase it, and nobody else.
+"""The centralised benchmark: who would capture an evader first is sent to chase it, and nobody else.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
-    Algorithm 3.
+    Algorithm 3; of several evaders, the best assignment (`desim.pursuit.assignment`).
 Parameters: slot (time between two decisions).
 Assumes: somebody who knows everything and whose orders are carried out at once. The network is not used, so this is
     what any protocol could at best achieve, whatever the network.
@@ -9,17 +9,21 @@ Messages: none.
 Robust to loss: yes, for nothing is sent.
 """
 
+from collections.abc import Sequence
 from itertools import count
 from math import inf
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from desim.pursuit.agent import Agent, Process
+from desim.pursuit.assignment import optimal_assignment
 from desim.pursuit.game import relay_pursuer
 from desim.value import Period, Value
 
 
 class Centralised(Value):
-    """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that the relay pursuer chases alone."""
+    """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that those chase who are best, alone."""
 
     announces: ClassVar[bool] = False
     """Nobody repeats its action by heartbeats."""
@@ -30,14 +34,28 @@ class Centralised(Value):
     """Time between two decisions delta, s."""
 
     def __call__(self, me: Agent) -> Process:
-        """Assign the pursuer of least time of capture, if it can be in time."""
+        """Assign to each evader one pursuer at most, which can be in time."""
         if me.id != 0:
             return
-        everyone = range(me.team_size)
+        everyone, everything = range(me.team_size), range(1, me.evader_count + 1)
         for k in count():
             yield me.at(k * self.slot)
-            phi = [time if me.obeys(j) else inf for j, time in enumerate(me.capture_times())]
-            relay = relay_pursuer(phi, me.time_left())
+            obeys = [me.obeys(pursuer) for pursuer in everyone]
+            phi = [[t if obeys[j] else inf for j, t in enumerate(me.capture_times(evader))] for evader in everything]
+            sent = assignment(phi, me.time_left())
             for pursuer in everyone:
-                if me.acts(pursuer) != (pursuer == relay):
-                    me.command(pursuer, pursuer == relay)
+                if me.acts(pursuer) != sent.get(pursuer, 0):
+                    me.command(pursuer, sent.get(pursuer, 0))
+
+
+def assignment(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
+    """Return which evader each pursuer is to chase, 1 .. M; those who are to stay are left out.
+
+    Args:
+        phi: (M, N) times of capture, s.
+        reward: the time that is left, s.
+    """
+    if len(phi) == 1:
+        first = relay_pursuer(phi[0], reward)
+        return {} if first is None else {first: 1}
+    return optimal_assignment(np.transpose(phi), reward)

@@ -5,7 +5,7 @@ Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Pro
     for Potential Games", with fading memory.
 Parameters: schedule, utility; alpha (how willing a pursuer is to change), rho (how fast it forgets).
 Assumes: word of everybody; no order of revisions. Fictitious play converges in beliefs in every potential game, with
-    times of capture that do not change; how often each pursuer was active is averaged over all turns, so it is slow
+    times of capture that do not change; how often each pursuer chased is averaged over all turns, so it is slow
     to follow those that do.
 Messages: announcements as the scenario's `announce` says.
 Robust to loss: yes, with heartbeats: what was heard last counts again at each turn.
@@ -20,13 +20,14 @@ from typing import Any, Literal, Self
 from pydantic import model_validator
 
 from desim.pursuit.agent import Agent
+from desim.pursuit.belief import Belief
 from desim.value import Probability
 from protocols.best_response import Willingness
-from protocols.rule import LearningRule, best
+from protocols.rule import LearningRule, best, present
 
 
 class FictitiousPlay(LearningRule):
-    """The best action if each other were active, independently, as often as it was found to be at the turns so far."""
+    """The best action if each other chased each evader, independently, as often as it did at the turns so far."""
 
     kind: Literal["fictitious_play"] = "fictitious_play"
 
@@ -38,17 +39,24 @@ class FictitiousPlay(LearningRule):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the best response to the empirical frequencies."""
-        utility: Any = self.utility
-        frequency: dict[int, float] = defaultdict(float)
+        frequencies: dict[int, dict[int, float]] = defaultdict(lambda: defaultdict(float))
         for turn in count(1):
-            beliefs = me.beliefs()
-            for j in beliefs.keys() | frequency.keys():
-                frequency[j] += ((j in beliefs and beliefs[j].active) - frequency[j]) / turn
-            circle = me.circle(utility.scope)
-            times = {j: each.capture_time for j, each in beliefs.items() if j in circle and each.capture_time < inf}
-            chances = [frequency[j] for j in times]
-            gain = utility.expected(me.capture_time(), list(times.values()), chances, me.time_left())
-            yield best([0.0, gain])
+            beliefs = {evader: me.beliefs(evader=evader) for evader in me.evaders()}
+            for evader, believed in beliefs.items():
+                frequency = frequencies[evader]
+                for j in believed.keys() | frequency.keys():
+                    frequency[j] += ((j in believed and believed[j].active == evader) - frequency[j]) / turn
+            chased = me.options()[1:]
+            yield best({0: 0.0} | {each: self._expected(me, each, beliefs[each], frequencies[each]) for each in chased})
+
+    def _expected(self, me: Agent, evader: int, beliefs: dict[int, Belief], frequency: dict[int, float]) -> float:
+        """Return what chasing an evader is worth if teammates chase it as often as they did, s."""
+        utility: Any = self.utility
+        circle = me.circle(utility.scope)
+        times = {j: each.capture_time for j, each in beliefs.items() if j in circle and each.capture_time < inf}
+        chances = [frequency[j] for j in times]
+        gain: float = utility.expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
+        return gain
 
 
 class JointStrategyFictitiousPlay(LearningRule):
@@ -62,9 +70,13 @@ class JointStrategyFictitiousPlay(LearningRule):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield an action of greatest average utility, or the present one."""
-        average = [0.0, 0.0]
+        average: dict[int, float] = defaultdict(float)
         for turn in count(1):
             weight = max(self.rho, 1.0 / turn)
-            average = [v + weight * (u - v) for u, v in zip(self.utilities(me), average, strict=True)]
-            present, willing = int(me.action), me.rng.random() < self.alpha
-            yield best(average) if willing and average[present] < max(average) else present
+            worth = self.utilities(me)
+            for action, utility in worth.items():
+                average[action] += weight * (utility - average[action])
+            now, willing = present(me, worth), me.rng.random() < self.alpha
+            averages = {action: average[action] for action in worth}
+            better = best(averages)
+            yield better if willing and averages[now] < averages[better] else now

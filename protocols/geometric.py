@@ -7,7 +7,8 @@ Parameters: slot (time between two decisions), hysteresis; for Argmin the measur
     evader's velocity is estimated.
 Time: everybody works out who is first at the same instants k * slot of its clock. Ties go to the lowest id. With a
     hysteresis of, say, 0.1, who is first takes over only if it is better than the present owner by more than a tenth.
-    Who cannot capture in time (phi >= r) is never the owner.
+    Who cannot capture in time (phi >= r) is never the owner. Of several evaders each has an owner of its own, found one
+    by one: of all first ones the one with the least measure owns, and is left out of what remains.
 Assumes: that everybody knows where everybody is, or its time of capture; that nobody breaks down, for where positions
     are sensed nobody notices that the owner does not move. With a hysteresis the choice has a memory, which must be the
     same everywhere: equal clocks. Voronoi: equal speeds, for who is nearest to be who is fastest.
@@ -17,7 +18,7 @@ Messages: none with the payload "action", where positions are sensed. Else annou
 Robust to loss: needs no word if positions are sensed; else with heartbeats.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import exp, inf
 from typing import Annotated, ClassVar, Literal
 
@@ -36,7 +37,7 @@ Measure = Callable[[Whereabouts], Floats]
 
 
 class Geometric(Value):
-    """What the geometric rules share: at every slot the owner of the evader chases, and nobody else."""
+    """What the geometric rules share: at every slot the owner of an evader chases it, and nobody else."""
 
     announces: ClassVar[Literal["unseen"]] = "unseen"
     """Word is needed only where positions are not sensed."""
@@ -50,23 +51,26 @@ class Geometric(Value):
         """What it needs to do what it promises; see `desim.assumptions`."""
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
-    def measure(self, me: Agent) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return by what pursuers are compared; it is asked once a slot."""
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:
         """Chase whenever one is the owner."""
-        measure = self.measure(me)
-        owner: int | None = None
+        of = {evader: self.measure(me, evader) for evader in me.evaders()}
+        owner = dict[int, int]()
         for tick in ticks(me, self.slot):
             yield me.at(tick)
-            known = me.whereabouts()
-            found = measure(known)
-            measures = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
-            present = [owner] if me.senses_others else said_active(me)
-            owner = first(known.ids, measures, present, self.hysteresis)
-            if me.action != (owner == me.id):
-                me.assign(owner == me.id)
+            measures, present = dict[int, Floats](), dict[int, Collection[int | None]]()
+            for evader in me.evaders():
+                known = me.whereabouts(evader)
+                found = of[evader](known)
+                measures[evader] = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
+                present[evader] = [owner.get(evader)] if me.senses_others else said_active(me, evader)
+            owner = owners(known.ids, measures, present, self.hysteresis)
+            action = next((evader for evader, pursuer in owner.items() if pursuer == me.id), 0)
+            if me.action != action:
+                me.assign(action)
             if not me.senses_others:
                 me.announce()
 
@@ -81,9 +85,9 @@ class Voronoi(Geometric):
         """What it needs to do what it promises; see `desim.assumptions`."""
         return (*super().assumes, "places_known", "equal_speeds")
 
-    def measure(self, me: Agent) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return the measure of distance, m."""
-        return lambda known: np.abs(me.evader() - known.places)
+        return lambda known: np.abs(me.evader(evader) - known.places)
 
 
 class Argmin(Geometric):
@@ -102,15 +106,15 @@ class Argmin(Geometric):
         """What it needs to do what it promises; see `desim.assumptions`."""
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
-    def measure(self, me: Agent) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return the measure of time, s."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
         velocity = Velocity(self.time_constant)
 
         def intercept(known: Whereabouts) -> Floats:
-            flight, evader = velocity(me.now, me.evader()), me.evader()
-            x_e, w = (coordinates(np.array([each]))[0] for each in (evader, flight))
+            place = me.evader(evader)
+            x_e, w = (coordinates(np.array([each]))[0] for each in (place, velocity(me.now, place)))
             return intercept_time(x_e, w, coordinates(known.places), known.speeds, me.radius)
 
         return intercept
@@ -139,6 +143,32 @@ class Velocity:
         return self._velocity or 0j
 
 
+def owners(
+    ids: Sequence[int],
+    measures: Mapping[int, Floats],
+    present: Mapping[int, Collection[int | None]],
+    hysteresis: float,
+) -> dict[int, int]:
+    """Return who is to be the owner of each evader, of which a pursuer has one at most; see `first`.
+
+    Args:
+        ids: (n,) of the pursuers, ascending.
+        measures: of each evader, (n,) of them.
+        present: of each evader, who is its owner now.
+        hysteresis: by which share a pursuer must be better than the present owner.
+    """
+    found: dict[int, int] = {}
+    while measures:
+        firsts = {evader: first(ids, each, present[evader], hysteresis) for evader, each in measures.items()}
+        ranked = [(measures[evader][ids.index(i)], i, evader) for evader, i in firsts.items() if i is not None]
+        if not ranked:
+            break
+        _, pursuer, evader = min(ranked)
+        found[evader] = pursuer
+        measures = {k: np.where(np.equal(ids, pursuer), inf, each) for k, each in measures.items() if k != evader}
+    return found
+
+
 def first(ids: Sequence[int], measures: Floats, present: Collection[int | None], hysteresis: float) -> int | None:
     """Return who is to be the owner, or None if nobody can.
 
@@ -158,6 +188,6 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
     return ids[best]
 
 
-def said_active(me: Agent) -> list[int]:
-    """Return who is active, itself included, as far as it has heard."""
-    return [*me.believed_active(), *([me.id] if me.action else [])]
+def said_active(me: Agent, evader: int) -> list[int]:
+    """Return who chases an evader, itself included, as far as it has heard."""
+    return [*me.believed_active(evader), *([me.id] if me.action == evader else [])]

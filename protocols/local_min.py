@@ -14,32 +14,44 @@ from collections.abc import Iterator
 from typing import ClassVar, Literal
 
 from desim.pursuit.agent import Agent
+from desim.pursuit.assignment import greedy_assignment
 from protocols.rule import Rule
 
 
 class LocalMin(Rule):
-    """Chase if in time and no active neighbour has a smaller (phi, id)."""
+    """Chase the evader it would capture first, of those in time that no neighbour chases with a smaller (phi, id)."""
 
     kind: Literal["local_min"] = "local_min"
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield whether it is first of the active."""
+        """Yield the evader of which it is first of the active."""
         while True:
             near = set(me.circle("neighbours"))
-            own = me.capture_time(), me.id
-            active = [(phi, j) for j, phi in me.believed().items() if j in near]
-            yield own[0] < me.time_left() and all(own < other for other in active)
+            ahead = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
+            yield min(ahead, key=me.capture_time, default=0)
+
+    def _is_first(self, me: Agent, evader: int, near: set[int]) -> bool:
+        """Return whether it would be in time, and no active neighbour before it."""
+        own = me.capture_time(evader), me.id
+        active = [(phi, j) for j, phi in me.believed(evader).items() if j in near]
+        return own[0] < me.time_left() and all(own < other for other in active)
 
 
 class ArgminKnown(Rule):
-    """Chase if in time and nobody that is heard of, active or not, has a smaller (phi, id)."""
+    """Chase if in time and nobody that is heard of, active or not, has a smaller (phi, id).
+
+    Of several evaders each goes to the first that has none yet, in order of (phi, id).
+    """
 
     assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "everyone_heard")
     kind: Literal["argmin_known"] = "argmin_known"
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield whether it is first of all."""
+        """Yield the evader of which it is first of all."""
         while True:
-            own = me.capture_time(), me.id
-            known = [(each.capture_time, j) for j, each in me.beliefs().items()]
-            yield own[0] < me.time_left() and all(own < other for other in known)
+            phi = {
+                evader: {j: each.capture_time for j, each in me.beliefs(evader=evader).items()}
+                | {me.id: me.capture_time(evader)}
+                for evader in me.evaders()
+            }
+            yield greedy_assignment(phi, me.time_left()).get(me.id, 0)

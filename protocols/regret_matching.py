@@ -11,6 +11,7 @@ Messages: announcements as the scenario's `announce` says.
 Robust to loss: yes, with heartbeats.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator
 from itertools import count
 from typing import Literal
@@ -18,7 +19,7 @@ from typing import Literal
 from desim.pursuit.agent import Agent
 from desim.value import Probability
 from protocols.best_response import Willingness
-from protocols.rule import LearningRule
+from protocols.rule import LearningRule, present
 from protocols.sap import drawn
 
 
@@ -37,15 +38,16 @@ class RegretMatching(LearningRule):
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield an action in proportion to its regret, or the present one."""
-        regret = [0.0, 0.0]
+        regret: dict[int, float] = defaultdict(float)
         for turn in count(1):
-            worth, present = self.utilities(me), int(me.action)
-            weight = max(self.rho, 1.0 / turn)
-            regret = [r + weight * (u - worth[present] - r) for u, r in zip(worth, regret, strict=True)]
-            positive = [max(r, 0.0) for r in regret]
+            worth = self.utilities(me)
+            now, weight = present(me, worth), max(self.rho, 1.0 / turn)
+            for action, utility in worth.items():
+                regret[action] += weight * (utility - worth[now] - regret[action])
+            positive = [max(regret[action], 0.0) for action in worth]
             total = sum(positive)
             willing = me.rng.random() < self.alpha
-            yield drawn([r / total for r in positive], me.rng) if total > 0.0 and willing else present
+            yield list(worth)[drawn([r / total for r in positive], me.rng)] if total > 0.0 and willing else now
 
 
 class GeneralisedRegretMatching(RegretMatching):

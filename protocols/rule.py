@@ -1,12 +1,12 @@
 """Rules: what a pursuer chooses whenever its schedule says that it is its turn.
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator: each `next` is a turn, what it yields is the
-action (0: stay, 1: chase), and its local variables are what the pursuer remembers. Who has no choice but to stay is not
-asked. A `LearningRule` chooses by what the actions are worth to it, and so has a utility, too. Any rule runs under any
-schedule, network and dissemination.
+action (0: stay, j: chase evader j), and its local variables are what the pursuer remembers. Who has no choice but to
+stay is not asked. A `LearningRule` chooses by what the actions are worth to it, and so has a utility, too. Any rule
+runs under any schedule, network and dissemination.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Annotated, ClassVar
 
 from desim.pursuit.agent import Agent, Process
@@ -40,7 +40,7 @@ class Rule(Value):
     """When each pursuer revises."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the action of a pursuer at each of its turns: 1 to chase, 0 to stay."""
+        """Yield the action of a pursuer at each of its turns: the number of an evader to chase it, 0 to stay."""
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
@@ -48,7 +48,7 @@ class Rule(Value):
         actions = self.actions(me)
 
         def revise() -> None:
-            me.assign(me.may_chase() and bool(next(actions)))
+            me.assign(next(actions) if me.may_choose() else 0)
 
         yield from self.schedule(me, revise)
 
@@ -59,14 +59,19 @@ class LearningRule(Rule):
     utility: Annotated[Utility, UTILITIES] = Mean()
     """What being active is worth."""
 
-    def utilities(self, me: Agent) -> list[float]:
-        """Return what each action is worth now, s: staying 0, and chasing its gain.
+    def utilities(self, me: Agent) -> dict[int, float]:
+        """Return what each action it may choose is worth now, s: staying 0, and chasing an evader its gain.
 
-        That of a pursuer that can never capture is cut off at -30 years, so that averages remain numbers.
+        That of who can never capture is cut off at -30 years, so that averages remain numbers.
         """
-        return [0.0, max(me.gain(self.utility), -LONGEST)]
+        return {0: 0.0} | {evader: max(me.gain(self.utility, evader), -LONGEST) for evader in me.options()[1:]}
 
 
-def best(utilities: list[float]) -> int:
+def present(me: Agent, actions: Collection[int]) -> int:
+    """Return what a pursuer does if that is one of the actions it may choose; else 0, for it has to stop."""
+    return int(me.action) if me.action in actions else 0
+
+
+def best(utilities: dict[int, float]) -> int:
     """Return the action that is worth most; of several the first, so that nobody chases for nothing."""
-    return utilities.index(max(utilities))
+    return max(utilities, key=utilities.__getitem__)

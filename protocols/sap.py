@@ -42,14 +42,15 @@ class SpatialAdaptivePlay(LogLinear):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield a draw from the logit at each turn."""
         for inverse_tau in self.inverse_temperatures(me):
-            yield drawn(logit(self.utilities(me), inverse_tau), me.rng)
+            options, worth = zip(*self.utilities(me).items(), strict=True)
+            yield options[drawn(logit(worth, inverse_tau), me.rng)]
 
 
 def drawn(chances: list[float], rng: np.random.Generator) -> int:
-    """Return an action drawn with the given probabilities, by one number of `rng`."""
+    """Return which of several is drawn with the given probabilities, by one number of `rng`."""
     luck = rng.random()
-    for action in range(len(chances) - 1, 0, -1):
-        if luck < chances[action]:
-            return action
-        luck -= chances[action]
+    for which in range(len(chances) - 1, 0, -1):
+        if luck < chances[which]:
+            return which
+        luck -= chances[which]
     return 0

@@ -1,7 +1,8 @@
 """A central server with its round trip: states go up, orders come down, over the same links as any other word.
 
-Paper: the decision is that of Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using
-    Potential Games", Algorithm 3, by a centre that has to be told, and whose orders take their time.
+Paper: the decision is that of the centralised benchmark (`centralised`), Algorithm 3 of Lee & Bakolas, "Relay Pursuit
+    of an Evader by a Heterogeneous Group of Pursuers Using Potential Games", by a centre that has to be told, and whose
+    orders take their time.
 Parameters: host (which pursuer carries the server), period (time between two reports).
 Time: every pursuer reports at the ticks k * period of its clock. The server decides as reports arrive, once for all
     that arrive at one instant, and whoever gets an order obeys it as it arrives. So an order takes effect exactly one
@@ -11,7 +12,8 @@ Time: every pursuer reports at the ticks k * period of its clock. The server dec
 Assumes: that the host reaches everybody and everybody reaches the host in one hop, and that nobody breaks down. While
     the host is down nobody leads: everybody goes on with what it was ordered last. Reports of who chases are reckoned
     on by their time stamps, so clocks that differ mislead the server a little.
-Messages: per period N - 1 reports of 72 bytes and an order of 32 bytes to each of N - 1; an order to each per change.
+Messages: per period N - 1 reports of 72 bytes and an order to each of N - 1, of 24 bytes and 8 for each evader that is
+    chased; an order to each per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order that was overtaken by a newer one is not
     obeyed. Who has not been heard for long (`announce.forget_after`, where "auto" goes by the period of the reports) is
     left out, and the server decides without any report only if none has come for 3 periods and a round trip.
@@ -25,6 +27,7 @@ from desim.kernel.clock import SECOND
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.word import LocatedAssignment, Relayed
 from desim.value import Period, Value
+from protocols.centralised import assignment
 from protocols.schedules import ticks
 
 PORT = "server"
@@ -32,16 +35,21 @@ PORT = "server"
 
 
 class Order(NamedTuple):
-    """Who is to chase."""
+    """Who is to chase what."""
 
     number: int
     """Of the decision: the greater is the newer."""
-    chaser: int | None
-    """Nobody if None."""
+    chaser: int | tuple[int | None, ...] | None
+    """Who is to chase the evader or, if there are several, each of the (M,) evaders; nobody if None."""
+
+    def action(self, pursuer: int) -> int:
+        """Return which evader a pursuer is to chase, or 0."""
+        chasers = self.chaser if isinstance(self.chaser, tuple) else (self.chaser,)
+        return chasers.index(pursuer) + 1 if pursuer in chasers else 0
 
 
 class Server(Value):
-    """One pursuer carries a server, which hears from all where they are and sends whom it deems first."""
+    """One pursuer carries a server, which hears from all where they are and sends whom it deems best."""
 
     assumes: ClassVar[tuple[str, ...]] = ("host_in_reach", "no_crashes")
     announces: ClassVar[bool] = False
@@ -92,7 +100,7 @@ class Server(Value):
                     last_word = me.now
                 changed = False
                 if reports or me.now >= last_word + silence:
-                    chaser = self._first(me, reporters)
+                    chaser = self._chaser(me, reporters)
                     changed = told.number < 0 or chaser != told.chaser
                     # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
                     told = Order(max(round(me.now * SECOND), told.number + 1, 0), chaser) if changed else told
@@ -100,12 +108,16 @@ class Server(Value):
                 if changed or (due and told.number >= 0):
                     me.send(None, told, PORT)
 
-    def _first(self, me: Agent, reporters: set[int]) -> int | None:
-        """Return who is first by (phi, id) of the host and those of whom it has word, if that one can be in time."""
-        beliefs = me.beliefs(self.period)
-        known = [(beliefs[j].capture_time, j) for j in reporters & beliefs.keys()]
-        phi, first = min([*known, (me.capture_time(), me.id)])
-        return first if phi < me.time_left() else None
+    def _chaser(self, me: Agent, reporters: set[int]) -> int | tuple[int | None, ...] | None:
+        """Return who is to chase, of the host and those of whom it has word; see `Order`."""
+        beliefs = [me.beliefs(self.period, evader) for evader in range(1, me.evader_count + 1)]
+        ids = sorted({me.id, *(reporters & beliefs[0].keys())})
+        phi = [
+            [me.capture_time(evader) if j == me.id else known[j].capture_time for j in ids]
+            for evader, known in enumerate(beliefs, start=1)
+        ]
+        chasers = {evader: ids[row] for row, evader in assignment(phi, me.time_left()).items()}
+        return tuple(map(chasers.get, range(1, me.evader_count + 1))) if me.evader_count > 1 else chasers.get(1)
 
 
 def state(me: Agent) -> LocatedAssignment:
@@ -115,6 +127,8 @@ def state(me: Agent) -> LocatedAssignment:
 
 
 def obey(me: Agent, order: Order) -> None:
-    """Chase if the order says so, else stay."""
-    if me.action != (order.chaser == me.id):
-        me.assign(order.chaser == me.id)
+    """Chase what the order says, unless that has been captured meanwhile, else stay."""
+    action = order.action(me.id)
+    action = action if action in me.evaders() else 0
+    if me.action != action:
+        me.assign(action)

@@ -5,7 +5,7 @@ temperature 1/tau in 1/s: an infinite temperature is then an ordinary number.
 """
 
 from collections.abc import Iterator
-from math import exp, log
+from math import exp, isnan, log
 from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
@@ -88,7 +88,8 @@ class AdaptiveTau(Value):
     """How it cools between two surprises."""
     surprises: tuple[Surprise, ...] = ("neighbour", "silence", "order")
     """What surprises: a teammate is heard that was not; one falls silent (`announce.forget_after`); another pursuer
-    than before has the least time of capture of those that are heard, itself included."""
+    than before has the least time of capture of an evader, of those that are heard, itself included; or an evader has
+    been captured."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, eta slots after the last surprise, 1/s."""
@@ -96,11 +97,10 @@ class AdaptiveTau(Value):
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
         """Yield at each turn how many slots have passed since the last surprise."""
-        since, heard, first = me.now if me.restarts else 0.0, None, me.id
+        since, heard, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()
-            times = {me.id: me.capture_time()} | {j: each.capture_time for j, each in beliefs.items()}
-            ahead = min(times, key=lambda j: (times[j], j))
+            ahead = [_first(me, evader) for evader in me.evaders()]
             surprised = heard is not None and (
                 ("neighbour" in self.surprises and bool(beliefs.keys() - heard))
                 or ("silence" in self.surprises and bool(heard - beliefs.keys()))
@@ -109,6 +109,12 @@ class AdaptiveTau(Value):
             since = me.now if surprised else since
             heard, first = beliefs.keys(), ahead
             yield max(me.now - since, 0.0) / slot
+
+
+def _first(me: Agent, evader: int) -> int:
+    """Return who has the least time of capture of an evader, of a pursuer itself and those that have told theirs."""
+    told = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
+    return min([*told, (me.capture_time(evader), me.id)])[1]
 
 
 TEMPERATURES = OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau, takes=("eta",))

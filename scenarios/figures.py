@@ -89,7 +89,7 @@ def initial(result: Result) -> "Figure":
         axes.plot(*places[~fast].T, "o", color=plots.BLUE, ms=4, label=f"pursuer, {min(start.speeds):g} m/s")
         axes.plot(*places[fast].T, "^", color=plots.BLUE, ms=6, label=f"pursuer, {max(start.speeds):g} m/s")
         axes.plot(
-            *start.evader, "s", color=plots.VERMILION, ms=4, label=f"evader, {result.scenario.evader.speed:g} m/s"
+            *start.evader, "s", color=plots.VERMILION, ms=4, label=f"evader, {result.scenario.evaders[0].speed:g} m/s"
         )
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", xlim=(-1, 21), ylim=(-1, 21))
         axes.set(xticks=range(0, 21, 5), yticks=range(0, 21, 5))
@@ -126,11 +126,11 @@ def trajectories(results: "Mapping[str, Result]") -> "Figure":
 
 
 def utilities(results: "Mapping[str, Result]") -> "Figure":
-    """Draw the individual utilities over time, a panel below the other."""
+    """Draw the individual utilities over time, a panel below the other, each with a scale of its own."""
     from desim.analysis import plots
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
-        rows = figure.subplots(len(results), 1, sharex=True, sharey=True)
+        rows = figure.subplots(len(results), 1, sharex=True)
         for axes, (name, result) in zip(rows, results.items(), strict=True):
             draw_utilities(axes, result)
             axes.set_title(name, loc="left")
@@ -141,7 +141,23 @@ def utilities(results: "Mapping[str, Result]") -> "Figure":
         figure.supylabel("individual utility (s)", fontsize=7)
         handles, names = rows[-1].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=3)
+        figure.draw_without_rendering()
+        for axes, result in zip(rows, results.values(), strict=True):
+            _name_takeovers(axes, result)
     return figure
+
+
+def _name_takeovers(axes: "Axes", result: Result) -> None:
+    """Write beside the beginning of each bold line whose it is."""
+    from desim.analysis import plots
+    from desim.view.labels import label_points
+
+    times, _, found = individual_utilities(result)
+    chain, (begin, end) = relays(result), axes.get_xlim()
+    rows = [int(np.searchsorted(times, t, side="right")) - 1 for t, _ in chain]
+    places = [(seconds(t), float(found[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
+    lines = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
+    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=lines, color=plots.BLUE)
 
 
 def _enlarge(axes: "Axes", result: Result, until: float) -> None:

@@ -40,7 +40,7 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
         team: whose speeds, capture radius and horizon to take.
         delta: slot and motion step, s.
     """
-    v, v_e, eps = np.array(team.team.all_speeds()), team.evader.speed, team.capture.radius
+    v, v_e, eps = np.array(team.team.all_speeds()), team.evaders[0].speed, team.capture.radius
     times = np.full(len(evaders), inf)
     left = np.arange(len(evaders))  # the configurations that are not captured yet
     for k in range(round(team.horizon / delta) + 1):
@@ -65,7 +65,7 @@ def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int
     count, kept = base.team.count, []
     for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
         team = rng.uniform(*base.team.box, (BATCH, count, 2)).round(3)
-        evader = rng.uniform(*base.evader.box, (BATCH, 2)).round(3)
+        evader = rng.uniform(*base.evaders[0].box, (BATCH, 2)).round(3)
         for delta, time in sorted(published.items(), reverse=True):
             z, e = team[..., 0] + 1j * team[..., 1], evader[:, 0] + 1j * evader[:, 1]
             fits = np.abs(centralised_times(z, e, base, delta) / time - 1.0) < TOLERANCE
@@ -78,7 +78,7 @@ def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Sce
     return base.model_copy(
         update={
             "team": Team(positions=team, speeds=base.team.speeds),
-            "evader": base.evader.model_copy(update={"position": tuple(evader)}),
+            "evader": base.evaders[0].model_copy(update={"position": tuple(evader)}),
         }
     )
 

@@ -108,8 +108,8 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
 
 def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
     """Return the game of t = 0: the times of capture (s), who hears whom, and the same as a graph."""
-    at, evader = base.team.start(seed), base.evader.start(seed)
-    phi = capture_time(evader, at, base.team.all_speeds(), base.evader.speed, base.capture.radius).tolist()
+    at, evader = base.team.start(seed), base.evaders[0].start(seed)
+    phi = capture_time(evader, at, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
     graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
     return phi, [list(graph.predecessors(i)) for i in sorted(graph)], graph
 

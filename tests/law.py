@@ -32,21 +32,30 @@ def static_game(protocol, network=None):
     )
 
 
-def laws_of(result):
-    """Return (5, 16) shares of decision instants after which each profile stood, by batch; 1 s of burn-in left out."""
-    number = {profile: k for k, profile in enumerate(profiles(len(PHI)))}
+def laws_of(result, order):
+    """Return (5, K) shares of decision instants after which each of K profiles stood, by batch; without the first s."""
+    number = {profile: k for k, profile in enumerate(order)}
     active, counts, now = list(result.trace.of(Started)[0].active), Counter(), 0
     for decision in result.trace.of(Decided):
         if now != decision.t > 10**9:
             counts[int(BATCHES * now / (HORIZON * 1e9)), number[tuple(active)]] += 1
         now, active[decision.pursuer] = decision.t, decision.active
-    shares = np.array([[counts[batch, k] for k in range(16)] for batch in range(BATCHES)], dtype=float)
+    shares = np.array([[counts[batch, k] for k in range(len(order))] for batch in range(BATCHES)], dtype=float)
     return shares / shares.sum(axis=1, keepdims=True)
 
 
 def measured(scenario, seeds=4):
     """Return the (16,) law of a scenario, and its standard errors by the means of batches."""
-    found = np.vstack([laws_of(run(scenario, seed)) for seed in range(seeds)])
+    return by_batches(batches(scenario, seeds, profiles(len(PHI))))
+
+
+def batches(scenario, seeds, order):
+    """Return the (5 seeds, K) laws of a scenario over its profiles in order, by batch."""
+    return np.vstack([laws_of(run(scenario, seed), order) for seed in range(seeds)])
+
+
+def by_batches(found):
+    """Return the mean over batches, and its standard error."""
     return found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(len(found))
 
 

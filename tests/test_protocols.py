@@ -15,13 +15,14 @@ from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Halted, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.game import relay_profile
 from desim.pursuit.word import DISSEMINATIONS, Announcements
 from desim.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.rule import SCHEDULES
 from protocols.schedules import Poisson
 from scenarios.study import SCENARIOS
+from tests.many import LOSSY, at_rest, chased, easy, times
 
 KINDS = PROTOCOLS.choices()
 SCHEDULED = [kind for kind, model in KINDS.items() if "schedule" in model.model_fields]
@@ -56,6 +57,8 @@ EQUAL_SPEEDS = {"voronoi"}
 """Who assumes them."""
 AVERAGING = {"fictitious_play", "regret_matching"}
 """Who averages over all turns: what they learnt first fades in r / (phi_2 - phi_1) turns, so the two should differ."""
+WHOLE_GAME = {*AVERAGING, "jsfp"}
+"""Who may need more than half of it, as what they learnt first fades."""
 ONE_LEADER = {"centralised", "server", "voronoi", "argmin"}
 """Who promises nothing to parts of the team that are cut off."""
 
@@ -131,8 +134,9 @@ def undecided(kind, phi, horizon):
     return kind in AVERAGING and least < horizon and second < 1.2 * least
 
 
-def outcome(result):
-    """Return the last profile, and the times of capture."""
+def outcome(case, kind):
+    """Return the profile after half of a game, or at its end if a rule may need that, and the times of capture."""
+    result = run(case, None, lambda event: kind not in WHOLE_GAME and event.t > 15 * SECOND)
     start = result.trace.of(Started)[0]
     phi = capture_time(start.evader, start.pursuers, start.speeds, result.scenario.evader.speed, 0.1)
     profile = list(start.active)
@@ -149,7 +153,7 @@ def test_on_the_complete_ideal_network_every_protocol_ends_in_the_relay_profile(
     kept, cases = 0, 5 if kind in AVERAGING else 12
     for seed in range(cases):
         case = settled(kind, seed)
-        profile, phi = outcome(run(case))
+        profile, phi = outcome(case, kind)
         if not undecided(kind, phi, case.horizon):
             kept += 1
             assert profile == relay_profile(phi, case.horizon), f"{case!r}"
@@ -166,7 +170,7 @@ def test_in_each_part_of_a_team_that_is_cut_in_two_one_pursuer_chases(kind):
         group = tuple(np.flatnonzero(np.random.default_rng(seed).random(size) < 0.5).tolist()) or (0,)
         cut = Partition(at=0.0, until=1e6, groups=(group,))
         case = whole.model_copy(update={"fault": (cut,), "network": Links(latency=Constant(value=0.02))})
-        profile, phi = outcome(run(case))
+        profile, phi = outcome(case, kind)
         parts = [group, tuple(set(range(size)) - set(group))]
         for part in filter(None, parts):
             inside, own = tuple(profile[i] for i in part), [phi[i] for i in part]
@@ -201,6 +205,47 @@ def test_triples_are_as_few_as_the_pairs_of_the_two_longest_axes(sizes):
     axes = tuple(range(size) for size in sizes)
     assert uncovered(covering(*axes), *axes) == set()
     assert len(covering(*axes)) == np.prod(sorted(sizes)[1:])
+
+
+# Several evaders.
+
+OPEN = {*WHOLE_GAME, "generalised_regret_matching", "sap", "binary_log_linear", "selective_sap"}
+"""Who may not have settled after some seconds, or goes on trying what is worse."""
+MANY = {"ideal": Links(), "lossy": LOSSY}
+
+
+def quick(kind):
+    """Return a protocol with ten turns per second, or five."""
+    settings = {"schedule": {"kind": "poisson", "rate": 10.0}} if kind in SCHEDULED else {}
+    return KINDS[kind](**settings | ({"slot": 0.2} if "slot" in KINDS[kind].model_fields else {}))
+
+
+@pytest.mark.parametrize("network", MANY)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind, network):
+    """Six that are four times as fast, in a box of 4 m: in less than 5 s each evader has been captured once."""
+    case = easy(quick(kind), seed=2, network=MANY[network])
+    result = run(case)
+    captures, (end,) = result.trace.of(Captured), result.trace.of(Ended)
+    assert sorted(capture.evader for capture in captures) == [1, 2, 3]
+    assert (end.reason, end.capturer, end.t) == ("captured", captures[-1].capturer, captures[-1].t)
+    assert end.t < 5 * SECOND
+    assert {event.active for event in result.trace.of(Decided)} <= {0, 1, 2, 3}
+    assert list(run(case).trace.lines()) == list(result.trace.lines())
+
+
+@pytest.mark.parametrize("network", MANY)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in OPEN])
+def test_at_rest_no_two_pursuers_are_left_on_one_evader_and_none_without_that_could_be_chased(kind, network):
+    """Three games of six after 4 s: who chases is in time, and who stays would be late for what nobody chases."""
+    for seed in range(3):
+        case = at_rest(quick(kind), 6, 3, seed, network=MANY[network], announce=Announcements(forget_after=np.inf))
+        result = run(case, None, lambda event: event.t > 4 * SECOND)
+        actions, phi = chased(result), times(result)
+        assert len(set(actions.values())) == len(actions)
+        assert all(phi[pursuer, evader - 1] < 30.0 for pursuer, evader in actions.items())
+        idle, free = (set(range(6)) - set(actions), {1, 2, 3} - set(actions.values()))
+        assert not [(i, j) for i in idle for j in free if phi[i, j - 1] < 30.0]
 
 
 PARTS = [*KINDS.values(), *SCHEDULES.choices().values(), *DISSEMINATIONS.choices().values()]

@@ -116,6 +116,31 @@ def test_what_just_goes_together_is_not_warned_of(given):
     assert [each for each in warned(**given) if " assumes " not in each[1]] == []
 
 
+@pytest.mark.parametrize(
+    ("speeds", "said"),
+    [
+        ((0.5, 0.8), None),
+        ((0.5, 1.0), "faster than 1 of the 2 evaders: the fastest moves at 0.9 m/s, the slowest of these at 1.0 m/s"),
+        ((2.0, 0.9), "faster than 2 of the 2 evaders: the fastest moves at 0.9 m/s, the slowest of these at 0.9 m/s"),
+    ],
+)
+def test_each_of_several_evaders_is_to_be_slower_than_somebody(speeds, said):
+    evaders = tuple(Evader(speed=speed) for speed in speeds)
+    whys = [why for key, why in warned(team=Team(count=2, speeds=(0.5, 0.9)), evader=evaders) if key == "team.speeds"]
+    assert len(whys) == (said is not None)
+    assert all(f"no pursuer is {said}, so every time of capture of theirs is inf and nobody" in why for why in whys)
+    free = warned(team=Team(count=2, speeds=0.4), evader=evaders, prune="none")
+    assert [why.endswith("of theirs is inf") for key, why in free if key == "team.speeds"] == [True]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_fastest_of_several_evaders_may_jump(first):
+    evaders = (Evader(speed=2.0), Evader(speed=0.5))
+    given = {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)}
+    found = dict(warned(**given, evader=evaders if first else evaders[::-1]))
+    assert "step x speed = 0.22 m" in found["motion.step"]
+
+
 def test_each_thing_is_warned_of_in_one_go():
     """Assumptions stand between what concerns the network and what concerns motion."""
     keys = [

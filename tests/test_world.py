@@ -335,7 +335,7 @@ def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payloa
 
     def protocol(me):
         yield me.at(2.4)
-        remembered.append(len(me._world._seen._sights))
+        remembered.append(len(me._world._targets[0].seen._sights))
 
     run(still(protocol=protocol, announce=Announcements(payload=payload, reckoning=reckoning)))
     assert remembered == [steps, steps]

@@ -27,6 +27,9 @@ class Event(Protocol):
 
     def _asdict(self) -> dict[str, Any]: ...
 
+    @property
+    def _field_defaults(self) -> dict[str, Any]: ...
+
 
 Cause = Literal["loss", "reach", "partition", "jamming", "crash", "queue", "half_duplex"]
 """Why a message was lost; "queue": dropped from a full one, "half_duplex": its receiver was on the air itself."""
@@ -156,9 +159,17 @@ class Trace:
         return [event for event in self.events if isinstance(event, kind)]
 
     def lines(self) -> Iterator[str]:
-        """Yield each event as one line of JSON: its type, then its fields with times in seconds (null: never)."""
+        """Yield each event as one line of JSON: its type, then its fields with times in seconds (null: never).
+
+        A field that has its default is left out.
+        """
         for event in self.events:
-            fields = {name: _plain(name, value) for name, value in event._asdict().items()}
+            defaults = event._field_defaults
+            fields = {
+                name: _plain(name, value)
+                for name, value in event._asdict().items()
+                if name not in defaults or value != defaults[name]
+            }
             yield json.dumps({"event": type(event).__name__} | fields, default=repr) + "\n"
 
     def write(self, path: Path) -> None:

@@ -24,10 +24,12 @@ SCALARS = frozenset({int, float, bool})
 
 def size_of(body: Any) -> int:
     """Return the bytes of a message with this body: a number, a text, None, or a collection or array of such."""
-    return HEADER + (NUMBER if type(body) in SCALARS else _size(body))
+    return HEADER + _size(body)
 
 
 def _size(body: Any) -> int:
+    if type(body) in SCALARS:
+        return NUMBER
     if body is None:
         return 0
     if isinstance(body, str | bytes):

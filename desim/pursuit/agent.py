@@ -4,7 +4,7 @@ It senses positions (its own and its teammates', and the evader's), knows the ru
 teammates only what the network has brought it.
 """
 
-from collections.abc import Callable, Collection, Generator, Iterable
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import count
@@ -47,6 +47,16 @@ class Agent:
     Attributes:
         id: 0 .. team_size - 1.
         rng: the stream of its decisions.
+
+    Args:
+        pursuer: its id.
+        env: the clock of the simulation.
+        world: what it senses and acts on.
+        network: by which it talks.
+        seed: of its random streams.
+        announcements: what it tells the others, and when.
+        clock: its own; a right one if None.
+        omniscient: the world for who knows everything; the same if None.
     """
 
     def __init__(
@@ -58,15 +68,16 @@ class Agent:
         seed: int,
         announcements: Announcements | None = None,
         *,
-        offset: float = 0.0,
-        drift: float = 0.0,
+        clock: NodeClock | None = None,
+        omniscient: Surroundings | None = None,
     ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
         self._env, self._world, self._network, self._seed = env, world, network, seed
+        self._omniscient = omniscient or world
         self._announcements = announcements or Announcements()
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
-        self._clock = NodeClock(env, offset, 1.0 + drift)
+        self._clock = clock or NodeClock(env)
         self._said = Said((self.action,) if self._announcements.warm_start else None)
         self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.assignment)
         self._streams: dict[str, np.random.Generator] = {}
@@ -102,21 +113,40 @@ class Agent:
         return self._world.size
 
     @property
-    def action(self) -> bool:
-        """Whether it is active."""
-        return self._world.active(self.id)
+    def action(self) -> int:
+        """Which evader it chases, 1 .. M, or 0 if it stays; where there is one evader, whether it chases."""
+        return self._world.action(self.id)
 
-    def capture_time(self) -> float:
-        """Return its own time of capture phi_i, s."""
-        return self._world.capture_times()[self.id]
+    def evaders(self) -> Sequence[int]:
+        """Return the evaders that have not been captured."""
+        return self._world.evaders()
+
+    def options(self) -> list[int]:
+        """Return the actions that it may choose: 0, and each evader that it may chase (`Scenario.prune`)."""
+        may, me = self._world.may_chase, self.id
+        return [0, *[evader for evader in self._world.evaders() if may(me, evader)]]
+
+    def may_choose(self) -> bool:
+        """Return whether it has a choice at all."""
+        may, me = self._world.may_chase, self.id
+        return any([may(me, evader) for evader in self._world.evaders()])
+
+    @property
+    def evader_count(self) -> int:
+        """How many evaders there were at first, M."""
+        return self._world.evader_count
+
+    def capture_time(self, evader: int = 1) -> float:
+        """Return its own time of capture phi_i of an evader, s."""
+        return self._world.capture_times(evader)[self.id]
 
     def time_left(self) -> float:
         """Return the time left to the horizon by its own clock, r, s."""
         return self._world.time_left(self._stamp())
 
-    def may_chase(self) -> bool:
-        """Return whether it has the choice to chase (`Scenario.prune`)."""
-        return self._world.may_chase(self.id)
+    def may_chase(self, evader: int = 1) -> bool:
+        """Return whether it has the choice to chase an evader (`Scenario.prune`)."""
+        return self._world.may_chase(self.id, evader)
 
     def place(self) -> complex:
         """Return its own position, m."""
@@ -127,9 +157,9 @@ class Agent:
         """How fast it moves if it does, m/s."""
         return self._world.speed(self.id)
 
-    def evader(self) -> complex:
-        """Return the position of the evader, m."""
-        return self._world.evader()
+    def evader(self, evader: int = 1) -> complex:
+        """Return the position of an evader, m."""
+        return self._world.evader(evader)
 
     @property
     def radius(self) -> float:
@@ -140,49 +170,51 @@ class Agent:
         """Return the newest announcement that has arrived from each teammate."""
         return self._beliefs.heard()
 
-    def believed(self) -> dict[int, float]:
-        """Return the teammates that it believes active, and the times of capture it believes them to have, s.
+    def believed(self, evader: int = 1) -> dict[int, float]:
+        """Return the teammates that it believes to chase an evader, and the times of capture it believes them to have.
 
-        Whose last word arrived longer ago than `forget_after` is not believed active.
+        Whose last word arrived longer ago than `forget_after` is not believed active. Times in s; nan if not told.
         """
-        return self._beliefs.active()
+        return self._beliefs.chasing(evader)
 
-    def believed_active(self) -> list[int]:
-        """Return the teammates that it believes active; see `believed`."""
-        return list(self._beliefs.active())
+    def believed_active(self, evader: int = 1) -> list[int]:
+        """Return the teammates that it believes to chase an evader; see `believed`."""
+        return list(self._beliefs.chasing(evader))
 
-    def beliefs(self, period: float | None = None) -> dict[int, Belief]:
+    def beliefs(self, period: float | None = None, evader: int = 1) -> dict[int, Belief]:
         """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
 
         Args:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
+            evader: to which times of capture belong.
         """
-        return self._beliefs.all(period)
+        return self._beliefs.all(period, evader)
 
     def trusted(self) -> dict[int, Record]:
         """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""
         return self._beliefs.trusted()
 
-    def whereabouts(self) -> Whereabouts:
+    def whereabouts(self, evader: int = 1) -> Whereabouts:
         """Return where it believes itself and its teammates to be: as it senses them, or as far as they have told it.
 
-        Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`.
+        Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`. Times of capture are of
+        the evader that is asked for.
         """
-        return self._beliefs.whereabouts()
+        return self._beliefs.whereabouts(evader)
 
     @property
     def senses_others(self) -> bool:
         """Whether it senses where its teammates are, so that they need not say it."""
         return self._beliefs.senses_others
 
-    def gain(self, utility: Utility = PAPER) -> float:
-        """Return what it gains by being active, given whom it believes active, s; see `desim.pursuit.game.gain`."""
-        believed = self.believed()
+    def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
+        """Return what it gains by chasing an evader, given who it believes does, s; see `desim.pursuit.game.gain`."""
+        believed = self.believed(evader)
         if utility.scope != "heard":
             circle = self.circle(utility.scope)
             believed = {j: phi for j, phi in believed.items() if j in circle}
         others = [phi for phi in believed.values() if phi < inf]
-        return utility(self.capture_time(), others, self.time_left())
+        return utility(self.capture_time(evader), others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return who hears it now, or who hears a teammate, as its radio would find out."""
@@ -223,21 +255,24 @@ class Agent:
 
     # What it does.
 
-    def assign(self, active: bool) -> None:
-        """Chase or stay from now on; who may not chase (`Scenario.prune`) stays whatever it wants."""
-        self._world.order(self.id, active)
+    def assign(self, action: int) -> None:
+        """Chase an evader (its number, or True if there is one) or stay (0) from now on.
 
-    def capture_times(self) -> tuple[float, ...]:
+        Who may not chase it (`Scenario.prune`) stays whatever it wants.
+        """
+        self._world.order(self.id, action)
+
+    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
         """Return everyone's time of capture as it is, past the network: for omniscient benchmarks only, s."""
-        return self._world.capture_times()
+        return self._omniscient.capture_times(evader)
 
-    def command(self, pursuer: int, active: bool) -> None:
-        """Let another pursuer chase or stay, at once and past the network: for omniscient benchmarks only."""
-        self._world.order(pursuer, active)
+    def command(self, pursuer: int, action: int) -> None:
+        """Let another pursuer do something, at once and past the network: for omniscient benchmarks only."""
+        self._world.order(pursuer, action)
 
-    def acts(self, pursuer: int) -> bool:
-        """Return whether another pursuer chases, past the network: for omniscient benchmarks only."""
-        return self._world.active(pursuer)
+    def acts(self, pursuer: int) -> int:
+        """Return what another pursuer does, past the network: for omniscient benchmarks only."""
+        return self._world.action(pursuer)
 
     def obeys(self, pursuer: int) -> bool:
         """Return whether another pursuer is not broken, past the network: for omniscient benchmarks only."""
@@ -273,7 +308,8 @@ class Agent:
         if payload == "action":
             return Assignment(self.action)
         if payload == "time":
-            return TimedAssignment(self.action, self.capture_time())
+            chased = self.evaders() if not self.action else [int(self.action)]
+            return TimedAssignment(self.action, min(map(self.capture_time, chased), default=inf))
         place = self._world.place(self.id)
         return LocatedAssignment(self.action, place.real, place.imag, self.speed)
 

@@ -18,7 +18,8 @@ from desim.pursuit.word import Announcements, LocatedAssignment, TimedAssignment
 class Belief(NamedTuple):
     """What a pursuer believes of a teammate that it has heard of and not forgotten."""
 
-    active: bool
+    active: int
+    """Which evader it chases, or 0."""
     capture_time: float
     """s; nan if it has not told it."""
 
@@ -74,31 +75,34 @@ class Beliefs:
         oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
         return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
 
-    def active(self) -> dict[int, float]:
-        """Return the trusted teammates that are believed active, and their times of capture, s."""
+    def chasing(self, evader: int) -> dict[int, float]:
+        """Return the trusted teammates that are believed to chase an evader, and their times of capture, s."""
         oldest = self._clock.true - self._memory
-        words = {j: word for j, (arrival, word) in self.heard().items() if arrival >= oldest and word.body.active}
+        heard = self.heard().items()
         if self.senses_others:
-            phi = self._world.capture_times()
-            return {j: phi[j] for j in words}
-        return {j: self._time(word) for j, word in words.items()}
+            phi = self._world.capture_times(evader)
+            return {j: phi[j] for j, (t, word) in heard if word.body.active == evader and t >= oldest}
+        return {j: self._time(word, evader) for j, (t, word) in heard if word.body.active == evader and t >= oldest}
 
-    def all(self, period: float | None = None) -> dict[int, Belief]:
-        """Return what is believed of each trusted teammate; see `trusted`."""
-        return {j: Belief(word.body.active, self._time(word)) for j, word in self.trusted(period).items()}
+    def all(self, period: float | None, evader: int) -> dict[int, Belief]:
+        """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""
+        return {j: Belief(word.body.active, self._time(word, evader)) for j, word in self.trusted(period).items()}
 
-    def whereabouts(self) -> Whereabouts:
-        """Return where everyone is believed to be: as it is sensed, or as far as they have told it."""
+    def whereabouts(self, evader: int) -> Whereabouts:
+        """Return where everyone is believed to be, and how soon it would capture an evader.
+
+        Places are as they are sensed, or as far as they have been told.
+        """
         world = self._world
         if self.senses_others:
-            return Whereabouts(self._everyone, world.places(), self._speeds, np.array(world.capture_times()))
+            return Whereabouts(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
         words = self.trusted()
         ids = sorted({*words, self._id})
         places = [self._place(words[j]) if j in words else world.place(j) for j in ids]
         phi = [
-            words[j].body.capture_time
+            self._time(words[j], evader)
             if j in words and isinstance(words[j].body, TimedAssignment)
-            else world.capture_time_from(j, place)
+            else world.capture_time_from(j, place, evader)
             for j, place in zip(ids, places, strict=True)
         ]
         return Whereabouts(ids, np.array(places), self._speeds[ids], np.array(phi))
@@ -126,14 +130,14 @@ class Beliefs:
             limit = 3.0 * period + 2.0 * flight if period < inf else inf
         return limit if limit == inf else self._clock.span(limit)
 
-    def _time(self, record: Record) -> float:
-        """Return the time of capture of a teammate, from its record, s; nan if neither that tells it nor a sense."""
+    def _time(self, record: Record, evader: int) -> float:
+        """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""
         body = record.body
         if isinstance(body, TimedAssignment):
-            return body.capture_time
+            return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
         if not isinstance(body, LocatedAssignment):
-            return self._world.capture_times()[record.src] if self.senses_others else nan
-        return self._world.capture_time_from(record.src, self._place(record))
+            return self._world.capture_times(evader)[record.src] if self.senses_others else nan
+        return self._world.capture_time_from(record.src, self._place(record), evader)
 
     def _place(self, record: Record) -> complex:
         """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense."""
@@ -144,4 +148,5 @@ class Beliefs:
         if not body.active:
             return place
         age = max(nanoseconds(self._clock.now) - record.sent, 0)
-        return self._world.reckoned(place, body.speed, age, exact=self._announcements.reckoning == "exact")
+        exact = self._announcements.reckoning == "exact"
+        return self._world.reckoned(place, body.speed, age, int(body.active), exact=exact)

@@ -65,14 +65,14 @@ class RadialTime:
 def intercept_time(
     evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
 ) -> Floats:
-    """Return the (N,) shortest time in which each pursuer can capture an evader of constant velocity, s.
+    """Return the (N,) or (K, N) shortest time in which each pursuer can capture an evader of constant velocity, s.
 
     The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
     there is none. Written so that it is stable whatever the sign of |w| - v_i.
 
     Args:
         evader: (2,) position, m.
-        evader_velocity: (2,) velocity w, m/s.
+        evader_velocity: (2,) velocity w, or (K, 2) of them, m/s.
         pursuers: (N, 2) positions, m.
         speeds: (N,) speeds of the pursuers, m/s.
         radius: of capture, eps, m.
@@ -82,15 +82,15 @@ def intercept_time(
     """
     offsets, v = _checked(evader, pursuers, speeds, radius)
     w = np.asarray(evader_velocity, dtype=float)
-    a = w @ w - v**2
-    b = offsets @ w - radius * v
+    a = np.vecdot(w, w)[..., np.newaxis] - v**2
+    b = (offsets @ w.T).T - radius * v
     c = (offsets**2).sum(axis=1) - radius**2
     discriminant = b**2 - a * c
     denominator = np.sqrt(np.maximum(discriminant, 0.0)) - b
     meets = (discriminant >= 0.0) & (denominator > 0.0)
-    time = np.full(c.shape, inf)
+    time = np.full(b.shape, inf)
     np.divide(c, denominator, out=time, where=meets)
-    time[c <= 0.0] = 0.0
+    time[..., c <= 0.0] = 0.0
     return time
 
 

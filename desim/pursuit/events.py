@@ -13,7 +13,15 @@ class Started(NamedTuple):
     """m"""
     speeds: tuple[float, ...]
     """m/s"""
-    active: tuple[bool, ...]
+    active: tuple[int, ...]
+    """What each pursuer does, as in `Decided`."""
+    others: tuple[tuple[float, float], ...] = ()
+    """The evaders 2 .. M, m."""
+
+    @property
+    def evaders(self) -> tuple[tuple[float, float], ...]:
+        """(M,) positions of the evaders, m."""
+        return self.evader, *self.others
 
 
 class Decided(NamedTuple):
@@ -21,7 +29,8 @@ class Decided(NamedTuple):
 
     t: int
     pursuer: int
-    active: bool
+    active: int
+    """Whether it chases; where there are several evaders, which it chases: 1 .. M, or 0."""
 
 
 class Halted(NamedTuple):
@@ -39,6 +48,22 @@ class Sampled(NamedTuple):
     """m"""
     pursuers: tuple[tuple[float, float], ...]
     """m"""
+    others: tuple[tuple[float, float], ...] = ()
+    """The evaders 2 .. M, m; who has been captured is where that happened."""
+
+    @property
+    def evaders(self) -> tuple[tuple[float, float], ...]:
+        """(M,) positions of the evaders, m."""
+        return self.evader, *self.others
+
+
+class Captured(NamedTuple):
+    """One of several evaders was captured, and who chased it stays until it decides anew."""
+
+    t: int
+    evader: int
+    """1 .. M"""
+    capturer: int
 
 
 class Ended(NamedTuple):
@@ -47,4 +72,4 @@ class Ended(NamedTuple):
     t: int
     reason: Literal["captured", "horizon", "stopped"]
     capturer: int | None
-    """Who captured the evader, if anybody did."""
+    """Who captured the evader, or the last of several, if anybody did."""

@@ -13,20 +13,23 @@ from desim.pursuit.motion import SMALLEST, toward
 from desim.pursuit.state import Floats, Points
 from desim.value import Value
 
+Flight = complex | Points
+"""One velocity for all, or one for each pursuer."""
+
 
 class Guidance(Protocol):
     """A law of guidance: `guidance(gaps, aims, flight, speeds)` is the (N,) velocities, m/s, none above its speed.
 
     Args:
-        gaps: (N,) from each pursuer to the evader as it is seen, m: since the motion step began it moves at `flight`.
-        aims: (N,) from each pursuer to where the evader will be at the end of the motion step if it moves first, else
+        gaps: (N,) from each pursuer to its evader as it is seen, m: since the motion step began it moves at `flight`.
+        aims: (N,) from each pursuer to where its evader will be at the end of the motion step if it moves first, else
             to where it was at its beginning (`motion.order`), m.
         flight: velocity of the evader as it is seen: that of the present step if the evader moves first, else that of
-            the step before, m/s.
+            the step before, m/s; (N,) if pursuers chase different evaders.
         speeds: (N,) m/s, 0 for who stays.
     """
 
-    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points: ...  # noqa: D102
+    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points: ...  # noqa: D102
 
 
 class PurePursuit(Value):
@@ -34,7 +37,7 @@ class PurePursuit(Value):
 
     kind: Literal["pure_pursuit"] = "pure_pursuit"
 
-    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         return toward(aims, speeds)
 
@@ -50,7 +53,7 @@ class ConstantBearing(Value):
 
     kind: Literal["constant_bearing"] = "constant_bearing"
 
-    def __call__(self, gaps: Points, aims: Points, flight: complex, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         distances = np.abs(gaps)
         bearings = gaps / np.maximum(distances, SMALLEST)

@@ -14,36 +14,28 @@ Floats = NDArray[np.float64]
 
 
 class State:
-    """Where everyone is at one instant; its arrays are read-only.
+    """Where the pursuers and an evader are at one instant, and who chases it; its arrays are not to be written to.
 
     Attributes:
         t: the instant, ns.
-        players: (N + 1,) positions of the pursuers, then of the evader, m.
+        pursuers: (N,) positions, m.
+        evader: its position, m.
+        active: (N,) who chases it.
         offsets: (N,) from each pursuer to the evader, m.
         distances: (N,) of each pursuer to the evader, m.
-        nearest: the pursuer nearest to the evader, active or not; the lowest id if several are.
-        active: (N,) who chases.
+        nearest: the pursuer nearest to the evader, active or not; the lowest id if several are, -1 if there is none.
     """
 
-    def __init__(self, t: int, players: Points, active: NDArray[np.bool_]):
+    def __init__(self, t: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
         self.t = t
-        self.players = players
-        self.offsets: Points = players[-1] - players[:-1]
-        self.distances: Floats = np.abs(self.offsets)
-        self.nearest = int(self.distances.argmin())
+        self.pursuers = pursuers
+        self.evader = evader
         self.active = active
-        for array in (players, active, self.offsets, self.distances):
-            array.setflags(write=False)
-
-    @property
-    def pursuers(self) -> Points:
-        """(N,) positions of the pursuers, m."""
-        return self.players[:-1]
-
-    @property
-    def evader(self) -> complex:
-        """Position of the evader, m."""
-        return complex(self.players[-1])
+        self.offsets: Points = evader - pursuers
+        self.distances: Floats = np.abs(self.offsets)
+        self.nearest = int(self.distances.argmin()) if len(pursuers) else -1
+        self.offsets.setflags(write=False)
+        self.distances.setflags(write=False)
 
 
 def complex_points(points: Sequence[Sequence[float]] | Floats) -> Points:

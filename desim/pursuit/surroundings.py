@@ -1,8 +1,9 @@
 """The part of the world that agents sense and act on."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
-from desim.pursuit.state import Points
+from desim.pursuit.state import Floats, Points
 
 
 class Surroundings(Protocol):
@@ -13,20 +14,29 @@ class Surroundings(Protocol):
         """How many pursuers there are."""
         ...
 
-    def active(self, pursuer: int) -> bool:
-        """Return what a pursuer is doing."""
+    @property
+    def evader_count(self) -> int:
+        """How many evaders there were at first, M."""
         ...
 
-    def capture_times(self) -> tuple[float, ...]:
-        """Return every pursuer's time of capture now, s."""
+    def evaders(self) -> Sequence[int]:
+        """Return the evaders that have not been captured, of 1 .. M."""
         ...
 
-    def capture_time_from(self, pursuer: int, position: complex) -> float:
+    def action(self, pursuer: int) -> int:
+        """Return which evader a pursuer chases, or 0."""
+        ...
+
+    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+        """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
+        ...
+
+    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
         ...
 
-    def may_chase(self, pursuer: int) -> bool:
-        """Return whether a pursuer has the choice to chase."""
+    def may_chase(self, pursuer: int, evader: int = 1) -> bool:
+        """Return whether a pursuer has the choice to chase an evader."""
         ...
 
     def place(self, pursuer: int) -> complex:
@@ -37,21 +47,21 @@ class Surroundings(Protocol):
         """Return the (N,) positions of the pursuers, m."""
         ...
 
-    def evader(self) -> complex:
-        """Return the position of the evader, m."""
+    def evader(self, evader: int = 1) -> complex:
+        """Return the position of an evader, m."""
         ...
 
     @property
     def radius(self) -> float:
-        """The distance at which the evader is captured, m."""
+        """The distance at which an evader is captured, m."""
         ...
 
     def obeys(self, pursuer: int) -> bool:
         """Return whether a pursuer would follow an order."""
         ...
 
-    def reckoned(self, position: complex, speed: float, age: int, *, exact: bool) -> complex:
-        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased since, m."""
+    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m."""
         ...
 
     def speed(self, pursuer: int) -> float:
@@ -62,6 +72,39 @@ class Surroundings(Protocol):
         """Return the time from an instant (ns) to the horizon, r, s."""
         ...
 
-    def order(self, pursuer: int, active: bool) -> None:
-        """Let a pursuer chase or stay from this instant on."""
+    def order(self, pursuer: int, action: int) -> None:
+        """Let a pursuer chase an evader or stay from this instant on."""
+        ...
+
+
+class Whole(Surroundings, Protocol):
+    """The world as it is, for what makes of it what one pursuer senses."""
+
+    @property
+    def frozen(self) -> bool:
+        """Whether nobody moves."""
+        ...
+
+    def distances(self, evader: int) -> Floats:
+        """Return the (N,) distances of the pursuers to an evader now, m."""
+        ...
+
+    def velocity(self, evader: int) -> complex:
+        """Return how an evader moves now, m/s."""
+        ...
+
+    def evader_speed(self, evader: int) -> float:
+        """Return how fast an evader can move, m/s."""
+        ...
+
+    def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
+        """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
+        ...
+
+    def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
+        """Return the time of capture of a pursuer over a distance (m), s."""
+        ...
+
+    def may_chase(self, pursuer: int, evader: int = 1, view: Surroundings | None = None) -> bool:
+        """Return whether a pursuer has the choice to chase an evader, by the times of capture of a view if given."""
         ...

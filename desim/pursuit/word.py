@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import ConfigDict, Discriminator, Field, Tag
 
+from desim.kernel.events import Broadcast, Sent
 from desim.kernel.records import Record
 from desim.kernel.wire import size_of
 from desim.value import Extent, OneOf, Period, Truth, Value
@@ -12,21 +13,22 @@ from desim.value import Extent, OneOf, Period, Truth, Value
 class Assignment(NamedTuple):
     """Payload "action": what a pursuer does. 24 bytes."""
 
-    active: bool
+    active: int
+    """Which evader it chases, 1 .. M, or 0; a truth if there is one."""
 
 
 class TimedAssignment(NamedTuple):
     """Payload "time": what it does, and its time of capture as it says so. 32 bytes."""
 
-    active: bool
+    active: int
     capture_time: float
-    """s"""
+    """Of the evader it chases or, if it stays, of the one it would capture first, s."""
 
 
 class LocatedAssignment(NamedTuple):
     """Payload "state": what it does, where it is as it says so, and how fast it moves if it does. 48 bytes."""
 
-    active: bool
+    active: int
     x: float
     """m"""
     y: float
@@ -41,6 +43,14 @@ class Relayed(NamedTuple):
     records: tuple[Record, ...]
     hops: int = 1
     """How many more hops it may take, this one included."""
+
+
+def told(event: Broadcast | Sent) -> tuple[Record, ...]:
+    """Return the records that a transmission carries: those it relays, or its own if it is an announcement."""
+    relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
+    if relayed is not None:
+        return relayed
+    return (Record(event.src, event.seq, event.created, event.body),) if isinstance(event, Broadcast) else ()
 
 
 DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("tell",))

@@ -16,6 +16,7 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Unlimited
 from desim.kernel.reach import Disk
+from desim.pursuit.sensing import Sensing
 from desim.scenario import Scenario
 
 
@@ -82,6 +83,11 @@ def without_staleness(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
 
 
+def without_blindness(scenario: Scenario) -> Scenario:
+    """Return a scenario in which pursuers see the evaders at any distance."""
+    return scenario.model_copy(update={"sensing": Sensing()}) if scenario.sensing.limited else scenario
+
+
 IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
     {
         "latency": without_latency,
@@ -90,6 +96,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "faults": without_faults,
         "serial decisions": without_turns,
         "stale knowledge": without_staleness,
+        "limited sight": without_blindness,
     }
 )
 """What each is removed by."""

@@ -21,18 +21,21 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.records import Record
+from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Ended, Halted, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.game import relay_profile
 from desim.pursuit.word import Announcements, Assignment
 from desim.scenario import Evader, Motion, Recording, Team
-from protocols.cbaa import CBAA, Claim, greatest
+from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
-from protocols.claims import NO_BID, Bid, current, offer, unread
+from protocols.claims import NO_BID, Bid, bids_of, chosen, current, offer, told, unread
 from protocols.dissemination import Flooding
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.token import TokenRing
 from scenarios import rivals
+from tests.many import LOSSY, at_rest, by_evader, chased, easy
+from tests.many import times as times_of_all
 
 AUCTIONS = [CBAA, CBBA]
 SCHEDULES = {
@@ -42,6 +45,7 @@ SCHEDULES = {
     "shared_seed": SharedSeed(slot=0.02),
     "token_ring": TokenRing(hold=0.02),
 }
+BIDS = st.builds(Bid, st.integers(0, 5), st.sampled_from([-3.0, -2.0, -1.0])) | st.just(NO_BID)
 HORIZON = 8.0
 """Of a frozen game: how long it is negotiated, and r, s."""
 
@@ -234,6 +238,124 @@ def test_who_bids_is_in_time_and_free_to_chase(auction):
     late = frozen(auction(schedule=Rounds()), horizon=1.0, announce=Announcements(trigger="revision"))
     assert not [d for d in late.trace.of(Decided) if d.active]
     assert {word.body[:3] for word in late.trace.of(Broadcast)} == {(False, -1, -inf)}
+
+
+# Several evaders.
+
+
+def agreed(result):
+    """Return what everybody holds for the winners in the end, one set for all."""
+    last = {word.src: word.body.winner for word in result.trace.of(Broadcast)}
+    return set(last.values())
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_graph(auction):
+    """1 to 8 pursuers, 2 to 5 evaders, some never in time: min(N, M) times 1 + D rounds are enough, and all agree.
+
+    Choi, Brunet & How 2009, Theorem 1 (of constant bids): by induction over the pairs in greedy order.
+    """
+    sizes = set()
+    for number in range(12):
+        graph = random_graph(number)
+        evaders = 2 + number % 4
+        case = at_rest(
+            auction(schedule=Rounds(period=0.1), **quiet(auction)),
+            len(graph),
+            evaders,
+            number,
+            announce=Announcements(trigger="revision", warm_start=False),
+            network=Links(graph=Edges.of(graph)),
+            record=Recording(trajectory=0.0, messages=True),
+        )
+        enough = min(len(graph), evaders) * (1 + nx.diameter(graph)) * 0.1
+        result = run(case, None, lambda event, end=enough: event.t > (end + 0.05) * 1e9)
+        greedy = greedy_assignment(by_evader(times_of_all(result)), 30.0)
+        assert chased(result, enough) == greedy
+        winner_of = {j: i for i, j in greedy.items()}
+        assert agreed(result) == {tuple(winner_of.get(j, -1) for j in range(1, evaders + 1))}
+        sizes.add(len(greedy))
+    assert len(sizes) >= 4
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, schedule):
+    """A fifth is lost and all is late by 0.03 s; positions are sensed or told."""
+    for seed, payload in enumerate(("action", "state", "time")):
+        case = at_rest(
+            auction(schedule=SCHEDULES[schedule]),
+            6,
+            3,
+            seed,
+            announce=Announcements(payload=payload),
+            network=LOSSY,
+        )
+        result = run(case, None, lambda event: event.t > 6e9)
+        assert chased(result) == greedy_assignment(by_evader(times_of_all(result)), 30.0)
+
+
+@pytest.mark.parametrize(("auction", "size"), [(CBAA, 24 + 16 * 3), (CBBA, 24 + 16 * 3 + 8 * 6)])
+def test_a_claim_to_several_evaders_takes_a_winner_and_a_bid_of_each(auction, size):
+    result = run(easy(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision")))
+    assert {word.size for word in result.trace.of(Broadcast)} == {size}
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+def test_who_has_captured_an_evader_may_win_another(auction):
+    """On a line: evaders at 0 and 4 m, pursuers at 1.15 and 11.1 m, which chase the nearest from 0.1 s on, at 1 m/s.
+
+    Pursuer 0 captures the first at 1.15 s, and bids -3.8 s for the second at 1.2 s, where the other bids -5.9 s.
+    """
+    result = frozen(
+        auction(schedule=Rounds(period=0.1)),
+        team=Team(positions=[(1.15, 0.0), (11.1, 0.0)], speeds=1.0, active_at_start=0.0),
+        evader=(Evader(position=(0.0, 0.0), speed=0.0), Evader(position=(4.0, 0.0), speed=0.0)),
+        motion=Motion(step=0.1),
+    )
+    captures = [(capture.evader, capture.capturer, capture.t / 1e9) for capture in result.trace.of(Captured)]
+    assert captures == [(1, 0, pytest.approx(1.15, abs=1e-6)), (2, 0, pytest.approx(5.0, abs=1e-6))]
+    assert chased(result, 1.0) == {0: 1, 1: 2}
+    assert chased(result, 1.3) == {0: 2}
+
+
+def test_who_bids_for_several_evaders_bids_for_the_one_it_captures_first_of_those_it_can_win():
+    """phi = 3, 2 and 4 s; a bid of 1.5 s for 2 wins against it, one of 3 s for 1 does as well, for its id is lower."""
+    me, phi = puppet(evaders=3), {1: 3.0, 2: 2.0, 3: 4.0}
+    me.capture_time, me.time_left, me.id = phi.get, lambda: 9.0, 5
+    free = [NO_BID] * 3
+    assert chosen(me, free) == (2, [NO_BID, Bid(5, -2.0), NO_BID])
+    assert chosen(me, [NO_BID, Bid(7, -1.5), NO_BID]) == (1, [Bid(5, -3.0), Bid(7, -1.5), NO_BID])
+    assert chosen(me, [Bid(4, -3.0), Bid(7, -1.5), NO_BID])[0] == 3
+    assert chosen(me, [Bid(6, -3.0), Bid(7, -1.5), NO_BID])[0] == 1
+    me.evaders().remove(2)
+    assert chosen(me, free)[0] == 1
+    me.time_left = lambda: 3.0
+    assert chosen(me, free) == (0, free)
+
+
+def test_of_two_evaders_that_one_pursuer_is_said_to_win_the_better_bid_counts():
+    """It bids for one at a time: 1 was thought to win both the first and the third."""
+    bids = [Bid(1, -3.0), Bid(2, -4.0), Bid(1, -2.0), NO_BID]
+    assert one_each(bids) == [NO_BID, Bid(2, -4.0), Bid(1, -2.0), NO_BID]
+    assert one_each([NO_BID] * 3) == [NO_BID] * 3
+    assert one_each([Bid(0, -1.0)]) == [Bid(0, -1.0)]
+
+
+def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
+    """Pursuer 1 says that 2, which 0 does not hear, wins the first evader with -5 s and the second with -1 s."""
+    heard, claims, phi = {1: Record(1, 0, 0, Claim(0, (2, 2), (-5.0, -1.0)))}, [], {1: 6.0, 2: 7.0}
+    me = puppet(evaders=2, team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=False)
+    me.capture_time, me.time_left = phi.get, lambda: 9.0
+    assert next(CBAA().actions(me)) == 1
+    assert claims == [Claim(1, (0, 2), (-6.0, -1.0))]
+
+
+@given(st.integers(0, 3), st.lists(BIDS, min_size=1, max_size=4))
+def test_what_is_told_is_understood(action, bids):
+    claim = Claim(*told(action, bids))
+    assert bids_of(claim) == bids
+    assert claim.active == (action if len(bids) > 1 else bool(action))
 
 
 # Trouble on the network.
@@ -444,14 +566,15 @@ def test_where_they_are_not_two_chase_to_the_end_if_word_is_older_than_they_diff
 @pytest.mark.parametrize(("latency", "limit"), [(0.0, 1.0), (0.2, 2.0)])
 @pytest.mark.parametrize("auction", ["cbaa", "cbba"])
 def test_twenty_of_equal_speed_have_one_winner_but_for_the_time_that_word_takes(auction, latency, limit):
-    """Two seeds. The greatest of five was 0.7 s without latency, and 1.3 s with 0.2 s.
+    """The greatest of five seeds was 0.7 s without latency, and 1.3 s with 0.2 s.
 
-    The control: unsensed, 1.5 s with seed 4 without latency, and 23.3 s (of 29.4 s) with seed 0 and 0.2 s.
+    The control, by the same seed: unsensed, 1.5 s without latency (seed 4), and 23.3 s of 29.4 s with 0.2 s (seed 0).
     """
     scenario = rivals.scenario("relay stress", auction, latency)
     told = scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"payload": "time"})})
-    assert max(misassigned_time(run(scenario, seed)) for seed in range(2)) < limit
-    assert misassigned_time(run(told, 0 if latency else 4)) > limit
+    seed = 0 if latency else 4
+    assert misassigned_time(run(scenario, seed)) < limit
+    assert misassigned_time(run(told, seed)) > limit
 
 
 @pytest.mark.slow
@@ -487,23 +610,39 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
 # What is bid and read at a turn.
 
 
+def puppet(evaders=1, team_size=2, **known):
+    """Return pursuer 0 as its protocol sees it, that may chase every evader."""
+    at_large = list(range(1, evaders + 1))
+    me = SimpleNamespace(id=0, team_size=team_size, now=0.0, evader_count=evaders, evaders=lambda: at_large, **known)
+    me.may_chase = lambda evader: True
+    return me
+
+
 def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_of_or_not():
     """Everybody's phi is sensed: 2, 1 s and, of who cannot capture, inf. What is not sensed stays as it was heard."""
-    places = SimpleNamespace(capture_times=np.array([2.0, 1.0, inf]))
-    me = SimpleNamespace(senses_others=True, whereabouts=lambda: places, trusted=dict)
+    phi = {1: np.array([2.0, 1.0, inf]), 2: np.array([3.0, 4.0, 5.0])}
+    me = SimpleNamespace(senses_others=True, evaders=lambda: [1, 2], trusted=dict)
+    me.whereabouts = lambda evader: SimpleNamespace(capture_times=phi[evader])
     old = [Bid(0, -9.0), Bid(1, -9.0), Bid(2, -9.0), NO_BID]
     assert [current(me)(bid) for bid in old] == [Bid(0, -2.0), Bid(1, -1.0), Bid(2, -inf), NO_BID]
+    assert [current(me, 2)(bid) for bid in old] == [Bid(0, -3.0), Bid(1, -4.0), Bid(2, -5.0), NO_BID]
     me.senses_others = False
     assert [current(me)(bid) for bid in old] == old
+
+
+@pytest.mark.parametrize("senses", [True, False])
+def test_nobody_bids_for_an_evader_that_has_been_captured(senses):
+    me = SimpleNamespace(senses_others=senses, evaders=lambda: [1, 3])
+    assert [current(me, 2)(bid) for bid in (Bid(0, -9.0), NO_BID)] == [NO_BID, NO_BID]
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_date(auction):
     """Pursuer 0 (phi = 3 s) hears 1 and 2 bid; then, hearing nothing, that it holds falls behind its own, and back."""
     phi, claims, heard = [3.0, 2.0, 2.5], [], {}
-    me = SimpleNamespace(id=0, team_size=3, now=0.0, trusted=lambda: heard, claim=claims.append, senses_others=True)
-    me.whereabouts = lambda: SimpleNamespace(capture_times=np.array(phi))
-    me.capture_time, me.time_left, me.may_chase = lambda: phi[0], lambda: 9.0, lambda: True
+    me = puppet(team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=True)
+    me.whereabouts = lambda evader: SimpleNamespace(capture_times=np.array(phi))
+    me.capture_time, me.time_left = lambda evader: phi[0], lambda: 9.0
     claim = Claim if auction is CBAA else partial(StampedClaim, stamps=(-inf, 0.0, 0.0))
     turns = auction().actions(me)
     heard |= {1: Record(1, 0, 0, claim(True, 1, -8.0)), 2: Record(2, 0, 0, claim(True, 2, -7.0))}
@@ -520,16 +659,18 @@ def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_da
     [(1.0, 2.0, True, -1.0), (1.0, 2.0, False, None), (2.0, 2.0, True, None), (inf, 2.0, True, None)],
 )
 def test_a_pursuer_bids_if_it_may_chase_and_is_in_time(phi, left, free, bid):
-    me = SimpleNamespace(id=3, capture_time=lambda: phi, time_left=lambda: left, may_chase=lambda: free)
+    me = SimpleNamespace(id=3, time_left=lambda: left)
+    me.capture_time, me.may_chase = {1: phi, 2: 0.5}.get, {1: free, 2: False}.get
     assert offer(me) == (NO_BID if bid is None else Bid(3, bid))
+    assert offer(me, 2) == NO_BID
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_at_each_turn_the_winner_bids_anew_and_releases_its_claim_if_it_would_be_late(auction):
     """A pursuer that hears of nobody: r = 5 s, and phi is 1 s, then 3 s, 5 s and 2 s."""
     phi, claims = iter([1.0, 3.0, 5.0, 2.0]), []
-    me = SimpleNamespace(id=0, team_size=2, now=0.0, trusted=dict, claim=claims.append, senses_others=False)
-    me.capture_time, me.time_left, me.may_chase = phi.__next__, lambda: 5.0, lambda: True
+    me = puppet(trusted=dict, claim=claims.append, senses_others=False)
+    me.capture_time, me.time_left = lambda evader: next(phi), lambda: 5.0
     turns = auction().actions(me)
     assert [next(turns) for _ in range(4)] == [True, True, False, True]
     assert [claim[:3] for claim in claims] == [(True, 0, -1.0), (True, 0, -3.0), (False, -1, -inf), (True, 0, -2.0)]
@@ -547,7 +688,6 @@ def test_each_record_that_is_trusted_and_has_a_claim_is_read_once_in_order_of_id
 
 # The merge of bids.
 
-BIDS = st.builds(Bid, st.integers(0, 5), st.sampled_from([-3.0, -2.0, -1.0])) | st.just(NO_BID)
 SAID = st.dictionaries(st.integers(0, 5), BIDS, min_size=1, max_size=5)
 
 

@@ -2,24 +2,26 @@
 
 from itertools import product
 from math import inf
-from types import SimpleNamespace
 
 import networkx as nx
 import pytest
 
+from desim import run
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.graphs import Edges
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.records import Record
+from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.word import Announcements
 from desim.scenario import Team
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA, StampedClaim, decision
 from protocols.schedules import Poisson, Rounds, SharedSeed
-from tests.protocols.test_cbaa import SCHEDULES, chasing, frozen
+from tests.many import at_rest, by_evader, chased, times
+from tests.protocols.test_cbaa import SCHEDULES, chasing, frozen, puppet
 
 I, K, M, N, NONE = 3, 1, 0, 4, -1  # the receiver, the sender, two others  # noqa: E741
 OLD, SAME, NEW = 4.0, 5.0, 6.0
@@ -123,8 +125,8 @@ def test_of_equal_bids_that_of_the_lower_id_is_higher(i, k, z_i, z_k):
 def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
     """Pursuer 0 (phi = 2 s) hears 1 claim at -1 s; then that 1 holds 0 for the winner: it resets, and bids itself."""
     heard, claims = {}, []
-    me = SimpleNamespace(id=0, team_size=3, now=9.0, trusted=lambda: heard, claim=claims.append, senses_others=False)
-    me.capture_time, me.time_left, me.may_chase = lambda: 2.0, lambda: 5.0, lambda: True
+    me = puppet(team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=False)
+    me.capture_time, me.time_left, me.now = lambda evader: 2.0, lambda: 5.0, 9.0
     turns = CBBA().actions(me)
     heard[1] = Record(1, 0, 4_000_000_000, StampedClaim(True, 1, -1.0, (2.0, 3.0, 7.0)))
     assert not next(turns)
@@ -155,6 +157,21 @@ def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedu
     assert chasing(result, begun + 2.0) == chasing(result) == [2]
     for stubborn in (CBBA(schedule=SCHEDULES[schedule], patience=inf), CBAA(schedule=SCHEDULES[schedule])):
         assert chasing(frozen(stubborn, seed=1, fault=(crash,), horizon=12.0)) == []
+
+
+def test_when_the_winner_of_one_of_several_evaders_breaks_down_the_others_agree_without_it():
+    """A winner breaks down at 1 s; its successor may come from another evader, and so on."""
+    for seed in range(3):
+        protocol = CBBA(schedule=Rounds(period=0.1), patience=0.5)
+        before = run(at_rest(protocol, 6, 3, seed), None, lambda event: event.t > 0.9e9)
+        winner = min(chased(before))
+        case = at_rest(protocol, 6, 3, seed, fault=(Crash(node=winner, at=1.0),))
+        result = run(case, None, lambda event: event.t > 4e9)
+        left = times(result)
+        assert chased(result, 0.9) == greedy_assignment(by_evader(left), 30.0)
+        left[winner] = inf
+        assert chased(result) == greedy_assignment(by_evader(left), 30.0)
+        assert len(chased(result)) == len(chased(before))
 
 
 def test_a_winner_that_comes_back_wins_again():

@@ -1,11 +1,16 @@
 """The centralised benchmark."""
 
+import pytest
+
 from desim import Scenario, run, summary
+from desim.kernel.faults import Crash
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.events import Decided
 from desim.scenario import Evader, Team
 from protocols.centralised import Centralised
+from tests.many import at_rest, by_evader, chased, times
 
 
 def test_exactly_one_pursuer_chases_at_any_time_whatever_the_start():
@@ -24,6 +29,33 @@ def test_the_network_does_not_matter_to_it():
         for p in (0.0, 1.0)
     )
     assert ideal == deaf
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_several_evaders_are_assigned_as_is_best(count):
+    """Six games of four at rest, with fewer evaders or more; at least one is not the greedy assignment."""
+    other = 0
+    for seed in range(6):
+        result = run(at_rest(Centralised(slot=1.0), 4, count, seed, horizon=15.0))
+        phi = times(result)
+        assert chased(result) == optimal_assignment(phi, 15.0)
+        assert chased(result, 0.0) == chased(result)
+        other += chased(result) != greedy_assignment(by_evader(phi), 15.0)
+    assert other > 0
+
+
+def test_who_is_broken_is_not_sent_to_any_evader():
+    """Pursuers at 0 and 2 m, evaders at 1 and 5 m: as 0 breaks down 1 leaves the second evader for the first."""
+    scenario = at_rest(
+        Centralised(slot=0.5),
+        2,
+        2,
+        team=Team(positions=[(0.0, 0.0), (2.0, 0.0)], speeds=1.0),
+        evader=tuple(Evader(position=(x, 0.0), speed=0.0) for x in (1.0, 5.0)),
+        fault=(Crash(node=0, at=1.0),),
+    )
+    assert chased(run(scenario), 0.9) == {0: 1, 1: 2}
+    assert chased(run(scenario)) == {1: 1}
 
 
 def test_nobody_is_sent_who_would_be_late():

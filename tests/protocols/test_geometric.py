@@ -1,5 +1,7 @@
 """Geometric rules: who owns the evader, when it changes hands, and that everybody agrees without a word."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,13 +14,16 @@ from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
 from desim.pursuit.game import relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
-from protocols.geometric import Argmin, Velocity, Voronoi, first
+from protocols.geometric import Argmin, Velocity, Voronoi, first, said_active
+from protocols.geometric import owners as owners_of
+from tests.many import at_rest, by_evader, chased, times
 
 SECOND = 1_000_000_000
 
@@ -252,6 +257,38 @@ def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_f
         assert velocity(1.5, 2 + 0j) == pytest.approx(2 + 0j)
     assert quick(2.0, 2 + 1j) == pytest.approx(2j)
     assert abs(slow(2.0, 2 + 1j) - 2) < 0.2
+
+
+# Several evaders.
+
+
+def test_of_several_evaders_each_has_an_owner_of_its_own_the_nearest_first():
+    """Pursuers 0, 1, 4 at 1, 2, 9 of the first evader and 2, 5, inf of the second: 0 has the first, 1 the second."""
+    ids, near, far = [0, 1, 4], np.array([1.0, 2.0, 9.0]), np.array([2.0, 5.0, np.inf])
+    nobody = {1: [], 2: [], 3: []}
+    assert owners_of(ids, {1: near, 2: far}, nobody, 0.0) == {1: 0, 2: 1}
+    assert owners_of(ids, {1: near, 2: near}, nobody, 0.0) == {1: 0, 2: 1}
+    assert owners_of(ids, {1: far, 2: near, 3: far}, nobody, 0.0) == {2: 0, 1: 1}
+    assert owners_of(ids, {2: np.full(3, np.inf)}, nobody, 0.0) == owners_of(ids, {}, nobody, 0.0) == {}
+    assert owners_of(ids, {1: near, 2: far}, {1: [1], 2: [0]}, 0.6) == {1: 1, 2: 0}
+    assert near.tolist() == [1.0, 2.0, 9.0]
+
+
+def test_who_is_said_to_own_an_evader_chases_that_one():
+    me = SimpleNamespace(id=3, action=2, believed_active={1: [0], 2: [1, 4], 3: []}.get)
+    assert [said_active(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
+
+
+@pytest.mark.parametrize("payload", ["action", "state"])
+@pytest.mark.parametrize("protocol", [Voronoi(slot=0.5), Argmin(slot=0.5), Argmin(slot=0.5, by="intercept_time")])
+def test_at_rest_the_owners_are_those_of_the_greedy_assignment(protocol, payload):
+    """Three games of six and three evaders. All are equally fast, so that distances order them as times do."""
+    for seed in range(3):
+        team = Team(count=6, speeds=1.0, active_at_start=0.5)
+        case = at_rest(protocol, 6, 3, seed, team=team, announce=Announcements(payload=payload))
+        result = run(case, None, lambda event: event.t > 2 * SECOND)
+        assert chased(result) == greedy_assignment(by_evader(times(result)), 30.0)
+        assert len(chased(result)) == 3
 
 
 # Hysteresis.

@@ -1,5 +1,7 @@
 """Rules without a utility, and games with neighbours only: maximal independent sets, and what has no equilibrium."""
 
+from math import nan
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -202,13 +204,19 @@ def test_on_a_path_of_three_what_is_made_for_neighbours_settles(protocol, ends):
 
 
 class Puppet:
-    """A pursuer whose beliefs are set by hand: phi = 2 s, number 5, r = 10 s."""
+    """A pursuer whose beliefs are set by hand: phi = 2 s, number 5, r = 10 s; phi may be of several evaders, a list."""
 
-    def __init__(self, beliefs, near=range(100), phi=2.0):
-        self.id, self.phi, self.known, self.near = 5, phi, beliefs, near
+    def __init__(self, beliefs, near=range(100), phi=2.0, at_large=(1,)):
+        self.id, self.phi, self.known, self.near, self.at_large = 5, phi, beliefs, near, at_large
 
-    def capture_time(self):
-        return self.phi
+    def evaders(self):
+        return self.at_large
+
+    def options(self):
+        return [0, *self.at_large]
+
+    def capture_time(self, evader):
+        return of(self.phi, evader)
 
     def time_left(self):
         return 10.0
@@ -216,11 +224,16 @@ class Puppet:
     def circle(self, scope):
         return {"neighbours": self.near}[scope]
 
-    def believed(self):
-        return {j: phi for j, (active, phi) in self.known.items() if active}
+    def believed(self, evader):
+        return {j: of(phi, evader) for j, (action, phi) in self.known.items() if action == evader}
 
-    def beliefs(self):
-        return {j: Belief(*each) for j, each in self.known.items()}
+    def beliefs(self, evader):
+        return {j: Belief(action, of(phi, evader)) for j, (action, phi) in self.known.items()}
+
+
+def of(phi, evader):
+    """Return the time of capture of an evader."""
+    return phi[evader - 1] if isinstance(phi, list) else phi
 
 
 @pytest.mark.parametrize(
@@ -245,6 +258,26 @@ def test_who_chases_by_what_it_believes(beliefs, near, local_min, argmin_known):
 @pytest.mark.parametrize("rule", [LocalMin, ArgminKnown])
 def test_who_would_be_late_stays(rule):
     assert [bool(next(rule().actions(Puppet({}, phi=phi)))) for phi in (9.99, 10.0, 11.0)] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("beliefs", "phi", "at_large", "local_min", "argmin_known"),
+    [
+        ({}, [2.0, 1.0, 3.0], (1, 2, 3), 2, 2),
+        ({}, [2.0, 1.0, 3.0], (1, 3), 1, 1),
+        ({}, [2.0, 11.0, 10.0], (2, 3), 0, 0),
+        ({1: (2, [9.0, 0.5, 9.0])}, [2.0, 1.0, 3.0], (1, 2, 3), 1, 1),
+        ({1: (0, [9.0, 0.5, 9.0])}, [2.0, 1.0, 3.0], (1, 2, 3), 2, 1),
+        ({1: (1, [9.0, 0.5, 9.0])}, [2.0, 1.0, 3.0], (1, 2, 3), 2, 1),
+        ({1: (2, [0.1, 0.5, 9.0])}, [2.0, 1.0, 3.0], (1, 2, 3), 1, 2),
+        ({1: (2, [9.0, 0.5, 9.0]), 2: (1, [1.5, 9.0, 9.0])}, [2.0, 1.0, 3.0], (1, 2, 3), 3, 3),
+        ({1: (2, [9.0, 0.5, nan]), 2: (1, [1.5, nan, nan])}, [2.0, 1.0, 3.0], (1, 2), 0, 0),
+    ],
+)
+def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, phi, at_large, local_min, argmin_known):
+    """local_min goes by who chases which, argmin_known by who would in order of phi: also 1, which is first of two."""
+    assert next(LocalMin().actions(Puppet(beliefs, phi=phi, at_large=at_large))) == local_min
+    assert next(ArgminKnown().actions(Puppet(beliefs, phi=phi, at_large=at_large))) == argmin_known
 
 
 # argmin_known.

@@ -28,10 +28,12 @@ from protocols.best_response import BestResponse, BetterReply
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.fictitious_play import FictitiousPlay, JointStrategyFictitiousPlay
 from protocols.regret_matching import GeneralisedRegretMatching, RegretMatching
-from protocols.rule import LearningRule, Rule, best
+from protocols.rule import LearningRule, Rule, best, present
 from protocols.sap import SpatialAdaptivePlay, drawn
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau
+
+LEARNING_KINDS = {kind for kind, model in PROTOCOLS.choices().items() if issubclass(model, LearningRule)}
 
 # By hand: a pursuer that is told what it gains, and whose luck is known.
 
@@ -53,21 +55,29 @@ class Luck:
 
 
 class Puppet:
-    """A pursuer whose gain, action and beliefs are set by hand."""
+    """A pursuer whose gain, action and beliefs are set by hand; with several evaders gains and phi are {evader: s}."""
 
-    def __init__(self, luck=(), integers=(), action=False, gain=0.0):
+    def __init__(self, luck=(), integers=(), action=False, gain=0.0, evaders=1):
         self.rng = Luck(luck, integers)
         self.action, self.worth, self.now, self.team_size = action, gain, 1.0, 4
         self.known, self.phi, self.left, self.near = {}, 2.0, 10.0, range(100)
+        self.evader_count, self.free = evaders, list(range(1, evaders + 1))
+        self.at_large = self.free
 
-    def gain(self, utility):
-        return self.worth
+    def evaders(self):
+        return self.at_large
 
-    def beliefs(self):
+    def options(self):
+        return [0, *self.free]
+
+    def gain(self, utility, evader):
+        return self.worth[evader] if isinstance(self.worth, dict) else self.worth
+
+    def beliefs(self, evader):
         return self.known
 
-    def capture_time(self):
-        return self.phi
+    def capture_time(self, evader):
+        return self.phi[evader] if isinstance(self.phi, dict) else self.phi
 
     def time_left(self):
         return self.left
@@ -81,8 +91,8 @@ def play(rule, puppet, gains):
     turns, chosen = rule.actions(puppet), []
     for worth in gains:
         puppet.worth = worth
-        puppet.action = bool(next(turns))
-        chosen.append(int(puppet.action))
+        chosen.append(next(turns))
+        puppet.action = chosen[-1] if puppet.evader_count > 1 else bool(chosen[-1])
     return chosen
 
 
@@ -120,9 +130,9 @@ def test_what_is_tried_is_another_action_or_any(rule, tried):
     """Of 2, and of 3: the binary rule never tries the present one, the selective one tries all alike."""
     rng = np.random.default_rng(0)
     for action in tried:
-        me = SimpleNamespace(action=bool(action), rng=rng)
-        assert sorted({rule.trial(me, 2) for _ in range(100)}) == tried[action]
-        counts = Counter(rule.trial(me, 3) for _ in range(6000))
+        one, two = (SimpleNamespace(evader_count=evaders, rng=rng) for evaders in (1, 2))
+        assert sorted({rule.trial(one, [0, 1], action) for _ in range(100)}) == tried[action]
+        counts = Counter(rule.trial(two, [0, 1, 2], action) for _ in range(6000))
         among = [each for each in range(3) if each != action or isinstance(rule, SelectiveSAP)]
         assert sorted(counts) == among
         assert all(abs(n - 6000 / len(among)) < 4 * 40 for n in counts.values())
@@ -155,7 +165,9 @@ def test_the_log_linear_rules_count_slots_of_the_whole_team():
 
 
 def test_of_actions_that_are_worth_the_same_the_first_is_best():
-    assert (best([0.0, 0.0]), best([0.0, 1e-300]), best([0.0, -1.0]), best([1.0, 3.0, 3.0])) == (0, 1, 0, 1)
+    worths = [0.0, 0.0], [0.0, 1e-300], [0.0, -1.0], [1.0, 3.0, 3.0]
+    assert [best(dict(enumerate(each))) for each in worths] == [0, 1, 0, 1]
+    assert best({0: -1.0, 2: 5.0, 7: 5.0}) == 2
 
 
 def test_best_response_chases_if_it_gains_and_stays_if_it_ties():
@@ -179,7 +191,7 @@ class Told(LearningRule):
     """A rule of three actions, by what they are worth."""
 
     def utilities(self, me):
-        return [1.0, 3.0, 2.0]
+        return {0: 1.0, 1: 3.0, 2: 2.0}
 
 
 @pytest.mark.parametrize(("draw", "chosen"), [(0, 1), (1, 2)])
@@ -190,6 +202,88 @@ def test_better_reply_draws_among_all_that_are_better(draw, chosen):
         pass
 
     assert next(Reply(alpha=1.0).actions(Puppet([0.5], [draw]))) == chosen
+
+
+# By hand, with three evaders.
+
+
+@pytest.mark.parametrize(
+    ("free", "weights"), [([1, 2, 3], [1.0, exp(1.0), exp(-1.0), exp(2.0)]), ([1, 3], [1.0, exp(1.0), 0.0, exp(2.0)])]
+)
+def test_sap_draws_from_the_logit_of_the_actions_it_may_choose(free, weights):
+    """Worth (0, 0.5, -0.5, 1) s at tau = 0.5 s, whatever was done before; what it may not chase is left out."""
+    grid, rule = (np.arange(2000) + 0.5) / 2000, SpatialAdaptivePlay(tau=ConstantTau(value=0.5))
+    for action in (0, 2):
+        counts = Counter()
+        for luck in grid:
+            me = Puppet([luck], action=action, evaders=3, gain={1: 0.5, 2: -0.5, 3: 1.0})
+            me.free = free
+            counts[next(rule.actions(me))] += 1
+        expected = [2000 * weight / sum(weights) for weight in weights]
+        assert [counts[each] for each in range(4)] == pytest.approx(expected, abs=1.01)
+
+
+def test_the_selective_rule_tries_each_action_as_often_however_many_may_still_be_chosen():
+    """With probability 1/4 each of 4 actions at first; of 3 that are left, too, and else the present one: 2/4."""
+    rng, rule = np.random.default_rng(0), SelectiveSAP()
+    me = SimpleNamespace(evader_count=3, rng=rng)
+    counts = Counter(rule.trial(me, [0, 1, 3], 1) for _ in range(8000))
+    assert counts[0] + counts[1] + counts[3] == 8000
+    assert all(abs(counts[each] - share * 8000) < 4 * 45 for each, share in ((0, 0.25), (1, 0.5), (3, 0.25)))
+
+
+def test_the_best_of_several_evaders_is_chased_and_the_next_if_it_may_not_be_chased():
+    me = Puppet(evaders=3)
+    assert play(BestResponse(), me, [{1: 1.0, 2: 4.0, 3: 2.0}, {1: 1.0, 2: 1.0, 3: -2.0}]) == [2, 1]
+    me.free = [1, 3]
+    assert play(BestResponse(), me, [{1: 1.0, 2: 4.0, 3: 2.0}, {1: -1.0, 2: 4.0, 3: 0.0}]) == [3, 0]
+
+
+def test_fictitious_play_does_not_chase_what_it_may_not_chase_though_nobody_has_captured_it():
+    me = Puppet(evaders=2)
+    me.phi, me.free = {1: 2.0, 2: 1.0}, [1]
+    assert me.evaders() == [1, 2]
+    assert next(FictitiousPlay().actions(me)) == 1
+
+
+def test_who_may_not_go_on_chasing_what_it_chases_begins_from_staying():
+    """At 2, which it may not chase any more: unwilling, or with nothing better than to stay, it stays."""
+    for rule, luck in ((BetterReply, 0.9), (JointStrategyFictitiousPlay, 0.9), (RegretMatching, 0.0)):
+        me = Puppet([luck], action=2, evaders=3, gain={1: -1.0, 2: 9.0, 3: -1.0})
+        me.free = [1, 3]
+        assert next(rule().actions(me)) == 0
+    assert present(Puppet(action=2, evaders=3), [0, 1, 3]) == 0
+    assert present(Puppet(action=3, evaders=3), [0, 1, 3]) == 3
+
+
+@pytest.mark.parametrize("name", [name for name in PROTOCOLS.choices() if name in LEARNING_KINDS])
+def test_no_rule_chooses_what_it_may_not_choose(name):
+    """20 turns with three evaders, of which 2 is worth most, 20 without that, and 20 with the third alone."""
+    me, seen = Puppet(evaders=3), []
+    me.rng, me.phi = np.random.default_rng(3), {1: 2.0, 2: 1.0, 3: 3.0}
+    turns = PROTOCOLS.choices()[name]().actions(me)
+    for me.free in ([1, 2, 3], [1, 3], [3]):
+        me.at_large, me.action = me.free, 2
+        for me.now in range(20):
+            me.worth = {j: float(me.rng.normal(2.0 if j == 2 else 0.5)) for j in (1, 2, 3)}
+            me.action = next(turns)
+            seen.append((len(me.free), me.action))
+    assert {(3, 2), (1, 3)} <= set(seen)
+    assert set(seen) <= {(3, 0), (3, 1), (3, 2), (3, 3), (2, 0), (2, 1), (2, 3), (1, 0), (1, 3)}
+
+
+def test_fictitious_play_answers_how_often_each_evader_was_chased():
+    """phi = (2, 3) s against one of 1 s to both: if that is always on 1, 2 is best; if as often on both, 1 is.
+
+    (1 - q) 8 - q / 2 for 1 and (1 - q) 7 - q for 2, with q = 1/2 of each: 3.75 and 3 s.
+    """
+    one, two = ({1: Belief(action, 1.0)} for action in (1, 2))
+    for turns, chosen in (([one], 2), ([two], 1), ([{}], 1), ([one, two], 1), ([one, one, one, two], 2)):
+        me = Puppet(evaders=2)
+        me.phi, actions = {1: 2.0, 2: 3.0}, FictitiousPlay().actions(me)
+        for me.known in turns:
+            last = next(actions)
+        assert last == chosen
 
 
 @pytest.mark.parametrize("bad", [0.0, 1.5, float("nan")])
@@ -338,7 +432,7 @@ def test_fictitious_play_needs_a_utility_that_can_expect():
 def test_a_utility_that_is_lost_without_bound_is_a_finite_number():
     """-inf would make a regret of inf - inf; a billion seconds is enough."""
     me = Puppet(gain=-inf)
-    assert LearningRule().utilities(me) == [0.0, -FARTHEST]
+    assert LearningRule().utilities(me) == {0: 0.0, 1: -FARTHEST}
     assert play(RegretMatching(), Puppet([0.5] * 4, action=True), [-inf, -inf]) == [0, 0]
 
 
@@ -589,8 +683,8 @@ CLOCKS = {"poisson": Poisson(rate=40.0), "rounds": Rounds(period=0.025), "shared
 @pytest.mark.parametrize("name", LEARNING)
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_on_static_games_every_learning_rule_ends_in_the_relay_profile(name, clock):
-    """8 random games of 2 to 7, one at a time or all at once; all have settled before the last fifth of 400 turns."""
-    for seed in range(8):
+    """5 random games of 2 to 7, one at a time or all at once; all have settled before the last fifth of 400 turns."""
+    for seed in range(5):
         scenario, phi = static_game(LEARNING[name](schedule=CLOCKS[clock]), seed)
         profile, when = settled(run(scenario))
         assert profile == relay_profile(phi, 10.0), f"seed {seed}"

@@ -11,13 +11,15 @@ from desim.kernel.graphs import Ring, Star
 from desim.kernel.latency import Constant, Lognormal, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Halted, Started
+from desim.pursuit.events import Captured, Decided, Halted, Started
 from desim.pursuit.game import relay_profile
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.server import Order, Server
+from tests.many import LOSSY, at_rest, by_evader, chased, times
 
 SECOND = 1_000_000_000
 
@@ -60,8 +62,7 @@ def static(protocol, *, count=6, latency=0.0, loss=0.0, horizon=5.0, seed=0, **g
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("payload", ["action", "state"])
-@pytest.mark.parametrize("host", [0, 7, 19])
+@pytest.mark.parametrize(("host", "payload"), [(0, "action"), (7, "state"), (19, "action")])
 def test_without_latency_it_is_the_centralised_benchmark_of_the_same_slot(host, payload):
     """The same pursuers change at the same instants, in four pursuits of 20 pursuers, from any start."""
     total = 0
@@ -278,6 +279,62 @@ def test_random_static_games_end_in_the_relay_profile():
         (start,) = result.trace.of(Started)
         phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1)
         assert profile(result) == relay_profile(phi.tolist(), 20.0)
+
+
+# Several evaders.
+
+
+@pytest.mark.parametrize("payload", ["action", "time", "state"])
+def test_at_rest_several_evaders_are_assigned_as_by_the_centralised_benchmark(payload):
+    """Any host, a fifth of all lost; at least one is not the greedy assignment."""
+    other = 0
+    for seed in range(4):
+        announce = Announcements(payload=payload, forget_after=np.inf)
+        case = at_rest(Server(host=seed), 6, 3, seed, announce=announce, network=LOSSY)
+        result = run(case, None, lambda event: event.t > 3 * SECOND)
+        phi = times(result)
+        assert chased(result) == optimal_assignment(phi, 30.0)
+        other += chased(result) != greedy_assignment(by_evader(phi), 30.0)
+    assert other > 0
+
+
+def test_an_order_says_who_chases_each_evader():
+    """Pursuers 1 and 0 are next to the evaders 1 and 2, the third is out of reach: 24 bytes and 8 for each that is."""
+    case = at_rest(
+        Server(host=2),
+        3,
+        3,
+        team=Team(positions=[(3.0, 0.0), (1.0, 0.0), (9.0, 0.0)], speeds=[1.0, 1.0, 0.1]),
+        evader=tuple(Evader(position=(x, 0.0), speed=0.0) for x in (0.0, 2.0, 1000.0)),
+        record=Recording(trajectory=0.0, messages=True),
+    )
+    told = orders(run(case, None, lambda event: event.t > SECOND))
+    assert {sent.body.chaser for sent in told} == {(1, 0, None)}
+    assert {sent.size for sent in told} == {24 + 2 * 8}
+    assert [told[0].body.action(j) for j in range(3)] == [2, 1, 0]
+
+
+def test_an_order_is_of_as_many_numbers_as_there_are_evaders():
+    assert [Order(7, 1).action(j) for j in range(3)] == [0, 1, 0]
+    assert [Order(7, None).action(j) for j in range(3)] == [0, 0, 0]
+    assert [Order(7, (None, 0, 2)).action(j) for j in range(3)] == [2, 0, 3]
+
+
+def test_who_is_still_ordered_to_chase_what_has_been_captured_stays_and_decides_nothing():
+    """Pursuer 0 begins at 0.2 s and captures the first evader at 1.4 s; an order to chase it is still under way."""
+    scenario = static(
+        Server(host=2),
+        latency=0.1,
+        team=Team(positions=[(1.3, 0.0), (9.0, 0.0), (50.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        evader=tuple(Evader(position=(x, 0.0), speed=0.0) for x in (0.0, 20.0)),
+        motion=Motion(),
+        horizon=30.0,
+    )
+    result = run(scenario, None, lambda event: event.t > 3 * SECOND)
+    (capture,) = result.trace.of(Captured)
+    told = [sent for sent in orders(result) if sent.dst == 0 and sent.arrival > capture.t]
+    assert (capture.capturer, told[0].body.chaser) == (0, (0, 1))
+    assert [event for event in result.trace.of(Decided) if event.pursuer == 0 and event.t > capture.t] == []
 
 
 def test_a_host_that_does_not_exist_is_an_error():

@@ -1,7 +1,8 @@
 """Temperatures of log-linear learning."""
 
 from itertools import combinations
-from math import exp, inf, log
+from math import exp, inf, log, nan
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 
 from desim import Scenario, run
 from desim.kernel.faults import ClockSkew
+from desim.pursuit.belief import Belief
 from desim.pursuit.word import Announcements, TimedAssignment
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.temperature import (
@@ -182,6 +184,23 @@ def test_other_temperatures_count_from_the_start_whatever_happens():
 
 def test_all_three_surprise_unless_otherwise_said():
     assert sorted(AdaptiveTau().surprises) == sorted(SURPRISES)
+
+
+def test_who_is_first_of_any_evader_matters_and_that_one_has_been_captured():
+    """Pursuer 0 is first of evader 1, until 1 is, from 1 s on, and of evader 2, which is captured at 2 s.
+
+    That nobody says its time of evader 3 at 1.5 s does not matter: nan is no time.
+    """
+    me, eta = SimpleNamespace(id=0, restarts=0, now=0.0), []
+    phi = {2: nan}
+    me.evaders = lambda: [1, 2, 3] if me.now < 2.0 else [1, 3]
+    me.capture_time = lambda evader: 3.0
+    me.beliefs = lambda evader=1: {1: Belief(1, phi[evader])}
+    slots = slots_seen(AdaptiveTau(surprises=("order",)), me, 0.5)
+    for me.now in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5):
+        phi[1], phi[3] = 4.0 if me.now < 1.0 else 2.0, nan if me.now == 1.5 else 9.0
+        eta.append(next(slots))
+    assert eta == [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]
 
 
 def test_whom_one_has_heard_of_at_the_first_turn_is_no_surprise_even_if_it_is_first():

@@ -111,7 +111,8 @@ def test_temperatures_go_by_the_slot_of_the_other_schedule():
 @pytest.mark.parametrize("seed", range(6))
 def test_all_at_once_end_in_the_relay_profile_too(seed, latency):
     """The game is dominance solvable: who should leave, leaves in whatever order (Nisan, Schapira & Zohar 2008)."""
-    profile, phi = outcome(run(frozen(Together(of=SharedSeed(slot=SLOT)), latency=latency), seed))
+    case = frozen(Together(of=SharedSeed(slot=SLOT)), latency=latency).model_copy(update={"seed": seed})
+    profile, phi = outcome(case, case.protocol.kind)
     assert profile == relay_profile(phi, 3.0)
 
 

@@ -1,28 +1,434 @@
 """Evader strategies."""
 
+from cmath import phase, rect
+from itertools import pairwise
+from math import inf, pi, sqrt
+
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from desim.pursuit.evasion import PureEvasion
+from desim.pursuit.evasion import (
+    STRATEGIES,
+    ConstantHeading,
+    Diffusion,
+    Listener,
+    MaxMin,
+    PureEvasion,
+    Still,
+    VoronoiVertex,
+    WeightedFlee,
+    Zigzag,
+    first_captures,
+)
+from desim.pursuit.outlook import Outlook
 from desim.pursuit.state import State, complex_points, coordinates
+from desim.scenario import Evader
+from desim.scenario_file import load
+from desim.source import ScenarioError
+from desim.value import kind_of
+
+ARENA = (-10.0, 10.0)
+FLEEING = [PureEvasion(), WeightedFlee(), MaxMin(), Zigzag(), VoronoiVertex(arena=ARENA)]
+WANDERING = [Diffusion(), ConstantHeading(), ConstantHeading(angle=1.0)]
+ALL = [*FLEEING, *WANDERING, Still(), Listener(), Listener(then=WeightedFlee(), otherwise=Diffusion())]
+WITH = {"heeds": "active"}
 
 
-def state(*pursuers, evader=0j, active=True):
-    return State(0, np.array([*pursuers, evader]), np.full(len(pursuers), active))
+def named(strategy):
+    return strategy.kind
+
+
+def outlook(*pursuers, evader=0j, active=True, speeds=1.5, t=0, **knowledge):
+    """Return what an evader of speed 1 m/s knows; the radius of capture is 0.1 m."""
+    count = len(pursuers)
+    state = State(t, np.array(pursuers, dtype=complex), complex(evader), np.broadcast_to(active, count).copy())
+    return Outlook(state, np.broadcast_to(float(speeds), count).copy(), 1.0, 0.1, **knowledge)
+
+
+def heading_of(strategy, *pursuers, seed=0, **knowledge):
+    return strategy(outlook(*pursuers, **knowledge), np.random.default_rng(seed))
+
+
+def walk(strategy, step, duration, *pursuers, evader=0j, seed=0):
+    """Yield the place of an evader of speed 1 m/s and its heading at each step of a walk among pursuers that stay."""
+    rng = np.random.default_rng(seed)
+    heading, elapsed = 0j, 0.0
+    for k in range(round(duration / step)):
+        now = outlook(*pursuers, evader=evader, t=round(k * step * 1e9), heading=heading, elapsed=elapsed)
+        heading, elapsed = strategy(now, rng), step
+        yield evader, heading
+        evader += heading * step
+
+
+def turns(path):
+    """Return how many headings of a path are by more than a right angle off from the one before."""
+    headings = [heading for _, heading in path]
+    return sum((new * old.conjugate()).real < 0.0 for old, new in pairwise(headings))
+
+
+coordinate = st.floats(-20.0, 20.0).map(lambda x: round(x, 3))
+points = st.builds(complex, coordinate, coordinate)
+teams = st.lists(points, max_size=6)
+crowds = st.lists(points, min_size=1, max_size=6)
+angles = st.floats(-pi, pi)
+headings = st.just(0j) | angles.map(lambda angle: rect(1.0, angle))
+
+
+# What holds of all of them.
+
+
+@pytest.mark.parametrize("strategy", ALL, ids=named)
+@settings(max_examples=25)
+@given(teams, points, headings, st.floats(0.0, 5.0), st.booleans(), st.integers(0, 10**10), st.data())
+def test_a_heading_is_1_long_or_0(strategy, team, evader, heading, elapsed, handover, t, data):
+    active = data.draw(st.lists(st.booleans(), min_size=len(team), max_size=len(team)))
+    known = {"evader": evader, "heading": heading, "elapsed": elapsed, "handover": handover, "t": t}
+    for each in (strategy, type(strategy)(**dict(strategy) | WITH) if strategy in FLEEING else strategy):
+        chosen = heading_of(each, *team, active=np.array(active, dtype=bool), **known)
+        assert isinstance(chosen, complex)
+        assert chosen == 0j or abs(chosen) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("strategy", FLEEING, ids=named)
+def test_who_flees_stands_still_if_there_is_nobody_to_flee_from(strategy):
+    active_only = type(strategy)(**dict(strategy) | WITH)
+    assert heading_of(strategy) == 0j
+    assert heading_of(active_only, 1j, 2 + 0j, active=False) == 0j
+    assert heading_of(strategy, 1j, 2 + 0j, active=False) != 0j
+
+
+@pytest.mark.parametrize("strategy", WANDERING, ids=named)
+def test_who_wanders_goes_on_whether_there_is_anybody_or_not(strategy):
+    assert heading_of(strategy) == heading_of(strategy, 1j, 2 + 0j) != 0j
+
+
+@pytest.mark.parametrize("strategy", FLEEING, ids=named)
+@settings(max_examples=25)
+@given(crowds, st.data())
+def test_who_heeds_the_active_flees_as_if_there_were_no_others(strategy, team, data):
+    active = data.draw(st.lists(st.booleans(), min_size=len(team), max_size=len(team)))
+    alone = [place for place, chases in zip(team, active, strict=True) if chases]
+    active_only = type(strategy)(**dict(strategy) | WITH)
+    assert heading_of(active_only, *team, active=np.array(active)) == heading_of(strategy, *alone)
+
+
+@pytest.mark.parametrize("strategy", [PureEvasion(), WeightedFlee(), Zigzag()], ids=named)
+@settings(max_examples=50)
+@given(crowds, points, points, angles)
+def test_a_turned_and_moved_pursuit_has_a_turned_heading(strategy, team, evader, shift, angle):
+    """Where nothing is a tie: a second pursuer as near as the nearest, or pushes that cancel."""
+    distances = np.sort(np.abs(np.array(team) - evader))
+    assume(distances[0] > 1e-3 and (len(team) == 1 or distances[1] > distances[0] * (1 + 1e-6)))
+    turn = rect(1.0, angle)
+    here = outlook(*team, evader=evader)
+    if isinstance(strategy, WeightedFlee):
+        assume(abs((here.offsets / here.distances**3).sum()) * distances[0] ** 2 > 1e-3)
+    there = outlook(*(turn * (place - shift) for place in team), evader=turn * (evader - shift))
+    rng = np.random.default_rng(0)
+    assert strategy(there, rng) == pytest.approx(turn * strategy(here, rng), abs=1e-8)
+
+
+@given(crowds, points, points, st.integers(0, 3))
+def test_a_vertex_is_at_the_same_place_of_an_arena_that_is_moved_and_turned_by_right_angles(team, evader, shift, k):
+    """The headings may differ where two vertices are equally far; how far it can go may not."""
+    low, high = ARENA
+    moved = VoronoiVertex(arena=(low + shift.real, high + shift.real))
+    shift = complex(shift.real, shift.real)
+    here = heading_of(VoronoiVertex(arena=ARENA), *team, evader=evader)
+    turned = [1j**k * place + shift for place in team]
+    there = heading_of(moved, *turned, evader=1j**k * evader + shift)
+    assume(low <= min(evader.real, evader.imag) and max(evader.real, evader.imag) <= high)
+    assume(min(abs(place - evader) for place in team) > 0.01)
+    reach = safe_length(evader, here, team, ARENA)
+    assert reach == pytest.approx(safe_length(1j**k * evader + shift, there, turned, moved.arena), abs=1e-6)
+
+
+# Each of them.
 
 
 @pytest.mark.parametrize("active", [True, False])
 def test_pure_evasion_flees_the_nearest_whether_it_chases_or_not(active):
     """Pursuers at 5 m and 2 m below and left: the heading is straight away from the one to the left."""
-    assert PureEvasion()(state(-5j, -2 + 0j, active=active), np.random.default_rng()) == 1 + 0j
+    assert heading_of(PureEvasion(), -5j, -2 + 0j, active=active) == 1 + 0j
+
+
+def test_pure_evasion_of_who_chases_lets_the_others_come_near():
+    """The one to the left is nearest and stays; it flees from the one below."""
+    assert heading_of(PureEvasion(heeds="active"), -5j, -2 + 0j, active=[True, False]) == 1j
 
 
 def test_pure_evasion_flees_the_lowest_of_several_nearest():
-    assert PureEvasion()(state(-2j, 2j), np.random.default_rng()) == 1j
+    assert heading_of(PureEvasion(), -2j, 2j) == 1j
 
 
-def test_pure_evasion_of_a_pursuer_right_here_stands_still():
-    assert PureEvasion()(state(0j), np.random.default_rng()) == 0j
+@pytest.mark.parametrize("strategy", FLEEING[:-1], ids=named)
+def test_who_flees_a_pursuer_right_here_stands_still(strategy):
+    assert heading_of(strategy, 0j) == 0j
+
+
+def test_a_weighted_flight_adds_up_unit_vectors_weighted_by_distance():
+    """From -1 and from -2j: (1, 1), (1, 1/2) and (1, 1/4) for p = 0, 1, 2."""
+    for power, across in ((0.0, 1.0), (1.0, 0.5), (2.0, 0.25)):
+        expected = (1 + across * 1j) / abs(1 + across * 1j)
+        assert heading_of(WeightedFlee(power=power), -1 + 0j, -2j) == pytest.approx(expected)
+
+
+@given(crowds, points)
+def test_a_weighted_flight_tends_to_pure_evasion(team, evader):
+    """With p = 200 a pursuer a fifth farther than the nearest weighs less than 1.2^-200 = 2e-16."""
+    distances = np.sort(np.abs(np.array(team) - evader))
+    assume(distances[0] > 1e-3 and (len(team) == 1 or distances[1] > 1.2 * distances[0]))
+    pure = heading_of(PureEvasion(), *team, evader=evader)
+    assert heading_of(WeightedFlee(power=200.0), *team, evader=evader) == pytest.approx(pure, abs=1e-12)
+    assert heading_of(WeightedFlee(power=inf), *team, evader=evader) == pytest.approx(pure, abs=1e-12)
+
+
+def test_pushes_that_cancel_leave_it_where_it_is():
+    assert heading_of(WeightedFlee(), *(rect(3.0, 2 * pi * k / 5) for k in range(5))) == 0j
+
+
+@given(crowds, points, st.floats(0.0, 3.0))
+def test_max_min_is_at_least_as_good_as_pure_evasion_by_its_own_measure(team, evader, speed):
+    """And than any of its candidates: the grid begins with pure evasion."""
+    here = outlook(*team, evader=evader, speeds=speed)
+    rng = np.random.default_rng(0)
+    pure, best = PureEvasion()(here, rng), MaxMin()(here, rng)
+    assume(pure)
+    found, others = first_captures(here, np.array([best])), pure * np.exp(2j * pi * np.arange(72) / 72)
+    assert found >= first_captures(here, np.array([pure]))
+    assert found >= first_captures(here, others).max() * (1 - 1e-6)
+
+
+@given(points, points, st.floats(0.0, 3.0))
+def test_max_min_of_one_pursuer_is_pure_evasion(pursuer, evader, speed):
+    assume(pursuer != evader)
+    known = {"evader": evader, "speeds": speed}
+    assert heading_of(MaxMin(), pursuer, **known) == heading_of(PureEvasion(), pursuer, **known)
+
+
+def test_max_min_escapes_between_two_pursuers():
+    """Of those at -3 and 3, pure evasion runs into the second; across, both need the longest."""
+    assert heading_of(PureEvasion(), -3 + 0j, 3 + 0j) == 1 + 0j
+    assert abs(heading_of(MaxMin(), -3 + 0j, 3 + 0j).imag) == pytest.approx(1.0)
+
+
+def test_first_captures_are_those_of_the_first():
+    """Towards a pursuer of 1.5 m/s at 5 m, at 1 m/s: 4.9 / 2.5 s; away from it 4.9 / 0.5 s; the other is far."""
+    times = first_captures(outlook(5 + 0j, 1e3 + 0j), np.array([1 + 0j, -1 + 0j]))
+    assert times == pytest.approx([4.9 / 2.5, 4.9 / 0.5])
+
+
+def test_a_zigzag_goes_left_and_right_of_straight_away_by_the_clock():
+    """With a period of 0.2 s it turns at 0.1 s, 0.2 s, 0.3 s .. to the nanosecond, however often it is asked."""
+    strategy = Zigzag(period=0.2, amplitude=0.5)
+    for k in range(40):
+        for t, half in ((k * 10**8, k), ((k + 1) * 10**8 - 1, k)):
+            expected = 1j * rect(1.0, -0.5 if half % 2 else 0.5)
+            assert heading_of(strategy, -2j, t=t) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("strategy", "same"), [(Zigzag(period=0.4), True), (None, False)], ids=["zigzag", "control"])
+def test_a_zigzag_leads_to_the_same_place_whatever_the_step(strategy, same):
+    """From a pursuer so far that its direction does not change; the control turns whenever it is asked."""
+
+    def turns_when_asked(state, rng):
+        return rect(1.0, -0.7 if round(phase(state.heading) + 0.7) else 0.7) if state.heading else rect(1.0, -0.7)
+
+    paths = [list(walk(strategy or turns_when_asked, h, 1.0, -1e9 + 0j)) for h in (0.1, 0.01)]
+    coarse, fine = ([place for place, _ in path] for path in paths)
+    assert (fine[::10] == pytest.approx(coarse, abs=1e-7)) == same
+
+
+def turned(strategy, step, walkers=500, duration=0.5):
+    """Return by what variance the heading has turned after a time, rad^2, and its standard error."""
+    angles = []
+    for seed in range(walkers):
+        taken = [heading for _, heading in walk(strategy, step, duration + step, seed=seed)]
+        angles.append(sum(phase(new / old) for old, new in pairwise(taken)))
+    variance = float(np.var(angles, ddof=1))
+    return variance, variance * sqrt(2 / (walkers - 1))
+
+
+def test_a_heading_diffuses_by_sigma_squared_t_whatever_the_step():
+    """0.6^2 0.5 s = 0.18 rad^2, to 4 standard errors of 0.011; the control turns by as much at every step."""
+
+    def control(state, rng):
+        return state.heading * rect(1.0, rng.normal(0.0, 0.6 * sqrt(0.1))) if state.heading else 1 + 0j
+
+    for step in (0.1, 0.01):
+        variance, error = turned(Diffusion(sigma=0.6), step)
+        assert abs(variance - 0.18) < 4 * error
+    variance, error = turned(control, 0.01, walkers=50)
+    assert abs(variance - 0.18) > 4 * error
+
+
+@pytest.mark.parametrize("strategy", [Diffusion(), ConstantHeading()], ids=named)
+def test_a_heading_that_is_drawn_is_anything(strategy):
+    """The mean of 400 unit vectors has a standard deviation of 1 / sqrt(800) in each coordinate."""
+    mean = np.mean([heading_of(strategy, seed=seed) for seed in range(400)])
+    assert max(abs(mean.real), abs(mean.imag)) < 4 / sqrt(800)
+
+
+def test_a_constant_heading_is_the_angle_or_drawn_once():
+    assert heading_of(ConstantHeading(angle=pi / 2)) == pytest.approx(1j)
+    headings = [heading for _, heading in walk(ConstantHeading(), 0.1, 1.0)]
+    assert headings == pytest.approx([headings[0]] * 10)
+    assert heading_of(ConstantHeading(), seed=1) != heading_of(ConstantHeading(), seed=2)
+
+
+def test_who_is_still_draws_nothing_and_stays():
+    assert heading_of(Still(), 1j) == 0j
+
+
+@pytest.mark.parametrize("handover", [True, False])
+def test_a_listener_does_one_thing_while_a_hand_over_is_in_flight_and_another_else(handover):
+    assert heading_of(Listener(), -1j, handover=handover) == (1j if handover else 0j)
+    other = Listener(then=ConstantHeading(angle=0.0), otherwise=PureEvasion())
+    assert heading_of(other, -1j, handover=handover) == (1 + 0j if handover else 1j)
+
+
+# The farthest vertex.
+
+
+def safe_length(evader, heading, team, arena):
+    """Return how far it can go on a heading inside an arena and nearer to it than to all of a team, m.
+
+    A point s u away is nearer to the evader than to x_i as long as 2 s u.(x_i - x_e) <= |x_i - x_e|^2.
+    """
+    limits = [inf]
+    for z in np.array(team) - evader:
+        along = 2.0 * (z * heading.conjugate()).real
+        limits.append(abs(z) ** 2 / along if along > 0.0 else inf)
+    for place, way in ((evader.real, heading.real), (evader.imag, heading.imag)):
+        limits.append((arena[1] - place) / way if way > 1e-12 else inf)
+        limits.append((arena[0] - place) / way if way < -1e-12 else inf)
+    return min(limits)
+
+
+@given(crowds, points, headings, st.sampled_from([0.0, 0.1, 0.5]))
+def test_nobody_can_go_farther_in_its_cell_than_to_the_vertex(team, evader, heading, hysteresis):
+    """By brute force: of a grid of points, those in the cell are no farther than it goes, but for the hysteresis."""
+    low, high = ARENA
+    assume(low <= min(evader.real, evader.imag) and max(evader.real, evader.imag) <= high)
+    strategy = VoronoiVertex(arena=ARENA, hysteresis=hysteresis)
+    chosen = heading_of(strategy, *team, evader=evader, heading=heading)
+    side = np.linspace(low, high, 41)
+    grid = (side[:, np.newaxis] + 1j * side).ravel()
+    own = abs(grid - evader)
+    own = own[(own < np.abs(grid - np.array(team)[:, np.newaxis])).all(axis=0)]
+    assert safe_length(evader, chosen, team, ARENA) * (1 + hysteresis) >= own.max(initial=0.0) - 1e-6
+
+
+def test_the_vertex_is_known_in_a_small_case():
+    """One pursuer 8 m below the middle of a square of 20 m: the upper corners are 14.1 m away, the lower end 10.8 m."""
+    chosen = heading_of(VoronoiVertex(arena=ARENA), -8j)
+    assert (abs(chosen.real), chosen.imag) == pytest.approx((sqrt(0.5), sqrt(0.5)))
+
+
+@pytest.mark.parametrize(("evader", "nearest"), [(13 + 5j, 10 + 5j), (-11 - 14j, -10 - 10j)])
+def test_from_outside_it_goes_to_the_nearest_point_of_the_arena(evader, nearest):
+    way = nearest - evader
+    assert heading_of(VoronoiVertex(arena=ARENA), 0j, evader=evader) == pytest.approx(way / abs(way))
+
+
+def test_between_two_vertices_it_turns_as_often_whatever_the_step():
+    """One pursuer below, so that both upper corners are equally far, for 12 s; without hysteresis it chatters."""
+
+    def count(hysteresis, step):
+        return turns(walk(VoronoiVertex(arena=ARENA, hysteresis=hysteresis), step, 12.0, -8j, evader=5j))
+
+    coarse, fine = count(0.1, 0.05), count(0.1, 0.005)
+    assert 2 <= fine <= 30
+    assert abs(coarse - fine) <= 1
+    assert count(0.0, 0.05) > 100
+
+
+# In files.
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return a function that writes a scenario whose evader has a strategy on line 4."""
+
+    def write(text):
+        (tmp_path / "s.toml").write_text(f'name = "s"\n\n[evader]\n{text}\n')
+        return tmp_path / "s.toml"
+
+    return write
+
+
+@pytest.mark.parametrize("kind", STRATEGIES.choices())
+def test_a_file_may_ask_for_each_kind(written, kind):
+    arena = ", arena = [0.0, 20.0]" if kind == "voronoi_vertex" else ""
+    strategy = load(written(f'strategy = {{ kind = "{kind}"{arena} }}')).evader.strategy
+    assert kind_of(type(strategy)) == kind
+    assert Evader.model_validate(Evader(strategy=strategy).plain()).strategy == strategy
+
+
+def test_every_strategy_is_tested():
+    assert {strategy.kind for strategy in ALL} == set(STRATEGIES.choices())
+
+
+def test_a_listener_holds_strategies_of_its_own(written):
+    file = written('strategy = { kind = "listener", then = { kind = "zigzag", amplitude = 0.5 } }')
+    assert load(file).evader.strategy == Listener(then=Zigzag(amplitude=0.5), otherwise=Still())
+
+
+BAD_EVADERS = {
+    "no arena": ('strategy = { kind = "voronoi_vertex" }', "strategy.arena", "is missing"),
+    "no area": ('strategy = { kind = "voronoi_vertex", arena = [5.0, 5.0] }', "strategy.arena", "lower < upper (got 5"),
+    "arena inside out": (
+        'strategy = { kind = "voronoi_vertex", arena = [5.0, 1.0] }',
+        "strategy.arena",
+        "lower < upper",
+    ),
+    "hysteresis": (
+        'strategy = { kind = "voronoi_vertex", arena = [0.0, 1.0], hysteresis = 1.0 }',
+        "strategy.hysteresis",
+        "less than 1",
+    ),
+    "unknown kind": ('strategy = { kind = "zigzak" }', "strategy.kind", "did you mean 'zigzag'"),
+    "no kind": ("strategy = {}", "strategy", 'should be a table with a kind, { kind = "pure_evasion" }'),
+    "period": ('strategy = { kind = "zigzag", period = 0.0 }', "strategy.period", "greater than or equal to 0.000001"),
+    "amplitude": (
+        'strategy = { kind = "zigzag", amplitude = 4.0 }',
+        "strategy.amplitude",
+        "less than or equal to 3.14",
+    ),
+    "sigma": ('strategy = { kind = "diffusion", sigma = -0.1 }', "strategy.sigma", "greater than or equal to 0"),
+    "angle": ('strategy = { kind = "constant_heading", angle = 90 }', "strategy.angle", "less than or equal to 6.28"),
+    "power": ('strategy = { kind = "weighted_flee", power = -1.0 }', "strategy.power", "greater than or equal to 0"),
+    "candidates": ('strategy = { kind = "max_min", candidates = 0 }', "strategy.candidates", "greater than or equal"),
+    "whom": ('strategy = { kind = "max_min", heeds = "nobody" }', "strategy.heeds", "'all' or 'active'"),
+    "inner": (
+        'strategy = { kind = "listener", otherwise = { kind = "zigzag", period = -1.0 } }',
+        "strategy.otherwise.period",
+        "greater than or equal",
+    ),
+    "listener of listeners": (
+        'strategy = { kind = "listener", then = { kind = "listener" } }',
+        "strategy.then.kind",
+        "there is no 'listener'",
+    ),
+    "sight": ("sight = -1.0", "sight", "greater than or equal to 0"),
+    "reaction": ("reaction = -0.1", "reaction", "greater than or equal to 0"),
+    "reaction for ever": ("reaction = inf", "reaction", "finite"),
+}
+
+
+@pytest.mark.parametrize(("text", "key", "words"), BAD_EVADERS.values(), ids=BAD_EVADERS)
+def test_an_evader_that_cannot_be_is_refused_with_file_line_and_key(written, text, key, words):
+    file = written(text)
+    with pytest.raises(ScenarioError) as refused:
+        load(file)
+    (said,) = str(refused.value).splitlines()
+    assert said.startswith(f"{file}:4: evader.{key}: ")
+    assert words in said
+
+
+# Points.
 
 
 def test_points_are_complex_numbers_inside_and_coordinates_outside():

@@ -167,7 +167,7 @@ def reckonings(order, step, seed, reckoning="exact"):
         world = me._world
         for j, (_, record) in me.heard().items():
             gap = abs(world.state().evader - world.place(j))
-            chased_since = record.body.active and world.active(j) and turned[j] <= record.sent
+            chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
             if chased_since and gap > 3.0 * step + 0.5:
                 age = nanoseconds(me.now) - record.sent
                 place = world.reckoned(complex(*record.body[1:3]), record.body.speed, age, exact=reckoning == "exact")

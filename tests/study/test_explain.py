@@ -20,6 +20,7 @@ from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Recording, Team
 from desim.scenario_file import read, validate
@@ -54,6 +55,7 @@ BAD = GOOD.model_copy(
         "fault": (Crash(node=0, at=0.5, until=3.0), Crash(node=1, at=1.0)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
+        "sensing": Sensing(radius=4.0),
     }
 )
 OF = {"active_time": active_time, "end_time": end_time}
@@ -82,6 +84,7 @@ SPOILT = {
     "range limit": {"network": Links(range=2.0)},
     "faults": {"fault": tuple(Crash(node=node, at=0.1, until=1.5) for node in range(5))},
     "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
+    "limited sight": {"sensing": Sensing(radius=3.0)},
 }
 TURNS = [SharedSeed(slot=0.1), TokenRing(hold=0.05), TokenWalk(hold=0.05), LocalMutex(rate=2.0)]
 ONLY = [
@@ -139,7 +142,9 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
         assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
         assert not cost.interacts
-    assert "\nnot there: latency, loss, range limit, faults, serial decisions, stale knowledge" in found.table()
+    assert "\nnot there: latency, loss, range limit, faults, serial decisions, stale knowledge, limited sight" in (
+        found.table()
+    )
 
 
 def test_two_that_hide_each_other_cost_nothing_each_and_interact():
@@ -227,7 +232,7 @@ def test_what_does_not_add_up_interacts_and_the_table_says_so():
         "  interaction          +6.000 +- 0.000               0 in every run\n"
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
-        "not there: range limit, faults, serial decisions, stale knowledge\n"
+        "not there: range limit, faults, serial decisions, stale knowledge, limited sight\n"
         "the effects interact (beyond the 95 % interval): in active time the parts add up to -1.000 s, and all together"
         " cost +5.000 s"
     )
@@ -574,7 +579,7 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing"}
     assert (document["runs"], document["failed"], costs["as_it_is"]["runs"]) == (3, 0, 3)
-    assert document["absent"] == ["loss", "range limit", "stale knowledge"]
+    assert document["absent"] == ["loss", "range limit", "stale knowledge", "limited sight"]
     made = json.loads((folder / "run.json").read_text())
     assert (made["what"], made["seed"], made["runs"]) == ("explain", 0, 3)
 

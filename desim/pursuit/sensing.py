@@ -1,0 +1,282 @@
+"""Sensing: what pursuers see of the evaders if they do not see far, and what they make of what they have seen.
+
+Within the sensing radius a pursuer sees an evader as it is. Else it goes by the newest sighting it knows of, its own or
+one that was reported to it, and by how old that is (`Sensing.estimate`). Everything it decides then rests on that
+estimate, and it is the estimate that it chases. Teammates are sensed, or say where they are, as ever; and everybody
+knows which evaders have been captured.
+"""
+
+from collections.abc import Iterable
+from itertools import count
+from math import inf, pi, sqrt
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.kernel.clock import NodeClock, seconds
+from desim.kernel.network import Network
+from desim.pursuit.agent import Agent, Process
+from desim.pursuit.reckoning import nearer
+from desim.pursuit.surroundings import Whole
+from desim.value import Extent, Limit, Period, Truth, Value
+
+if TYPE_CHECKING:
+    from desim.pursuit.state import Points
+
+PORT = "sightings"
+"""Where reports of sightings come in."""
+NEVER = -1
+"""When an evader was last seen that never was."""
+NOWHERE = complex(np.nan, np.nan)
+"""Where an evader is of which nothing is known, m."""
+
+
+class Sensing(Value):
+    """What pursuers see of the evaders, and what they make of what they have seen."""
+
+    radius: Limit = inf
+    """Distance R_s up to which a pursuer sees an evader, m."""
+    estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
+    """Where an evader is that is not seen: where it was last seen (hold); where it would be had it kept the velocity it
+    had then; or somewhere within v_e age of where it was, so that phi is a bound: (d + v_e age - eps) / (v_i - v_e)."""
+    period: Period = 0.1
+    """Time between two reports of a pursuer, each of them made only if there is something new to tell, s."""
+    pass_on: Truth = False
+    """Whether what others have reported is reported, too, so that it spreads over several hops."""
+    lost_after: Extent = 5.0
+    """Age T_lost of a sighting from which on the evader is lost, s."""
+    when_lost: Literal["stay", "search"] = "search"
+    """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
+    be, with turns 2 R_s apart."""
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is anything that is not seen."""
+        return self.radius < inf
+
+
+class Sighting(NamedTuple):
+    """Where an evader was seen."""
+
+    evader: int
+    """1 .. M"""
+    seen: float
+    """When, by the clock of who saw it, s."""
+    x: float
+    """m"""
+    y: float
+    """m"""
+    velocity_x: float
+    """m/s"""
+    velocity_y: float
+    """m/s"""
+
+    @property
+    def place(self) -> complex:
+        """Where it was, m."""
+        return complex(self.x, self.y)
+
+    @property
+    def velocity(self) -> complex:
+        """How it moved, m/s."""
+        return complex(self.velocity_x, self.velocity_y)
+
+
+class Estimate(NamedTuple):
+    """Where an evader is believed to be."""
+
+    place: complex
+    """m"""
+    velocity: complex = 0j
+    """m/s"""
+    slack: float = 0.0
+    """How much farther it may be from anywhere, m."""
+
+
+class Watch:
+    """What the whole team sees; looked at once every motion step, for all pursuers and evaders at a time.
+
+    Attributes:
+        sights: (N,) what each pursuer makes of it.
+    """
+
+    def __init__(self, sensing: Sensing, world: Whole, network: Network, clocks: Iterable[NodeClock]):
+        self.sensing, self._world = sensing, world
+        shape = world.evader_count, world.size
+        self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
+        self._places: Points = np.full(shape, NOWHERE)
+        self._velocities: Points = np.zeros(shape, dtype=complex)
+        self.sights = [Sight(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
+
+    def look(self, now: int) -> None:
+        """Let everybody remember the evaders that it sees at an instant, ns."""
+        for evader in self._world.evaders():
+            seeing = self._world.distances(evader) <= self.sensing.radius
+            row = evader - 1
+            self._seen[row, seeing] = now
+            self._places[row, seeing] = self._world.evader(evader)
+            self._velocities[row, seeing] = self._world.velocity(evader)
+
+    def blind(self, actions: NDArray[np.integer] | NDArray[np.bool_]) -> list[int]:
+        """Return who does not see now what it chases, given what everybody chases."""
+        unseen = np.zeros(self._world.size, dtype=bool)
+        for evader in self._world.evaders():
+            unseen |= (actions == evader) & (self._world.distances(evader) > self.sensing.radius)
+        found: list[int] = np.flatnonzero(unseen).tolist()
+        return found
+
+    def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
+        """Return when a pursuer last saw an evader (ns, or `NEVER`), where (m), and its velocity (m/s)."""
+        cell = evader - 1, pursuer
+        return int(self._seen[cell]), complex(self._places[cell]), complex(self._velocities[cell])
+
+    def forget(self, pursuer: int) -> None:
+        """Let a pursuer forget what it has seen."""
+        self._seen[:, pursuer] = NEVER
+
+
+class Sight:
+    """The world as one pursuer sees it: the `Surroundings` of its agent.
+
+    Args:
+        pursuer: whose it is.
+        watch: what it sees with its own eyes.
+        world: as it is.
+        network: which brings reports.
+        clock: its own.
+    """
+
+    def __init__(self, pursuer: int, watch: Watch, world: Whole, network: Network, clock: NodeClock):
+        self._id, self._watch, self._sensing = pursuer, watch, watch.sensing
+        self._world, self._network, self._clock = world, network, clock
+        self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
+        self.speed, self.place, self.places = world.speed, world.place, world.places
+        self.action, self.obeys, self.order = world.action, world.obeys, world.order
+        self.evaders, self.time_left = world.evaders, world.time_left
+        self._heard: dict[int, Sighting] = {}
+        self._told: dict[int, float] = {}
+
+    # What it knows of an evader.
+
+    def sees(self, evader: int) -> bool:
+        """Return whether it sees an evader now."""
+        return bool(self._world.distances(evader)[self._id] <= self._sensing.radius)
+
+    def newest(self, evader: int) -> Sighting | None:
+        """Return the newest sighting it knows of, its own or one it heard of; None if there is none."""
+        self._listen()
+        heard = self._heard.get(evader)
+        if self.sees(evader):
+            return _sighting(evader, self._clock.now, self._world.evader(evader), self._world.velocity(evader))
+        when, place, velocity = self._watch.last(self._id, evader)
+        if when == NEVER:
+            return heard
+        own = self._clock.now - seconds(self._clock.true - when)
+        return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
+
+    def estimate(self, evader: int) -> Estimate | None:
+        """Return where it believes an evader to be; None if it has never heard of it, or has lost it and stays."""
+        if self.sees(evader):
+            return Estimate(self._world.evader(evader), self._world.velocity(evader))
+        sighting, sensing = self.newest(evader), self._sensing
+        if sighting is None:
+            return None
+        age = max(self._clock.now - sighting.seen, 0.0)
+        worst = sensing.estimate == "worst_case"
+        slack = self._world.evader_speed(evader) * age if worst else 0.0
+        velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
+        if age <= sensing.lost_after:
+            return Estimate(sighting.place + velocity * age, velocity, slack)
+        if sensing.when_lost == "stay":
+            return None
+        apart = 2.0 * max(sensing.radius, self._world.radius)
+        off = spiral(self.speed(self._id) * (age - sensing.lost_after), apart)
+        return Estimate(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
+
+    def report(self) -> None:
+        """Tell the neighbours of sightings that are newer than those told last."""
+        news = []
+        for evader in self._world.evaders():
+            sighting = self.newest(evader)
+            if sighting is None or sighting.seen <= self._told.get(evader, -inf):
+                continue
+            if self._sensing.pass_on or sighting is not self._heard.get(evader):
+                news.append(sighting)
+                self._told[evader] = sighting.seen
+        if news:
+            self._network.send(self._id, None, tuple(news), port=PORT)
+
+    def forget(self) -> None:
+        """Forget all sightings."""
+        self._watch.forget(self._id)
+        self._heard.clear()
+        self._told.clear()
+
+    def _listen(self) -> None:
+        """Take note of what has been reported to it."""
+        for message in self._network.inbox(self._id, PORT).drain():
+            for sighting in message.body:
+                known = self._heard.get(sighting.evader)
+                if known is None or sighting.seen > known.seen:
+                    self._heard[sighting.evader] = sighting
+
+    # What it makes of that, as its agent's surroundings.
+
+    def evader(self, evader: int = 1) -> complex:
+        """Return where it believes an evader to be, m; nan if it does not know."""
+        estimate = self.estimate(evader)
+        return NOWHERE if estimate is None else estimate.place
+
+    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+        """Return every pursuer's time of capture of an evader where it is believed to be, s; inf if that is unknown."""
+        if self.sees(evader) or evader not in self._world.evaders():
+            return self._world.capture_times(evader)
+        estimate = self.estimate(evader)
+        if estimate is None:
+            return (inf,) * self.size
+        return self._world.capture_times_at(estimate.place, estimate.slack, evader)
+
+    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
+        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        estimate = self.estimate(evader)
+        if estimate is None:
+            return inf
+        return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.slack, evader)
+
+    def may_chase(self, pursuer: int, evader: int = 1) -> bool:
+        """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""
+        return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
+
+    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
+
+        Straight towards where the evader is believed to be, for nobody has seen its whole path.
+        """
+        estimate = self.estimate(evader)
+        if estimate is None or self._world.frozen:
+            return position
+        return nearer(position, estimate.place, speed * seconds(age))
+
+
+def reports(me: Agent, sight: Sight, period: float) -> Process:
+    """Report what a pursuer has seen, every period (s) of its own clock, from a random phase on."""
+    first = me.now + me.stream("sightings").uniform(0.0, period)
+    for k in count():
+        yield me.at(first + k * period)
+        sight.report()
+
+
+def spiral(length: float, apart: float) -> complex:
+    """Return the point at an arc length (m) along an Archimedean spiral from the origin with turns so far apart, m.
+
+    From r = apart angle / 2 pi and the arc length r angle / 2 that follows for many turns.
+    """
+    if apart == 0.0:
+        return 0j
+    angle = sqrt(4.0 * pi * length / apart)
+    return apart * angle / (2.0 * pi) * complex(np.cos(angle), np.sin(angle))
+
+
+def _sighting(evader: int, seen: float, place: complex, velocity: complex) -> Sighting:
+    return Sighting(evader, seen, place.real, place.imag, velocity.real, velocity.imag)

@@ -1,0 +1,212 @@
+"""What an evader perceives: late, near by, and what it did before."""
+
+import weakref
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim import Scenario, run, summary
+from desim.pursuit.evasion import Diffusion, Listener, MaxMin, PureEvasion, VoronoiVertex, Zigzag
+from desim.pursuit.outlook import Outlook
+from desim.pursuit.perception import Memory
+from desim.pursuit.state import State
+from desim.scenario import Evader, Motion, Team
+
+MS = 1_000_000
+SPEEDS = np.array([1.0, 1.5, 2.0])
+TEAM = np.array([-2 + 0j, 3j, 5 + 5j])
+DRIFT = np.array([1 + 0j, -0.5j, -1 - 1j])
+"""m/s"""
+
+
+def state(t, *, evader=0j, active=(True, True, False)):
+    """Return the state at an instant (ns) at which the team has drifted from where it was at 0."""
+    return State(t, TEAM + DRIFT * (t / 1e9), evader, np.array(active))
+
+
+class Witness:
+    """A strategy that keeps its outlooks and answers with one heading after the other."""
+
+    def __init__(self, *headings):
+        self.outlooks, self._headings = [], iter(headings)
+
+    def __call__(self, state, rng):
+        self.outlooks.append(state)
+        return next(self._headings, 1 + 0j)
+
+
+def mind(strategy, *, seed=0, **settings):
+    return Evader(strategy=strategy, **settings).mind(np.random.default_rng(seed), SPEEDS, 0.1)
+
+
+def told(states, **settings):
+    """Return the outlooks of an evader that is asked in these states."""
+    witness = Witness()
+    whole = mind(witness, **settings)
+    for each in states:
+        whole.heading(each)
+    return witness.outlooks
+
+
+# Everything, at once.
+
+
+@pytest.mark.parametrize(
+    "strategy",
+    [PureEvasion(), MaxMin(), Zigzag(), Diffusion(), VoronoiVertex(arena=(-9.0, 9.0))],
+    ids=lambda strategy: strategy.kind,
+)
+def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit(strategy):
+    whole, rng, heading = mind(strategy, seed=3), np.random.default_rng(3), 0j
+    for k in range(40):
+        now = state(50 * k * MS, evader=0.1 * k + 0j)
+        expected = strategy(Outlook(now, SPEEDS, 0.9, 0.1, heading, 0.05 if k else 0.0), rng)
+        heading = whole.heading(now)
+        assert heading == expected
+
+
+def test_an_outlook_is_the_state_and_what_the_evader_knows_of_itself():
+    (outlook,) = told([now := state(7 * MS)], speed=0.9)
+    for name, value in vars(now).items():
+        assert getattr(outlook, name) is value
+    assert (outlook.speed, outlook.radius, outlook.speeds.tolist()) == (0.9, 0.1, SPEEDS.tolist())
+
+
+@pytest.mark.parametrize("sight", [inf, 2.5])
+def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sight):
+    witness = Witness(1j, 0j, 0.5 + 0j)
+    whole = mind(witness, sight=sight)
+    chosen = [whole.heading(state(t * MS), handover=t == 40) for t in (0, 10, 40, 45)]
+    assert chosen == [1j, 0j, 0.5 + 0j, 1 + 0j]
+    assert [each.heading for each in witness.outlooks] == [0j, 1j, 0j, 0.5 + 0j]
+    assert [each.elapsed for each in witness.outlooks] == [0.0, 0.01, 0.03, 0.005]
+    assert [each.handover for each in witness.outlooks] == [False, False, True, False]
+    assert [len(each.pursuers) for each in witness.outlooks] == [3 if sight == inf else 1] * 4
+
+
+def test_only_who_listens_has_to_be_told_of_hand_overs():
+    assert [Evader(strategy=each).listens for each in (PureEvasion(), Witness(), Listener())] == [False, False, True]
+    listening = mind(Listener())
+    assert [listening.heading(state(0), handover) for handover in (True, False)] == [1 + 0j, 0j]
+
+
+@pytest.mark.parametrize("heading", [1.1 + 0j, 1 + 1j, complex("nan")])
+def test_a_heading_of_more_than_1_is_refused(heading):
+    def wrong(state, rng):
+        return heading
+
+    with pytest.raises(ValueError, match=r"an evader's heading should be at most 1 long, got .* from <function"):
+        mind(wrong).heading(state(0))
+
+
+# Late.
+
+
+@pytest.mark.parametrize("k", [1, 3, 7])
+def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k):
+    """And the evader where it is; in the first k steps, the pursuers as they were at first."""
+    states = [state(10 * n * MS, evader=0.3j * n, active=(n % 2 == 0, n % 3 == 0, True)) for n in range(20)]
+    late = told(states, reaction=k * 0.01)
+    for n, outlook in enumerate(late):
+        before = states[max(n - k, 0)]
+        assert (outlook.t, outlook.evader) == (states[n].t, states[n].evader)
+        assert outlook.pursuers.tolist() == before.pursuers.tolist()
+        assert outlook.active.tolist() == before.active.tolist()
+        assert outlook.offsets.tolist() == (states[n].evader - before.pursuers).tolist()
+
+
+@given(st.lists(st.integers(1, 400), min_size=1, max_size=30), st.integers(1, 10**9))
+def test_pursuers_that_go_straight_are_seen_where_they_were_however_often_it_is_asked(steps, delay):
+    memory = Memory(delay)
+    for t in np.cumsum([0, *steps]) * MS:
+        seen = memory(state(int(t))).pursuers
+        assert seen == pytest.approx(TEAM + DRIFT * max(int(t) - delay, 0) / 1e9, abs=1e-12)
+
+
+def test_between_two_steps_who_chased_is_as_at_the_first():
+    """Orders at 10 ms; what was 1 ms before that is seen 14 ms later, what was at 10 ms 1 ms after that."""
+    memory = Memory(14 * MS)
+    profiles = [(True, True, True), (False, True, True)]
+    memory(state(0, active=profiles[0])), memory(state(10 * MS, active=profiles[1]))
+    assert memory(state(23 * MS)).active.tolist() == list(profiles[0])
+    assert memory(state(24 * MS)).active.tolist() == list(profiles[1])
+
+
+def test_to_be_asked_twice_at_one_instant_changes_nothing():
+    once, twice = (told([state(t * MS) for t in times], reaction=0.015) for times in ((0, 10, 20), (0, 0, 10, 10, 20)))
+    assert once[-1].pursuers.tolist() == twice[-1].pursuers.tolist()
+
+
+def test_what_was_long_ago_is_forgotten():
+    memory, living = Memory(30 * MS), weakref.WeakSet()
+    for k in range(200):
+        memory(now := state(10 * k * MS))
+        living.add(now)
+    del now
+    assert len(living) == 4
+
+
+def test_a_late_evader_flees_from_where_a_pursuer_was():
+    """It stands at 0; a pursuer passes it from left to right, 2 s after the start. The heading turns 1 s later."""
+    passing = [State(k * 100 * MS, np.array([-2 + 0.1 * k, 90j]), 0j, np.ones(2, bool)) for k in range(45)]
+    prompt, late = (Evader(reaction=reaction).mind(np.random.default_rng(), np.ones(2), 0.1) for reaction in (0.0, 1.0))
+    turns = [next(each.t for each in passing if who.heading(each).real < 0.0) / 1e9 for who in (prompt, late)]
+    assert turns == pytest.approx([2.1, 3.1])
+
+
+# Near by.
+
+
+def test_it_sees_who_is_within_its_sight():
+    """At 2, 3 and 7.07 m."""
+    for sight, count in ((0.0, 0), (1.99, 0), (2.0, 1), (3.0, 2), (7.0, 2), (7.1, 3), (inf, 3)):
+        (outlook,) = told([state(0)], sight=sight)
+        assert outlook.pursuers.tolist() == TEAM[:count].tolist()
+        assert outlook.speeds.tolist() == SPEEDS[:count].tolist()
+        assert outlook.active.tolist() == [True, True, False][:count]
+        assert outlook.nearest == (0 if count else -1)
+
+
+def test_who_is_near_is_seen_in_the_order_of_the_team():
+    (outlook,) = told([state(0, evader=5 + 4j)], sight=5.5)
+    assert (outlook.pursuers.tolist(), outlook.nearest) == (TEAM[1:].tolist(), 1)
+
+
+@pytest.mark.parametrize("heeds", ["all", "active"])
+def test_nobody_in_sight_is_nobody_to_flee_from(heeds):
+    whole = mind(PureEvasion(heeds=heeds), sight=1.0)
+    assert [whole.heading(state(t * MS)) for t in (0, 900, 1000)] == [0j, 0j, 1 + 0j]
+
+
+def test_its_sight_is_of_where_it_perceives_them():
+    """The first is at 1 m after 1 s; it sees it there half a second late."""
+    counts = [len(each.pursuers) for each in told([state(k * 100 * MS) for k in range(16)], sight=1.0, reaction=0.5)]
+    assert counts == [0] * 15 + [1]
+
+
+# In a run.
+
+
+@pytest.mark.parametrize(
+    ("settings", "time"), [({}, 5.8), ({"sight": 2.0}, 4.467), ({"sight": 2.0, "reaction": 0.2}, 4.067)]
+)
+def test_who_sees_less_is_captured_sooner(settings, time):
+    """A pursuer of 1.5 m/s at 3 m, radius 0.1 m; the evader flees at 1 m/s: 2.9 / 0.5 s if it sees it from the start.
+
+    It is 2 m away after 1 / 1.5 s, and captures it 1.9 / 0.5 s later; if that is noticed 0.2 s late, it is only 1.7 m
+    away by then, and needs 1.6 / 0.5 s.
+    """
+
+    def nothing(me):
+        yield me.at(0.0)
+
+    scenario = Scenario(
+        team=Team(positions=((-3.0, 0.0),), speeds=1.5),
+        evader=Evader(position=(0.0, 0.0), speed=1.0, **settings),
+        motion=Motion(step=0.001),
+        protocol=nothing,
+    )
+    assert summary(run(scenario)).capture_time == pytest.approx(time, abs=0.003)

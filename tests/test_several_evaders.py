@@ -1,0 +1,200 @@
+"""Runs with several evaders: who is captured when, what becomes of who chased it, and one evader as a special case."""
+
+import json
+
+import numpy as np
+import pytest
+
+import desim
+from desim import Scenario
+from desim.analysis.folder import kinds
+from desim.kernel.clock import SECOND, seconds
+from desim.kernel.events import Trace
+from desim.pursuit.evasion import ConstantHeading, PureEvasion, Still
+from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.word import Announcements
+from desim.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario_file import load
+
+
+def chase(*targets):
+    """Return a protocol by which pursuer i chases the evader targets[i], and then those after it."""
+
+    def behaviour(me):
+        while True:
+            free = [j for j in me.evaders() if j >= targets[me.id]] or me.evaders()
+            if me.action != free[0]:
+                me.assign(free[0])
+            yield me.sleep(0.01)
+
+    return behaviour
+
+
+def standing(*places, **keys):
+    """Return a scenario with evaders that stand at places on the x axis, and one pursuer at the origin, 1 m/s."""
+    evaders = tuple(Evader(position=(x, 0.0), speed=0.0, strategy=Still()) for x in places)
+    settings = {"team": Team(positions=((0.0, 0.0),), speeds=1.0), "evader": evaders, "protocol": chase(1)}
+    return Scenario(**(settings | keys))
+
+
+def test_evaders_are_captured_one_after_the_other_and_the_last_one_ends_the_run():
+    """A walk of 2 m, then 5 m back: with a radius of 0.1 m the captures are at 1.9 s and 1.9 + 4.8 s."""
+    result = desim.run(standing(2.0, -3.0))
+    first, second = result.trace.of(Captured)
+    end = result.trace.of(Ended)[0]
+    assert (first.evader, first.capturer, second.evader, second.capturer) == (1, 0, 2, 0)
+    assert seconds(first.t) == pytest.approx(1.9, abs=1e-9)
+    # It decides anew at the next hundredth of a second.
+    assert seconds(second.t) == pytest.approx(1.9 + 4.8, abs=0.0101)
+    assert end == Ended(second.t, "captured", 0)
+
+
+def test_the_horizon_ends_a_run_in_which_some_are_captured():
+    result = desim.run(standing(2.0, -30.0, horizon=5.0))
+    assert [each.evader for each in result.trace.of(Captured)] == [1]
+    assert result.trace.of(Ended) == [Ended(5 * SECOND, "horizon", None)]
+
+
+def test_who_runs_into_another_evader_captures_it_too():
+    """On its way to the one at 4 m it passes through the one at 2 m; what it chases stays what it is."""
+    result = desim.run(standing(4.0, 2.0))
+    passed, chased = result.trace.of(Captured)
+    assert [(each.evader, round(seconds(each.t), 9)) for each in (passed, chased)] == [(2, 1.9), (1, 3.9)]
+    assert not [each for each in result.trace.of(Decided) if passed.t < each.t < chased.t and each.active != 1]
+
+
+@pytest.mark.parametrize("test", ["segment", "sample"])
+def test_two_that_are_reached_at_the_same_instant_are_both_captured(test):
+    result = desim.run(standing(2.0, 2.0, 2.0, capture=Capture(test=test)))
+    assert sorted(each.evader for each in result.trace.of(Captured)) == [1, 2, 3]
+    assert len({each.t for each in result.trace.of(Captured)}) == 1
+
+
+def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
+    """Nobody decides after the start: both stop at the capture, and so does what was captured."""
+
+    def once(me):
+        me.assign(1)
+        yield me.at(1e6)
+
+    team = Team(positions=((0.0, 0.0), (-1.0, 1.0)), speeds=1.0)
+    evaders = (
+        Evader(position=(2.0, 0.0), speed=0.5, strategy=ConstantHeading(angle=0.0)),
+        Evader(position=(0.0, 50.0), speed=0.5, strategy=PureEvasion()),
+    )
+    base = standing(team=team, evader=evaders, protocol=once, horizon=8.0, record=Recording(trajectory=0.5))
+    result = desim.run(base)
+    (captured,) = result.trace.of(Captured)
+    after = [sample for sample in result.trace.of(Sampled) if sample.t > captured.t]
+    assert seconds(captured.t) == pytest.approx((2.0 - 0.1) / 0.5)
+    assert len({(sample.pursuers, sample.evader) for sample in after}) == 1
+    assert after[0].evader == (pytest.approx(2.0 + 0.5 * 3.8), 0.0)
+    assert len({sample.others for sample in after}) == len(after)
+    assert not [each for each in result.trace.of(Decided) if each.t > 0]
+
+
+def test_each_evader_flees_who_is_nearest_to_it_and_who_chases_it():
+    """Two teams far apart; the first evader heeds who is active, and nobody chases it."""
+    team = Team(positions=((0.0, 0.0), (100.0, 0.0)), speeds=1.0)
+    evaders = (
+        Evader(position=(2.0, 0.0), speed=0.5, strategy=PureEvasion(heeds="active")),
+        Evader(position=(102.0, 0.0), speed=0.5, strategy=PureEvasion(heeds="active")),
+    )
+    result = desim.run(standing(team=team, evader=evaders, protocol=chase(2, 2), horizon=1.0))
+    last = result.trace.of(Sampled)[-1]
+    assert last.evader == (2.0, 0.0)
+    # Both that chase it are to its left.
+    assert last.others == ((pytest.approx(102.5), 0.0),)
+
+
+def test_an_action_that_is_no_evader_is_an_error():
+    def wild(me):
+        me.assign(3)
+        yield me.at(1.0)
+
+    with pytest.raises(ValueError, match=r"an action should be 0 or an evader, 1 \.\. 2, got 3"):
+        desim.run(standing(1.0, 2.0, protocol=wild))
+
+
+def test_a_captured_evader_may_not_be_chased_any_more():
+    seen = []
+
+    def look(me):
+        yield me.at(3.0)
+        me.assign(1)
+        seen.append((me.action, me.options(), me.capture_time(1), me.evaders()))
+
+    walk = chase(1)
+
+    def both(me):
+        yield from (walk if me.id == 0 else look)(me)
+
+    desim.run(standing(2.0, -30.0, team=Team(positions=((0.0, 0.0), (0.0, 9.0)), speeds=1.0), protocol=both))
+    assert seen == [(0, [0, 2], float("inf"), [2])]
+
+
+@pytest.mark.parametrize("payload", ["action", "time", "state"])
+def test_what_is_said_names_the_evader(payload):
+    """Teammates know who chases which, and their times of capture of it."""
+    seen = []
+
+    def tell(me):
+        me.assign(me.id + 1)
+        me.tell()
+        yield me.at(0.5)
+        others = {j: (me.believed(j), me.beliefs(evader=j)) for j in me.evaders()}
+        seen.append((me.id, others, [me.capture_times(j) for j in me.evaders()]))
+        yield me.at(1e6)
+
+    team = Team(positions=((0.0, 0.0), (0.0, 8.0), (9.0, 9.0)), speeds=1.0, active_at_start=0.0)
+    evaders = tuple(Evader(position=(x, 20.0), speed=0.5) for x in (0.0, 10.0, 20.0))
+    said = Announcements(payload=payload, trigger="never", reckoning="exact")
+    base = standing(team=team, evader=evaders, protocol=tell, announce=said, motion=Motion(frozen=True), horizon=1.0)
+    desim.run(base)
+    assert len(seen) == 3
+    for me, others, phi in seen:
+        for evader, (believed, beliefs) in others.items():
+            chaser = evader - 1
+            if chaser == me:
+                assert believed == {}
+            else:
+                assert believed == {chaser: pytest.approx(phi[evader - 1][chaser])}
+            known = {j: belief.active for j, belief in beliefs.items()}
+            assert known == {j: j + 1 for j in range(3) if j != me}
+
+
+def test_a_trace_with_several_evaders_reads_back():
+    result = desim.run(standing(2.0, -3.0))
+    lines = list(result.trace.lines())
+    assert Trace.read(lines, kinds()).events == result.trace.events
+
+
+def test_a_trace_with_one_evader_does_not_know_of_others():
+    result = desim.run(Scenario(horizon=1.0))
+    events = [json.loads(line) for line in result.trace.lines()]
+    assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "Tally", "Ended"}
+    assert not any("others" in event for event in events)
+    assert {type(event["active"]) for event in events if event["event"] == "Decided"} == {bool}
+
+
+def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be():
+    one, three = (desim.run(Scenario(horizon=0.1, evader=Evader(count=count)), 4) for count in (1, 3))
+    start, starts = one.trace.of(Started)[0], three.trace.of(Started)[0]
+    assert (start.evader, start.pursuers) == (starts.evader, starts.pursuers)
+    assert len(set(starts.evaders)) == 3
+
+
+def test_a_list_with_one_table_is_that_table(tmp_path):
+    path = tmp_path / "one.toml"
+    path.write_text("horizon = 2.0\n[[evader]]\nspeed = 0.5\n")
+    table = Scenario(horizon=2.0, evader=Evader(speed=0.5))
+    assert list(desim.run(load(path)).trace.lines()) == list(desim.run(table).trace.lines())
+
+
+def test_a_start_at_random_chases_every_evader_alike():
+    """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075."""
+    base = Scenario(horizon=0.01, team=Team(count=400), evader=Evader(count=3), record=Recording(trajectory=0.0))
+    first = np.concatenate([desim.run(base, seed).trace.of(Started)[0].active for seed in range(10)])
+    shares = [(first == action).mean() for action in (1, 2, 3)]
+    assert max(abs(share - 1 / 3) for share in shares) < 4 * 0.0075
+    assert (first == 0).sum() == 0
