@@ -19,7 +19,7 @@ Robust to loss: needs no word if positions are sensed; else with heartbeats.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from math import exp, inf
+from math import exp, inf, isnan
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -123,7 +123,8 @@ class Argmin(Geometric):
 class Velocity:
     """The velocity of something that is seen from time to time, by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
-    It begins with the mean velocity between the first two sights, and is 0 before the second.
+    It begins with the mean velocity between the first two sights, and is 0 before the second. While nobody knows where
+    it is (nan) it stays as it is.
     """
 
     def __init__(self, time_constant: float):
@@ -133,6 +134,9 @@ class Velocity:
 
     def __call__(self, now: float, place: complex) -> complex:
         """Return the estimate after a sight at a time (s) and a place (m), m/s."""
+        if isnan(place.real):
+            self._seen = None
+            return self._velocity or 0j
         if self._seen is not None:
             elapsed = now - self._seen[0]
             mean = (place - self._seen[1]) / elapsed

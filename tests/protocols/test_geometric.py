@@ -249,6 +249,16 @@ def test_the_filter_answers_a_step_by_an_exponential(time_constant, slot, slots)
     assert found == pytest.approx((2 + 1j) * (1 - np.exp(-slots * slot / time_constant)), abs=1e-9)
 
 
+def test_the_filter_keeps_its_velocity_while_nothing_is_seen():
+    """Nor is the way between two sights with a gap between them taken for a velocity."""
+    velocity = Velocity(0.0)
+    velocity(1.0, 1 + 0j)
+    assert velocity(1.5, 2 + 0j) == 2 + 0j
+    assert velocity(2.0, complex(np.nan, np.nan)) == 2 + 0j
+    assert velocity(2.5, 9 + 0j) == 2 + 0j
+    assert velocity(3.0, 9.5 + 0j) == 1 + 0j
+
+
 def test_the_filter_begins_with_the_first_velocity_and_without_a_time_constant_follows_at_once():
     assert [Velocity(9.0)(0.0, 1j), 0j] == [0j, 0j]
     slow, quick = Velocity(9.0), Velocity(0.0)
