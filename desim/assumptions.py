@@ -122,6 +122,8 @@ def times_known(scenario: "Scenario") -> str | None:
     """Everybody knows everybody's time of capture: positions are sensed, or all are told."""
     if scenario.announce.payload == "action":
         return None
+    if scenario.announce.payload == "time" and len(scenario.evaders) > 1:
+        return "nobody says how soon it would capture other evaders than its own (`announce.payload`)"
     return everyone_heard(scenario) or word_gets_through(scenario)
 
 

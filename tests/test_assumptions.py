@@ -27,7 +27,7 @@ from desim.kernel.medium import Bitrate
 from desim.kernel.reach import QuasiUnitDisk
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
 from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Motion, Speeds, Team
+from desim.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
 from desim.warnings import warnings
 from protocols.best_response import BestResponse, BetterReply
 from protocols.dissemination import Flooding, Gossip
@@ -242,6 +242,9 @@ def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why)
         ("time", {"network": Links(range=1.0)}, "not everybody hears", "nobody says where it is"),
         ("state", {"network": Links(range=1.0)}, "not everybody hears", "not everybody hears"),
         ("state", {"network": LOSSY, "trigger": "change"}, "never said again", "never said again"),
+        ("action", {"evader": Evader(count=2)}, None, None),
+        ("time", {"evader": Evader(count=2)}, "other evaders than its own", "nobody says where it is"),
+        ("state", {"evader": Evader(count=2)}, None, None),
     ],
 )
 def test_times_and_places_are_known_if_they_are_sensed_or_told_or_not(payload, given, times, places):

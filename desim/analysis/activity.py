@@ -1,17 +1,48 @@
 """Who was active when: metrics of the actions alone.
 
-S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run.
+S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run. Of several
+evaders n_j(t) is the number of pursuers that chase evader j, n the sum of all n_j; a sum over j is one over the evaders
+that are at large, so that the integral of a n_j runs to the capture of j.
 """
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.reading import ended, remembered, started
+from desim.analysis.reading import captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.pursuit.events import Decided, Halted
+from desim.pursuit.events import Captured, Decided, Halted
 from desim.simulation import Result
+
+Steps = tuple[NDArray[np.float64], NDArray[np.int64]]
+"""A step function: it is counts[k] for durations[k] seconds, in order of time."""
+
+
+class Released(NamedTuple):
+    """The evader that a pursuer chased was captured, so that it stays."""
+
+    t: int
+    pursuer: int
+
+
+Change = Decided | Halted | Released
+"""What changes an action."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hunt:
+    """Who chased an evader."""
+
+    start: tuple[bool, ...]
+    """(N,) who did at first."""
+    steps: list[tuple[int, int, int]]
+    """When somebody joined (1) or left (-1): time (ns), pursuer, which."""
+    end: int
+    """When it was captured or the run ended, ns."""
 
 
 @remembered
@@ -21,31 +52,75 @@ def decisions(result: Result) -> list[Decided]:
 
 
 @remembered
-def changes(result: Result) -> list[Decided | Halted]:
-    """Return the decisions, and the breakdowns, by which a pursuer's action changed."""
-    active = list(started(result).active)
-    changed = []
+def changes(result: Result) -> list[Change]:
+    """Return the decisions, breakdowns and captures by which a pursuer's action changed, one for each pursuer."""
+    actions = list(started(result).active)
+    changed: list[Change] = []
     for event in result.trace:
-        if isinstance(event, Decided | Halted) and chases(event) != active[event.pursuer]:
-            active[event.pursuer] = chases(event)
-            changed.append(event)
+        if isinstance(event, Decided | Halted):
+            if action(event) != actions[event.pursuer]:
+                actions[event.pursuer] = action(event)
+                changed.append(event)
+        elif isinstance(event, Captured):
+            for pursuer in [i for i, chased in enumerate(actions) if chased == event.evader]:
+                actions[pursuer] = 0
+                changed.append(Released(event.t, pursuer))
     return changed
 
 
-def chases(event: Decided | Halted) -> bool:
+def action(event: Change) -> int:
+    """Return what a pursuer does from then on: the number of the evader that it chases, or 0."""
+    return int(event.active) if isinstance(event, Decided) else 0
+
+
+def chases(event: Change) -> bool:
     """Return whether a pursuer is active from then on."""
-    return isinstance(event, Decided) and event.active
+    return bool(action(event))
+
+
+def moves(result: Result) -> Iterator[tuple[Change, int]]:
+    """Yield each change of an action, and the action before it."""
+    actions = list(map(int, started(result).active))
+    for change in changes(result):
+        yield change, actions[change.pursuer]
+        actions[change.pursuer] = action(change)
 
 
 @remembered
-def activity(result: Result) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return n(t) as a step function: n is counts[k] for durations[k] seconds, in order of time."""
-    times, counts = [0], [sum(started(result).active)]
-    for change in changes(result):
-        times.append(change.t)
-        counts.append(counts[-1] + (1 if chases(change) else -1))
-    times.append(ended(result).t)
-    return np.diff(times) / SECOND, np.array(counts)
+def hunts(result: Result) -> list[Hunt]:
+    """Return who chased each evader."""
+    start = started(result)
+    ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
+    ends |= {capture.evader: capture.t for capture in captures(result)}
+    found = [Hunt(tuple(each == evader for each in start.active), [], end) for evader, end in ends.items()]
+    for change, before in moves(result):
+        if before:
+            found[before - 1].steps.append((change.t, change.pursuer, -1))
+        if chases(change):
+            found[action(change) - 1].steps.append((change.t, change.pursuer, 1))
+    return found
+
+
+@remembered
+def activity(result: Result) -> Steps:
+    """Return n(t)."""
+    steps = ((change.t, chases(change) - bool(before)) for change, before in moves(result))
+    return _counted(sum(map(bool, started(result).active)), steps, ended(result).t)
+
+
+@remembered
+def pressure(result: Result) -> list[Steps]:
+    """Return n_j(t) of each evader, up to its capture."""
+    return [_counted(sum(hunt.start), ((t, by) for t, _, by in hunt.steps), hunt.end) for hunt in hunts(result)]
+
+
+def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
+    """Return how many there are, given how many at first, and when (ns) they become how many more."""
+    times, counts = [0], [start]
+    for t, by in steps:
+        times.append(t)
+        counts.append(counts[-1] + by)
+    return np.diff([*times, end]) / SECOND, np.array(counts)
 
 
 def active_time(result: Result) -> float:
@@ -55,21 +130,25 @@ def active_time(result: Result) -> float:
 
 
 def idle_time(result: Result) -> float:
-    """Return how long nobody was active, int 1{n = 0} dt, s."""
-    durations, counts = activity(result)
-    return float(durations[counts == 0].sum())
+    """Return how long nobody was active, int sum_j 1{n_j = 0} dt, s.
+
+    Of several evaders each that nobody chases counts, so that the active time less the excess time and with the idle
+    time is the time for which evaders were at large, summed over them: each needs one pursuer.
+    """
+    return sum(float(durations[counts == 0].sum()) for durations, counts in pressure(result))
 
 
 def crowded_time(result: Result) -> float:
-    """Return how long more than one pursuer was active, int 1{n > 1} dt, s."""
-    durations, counts = activity(result)
-    return float(durations[counts > 1].sum())
+    """Return how long more than one pursuer was active, on the same evader if there are several, s.
+
+    int sum_j 1{n_j > 1} dt.
+    """
+    return sum(float(durations[counts > 1].sum()) for durations, counts in pressure(result))
 
 
 def excess_time(result: Result) -> float:
-    """Return the active time in excess of one pursuer, int (n - 1)+ dt, s."""
-    durations, counts = activity(result)
-    return float(durations @ np.maximum(counts - 1, 0))
+    """Return the active time in excess of one pursuer, for each evader, int sum_j (n_j - 1)+ dt, s."""
+    return sum(float(durations @ np.maximum(counts - 1, 0)) for durations, counts in pressure(result))
 
 
 def energy(result: Result) -> float:
@@ -78,37 +157,45 @@ def energy(result: Result) -> float:
     In a frozen game, where nobody moves, it is what the same actions would cost.
     """
     end = ended(result).t
-    own = [end * active for active in started(result).active]  # ns, whole numbers
-    for change in changes(result):
-        own[change.pursuer] += (end - change.t) * (1 if chases(change) else -1)
+    own = [end * bool(active) for active in started(result).active]  # ns, whole numbers
+    for change, before in moves(result):
+        own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
     return float(sum(speed**2 * time for speed, time in zip(started(result).speeds, own, strict=True)) / SECOND)
 
 
 def switches(result: Result) -> int:
-    """Return how often a pursuer changed its action by a decision."""
+    """Return how often a pursuer changed its action by a decision, be it from one evader to another."""
     return sum(isinstance(change, Decided) for change in changes(result))
 
 
-@remembered
-def relays(result: Result) -> list[tuple[int, int]]:
-    """Return who was active alone from when on, (ns, pursuer), as often as it was another than the last such one.
+def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
+    """Return who chased an evader alone from when on, (ns, pursuer), as often as it was another than the last such one.
 
     Who is alone for no time, between simultaneous changes, is not meant.
     """
-    active = {pursuer for pursuer, chasing in enumerate(started(result).active) if chasing}
-    times = [0, *(change.t for change in changes(result)), ended(result).t]
+    return _relays(result)[evader - 1]
+
+
+@remembered
+def _relays(result: Result) -> list[list[tuple[int, int]]]:
+    return [_relays_of(hunt) for hunt in hunts(result)]
+
+
+def _relays_of(hunt: Hunt) -> list[tuple[int, int]]:
+    active = {pursuer for pursuer, chasing in enumerate(hunt.start) if chasing}
+    times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
     found: list[tuple[int, int]] = []
-    for change, (begin, end) in zip([None, *changes(result)], pairwise(times), strict=True):
-        if change is not None:
-            active ^= {change.pursuer}
+    for step, (begin, end) in zip([None, *hunt.steps], pairwise(times), strict=True):
+        if step is not None:
+            active ^= {step[1]}
         if len(active) == 1 and begin < end and (not found or found[-1][1] not in active):
             found.append((begin, min(active)))
     return found
 
 
 def handovers(result: Result) -> int:
-    """Return how often the single active pursuer (n = 1) was another than the last single active one."""
-    return max(len(relays(result)) - 1, 0)
+    """Return how often the single pursuer on an evader (n_j = 1) was another than the last single one on it."""
+    return sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 
 def ping_pongs(result: Result, within: float = 1.0) -> int:
@@ -116,8 +203,8 @@ def ping_pongs(result: Result, within: float = 1.0) -> int:
 
     The term is that of cellular networks (3GPP TR 36.839, where that time of stay is 1 s).
     """
-    chain = relays(result)
     return sum(
         before == after and back - there < nanoseconds(within)
+        for chain in _relays(result)
         for (_, before), (there, _), (back, after) in zip(chain, chain[1:], chain[2:], strict=False)
     )

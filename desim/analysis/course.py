@@ -1,9 +1,9 @@
 """The course of a run: who was active, and what everyone's time of capture was, piece by piece.
 
-A piece is the time between two breakpoints: changes of action, samples of positions, breakdowns of robots. Nobody
-changes its action in it, so that what a metric asks of the actions is exact. The times of capture phi are those of the
-middle of the piece, from positions interpolated between the samples: exact in a frozen game; otherwise see
-`desim.analysis.hindsight` for the error.
+A piece is the time between two breakpoints: changes of action, samples of positions, breakdowns of robots, captures.
+Nobody changes its action in it, so that what a metric asks of the actions is exact. The times of capture phi are those
+of the middle of the piece, from positions interpolated between the samples: exact in a frozen game; otherwise see
+`desim.analysis.hindsight` for the error. Of several evaders each has a course of its own, of the same pieces.
 """
 
 from collections.abc import Iterator
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.activity import changes, chases
-from desim.analysis.reading import ended, remembered, started
+from desim.analysis.activity import changes, hunts
+from desim.analysis.reading import captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.faults import Began, Crash, Over
 from desim.pursuit.capture import RadialTime
@@ -29,14 +29,15 @@ PART = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Successive pieces of a run, each of positive length."""
+    """Successive pieces of a run, each of positive length, as far as they are about one evader."""
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
     active: Truths
-    """(k, N) who is active."""
+    """(k, N) who chases the evader."""
     phi: Floats
-    """(k, N) times of capture in the middle of the piece, s; inf for a robot that is broken and so captures nobody."""
+    """(k, N) times of capture in the middle of the piece, s; inf for a robot that is broken and so captures nobody, and
+    for all once the evader has been captured."""
     left: Floats
     """(k,) time left r in the middle of the piece, s; that to the horizon throughout in a frozen game."""
 
@@ -52,8 +53,12 @@ def positions_known(result: Result) -> bool:
     return result.scenario.motion.frozen or any(isinstance(event, Sampled) for event in result.trace)
 
 
-def course(result: Result) -> Iterator[Course]:
+def course(result: Result, evader: int = 1) -> Iterator[Course]:
     """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
+
+    Args:
+        result: of a run whose positions were recorded.
+        evader: which, 1 .. M; the parts of all evaders are of the same pieces.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -61,18 +66,21 @@ def course(result: Result) -> Iterator[Course]:
     if not positions_known(result):
         raise ValueError("positions were not recorded: set record.trajectory to a time greater than 0 s")
     start, end, scenario = started(result), ended(result).t, result.scenario
-    radial_time = RadialTime(np.array(start.speeds), scenario.evader.speed, scenario.capture.radius)
+    speed, hunt = scenario.evaders[evader - 1].speed, hunts(result)[evader - 1]
+    radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
     horizon, frozen = nanoseconds(scenario.horizon), scenario.motion.frozen
-    path, size = _Path(result), len(start.active)
-    active = _Counts(start.active, [(each.t, each.pursuer, 1 if chases(each) else -1) for each in changes(result)])
+    path, size = _Path(result, evader), len(start.active)
+    active = _Counts(hunt.start, hunt.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
-    times = np.unique(np.concatenate([[0, end], path.t, active.t, broken.t]))
+    acts = [each.t for each in [*changes(result), *captures(result)]]
+    times = np.unique(np.concatenate([[0, end], path.t, np.array(acts, np.int64), broken.t]))
     step = max(PART // size, 1)
     for first in range(0, len(times) - 1, step):
         own = times[first : first + step + 1]
         middle = (own[:-1] + own[1:]) / 2
         phi = radial_time(path.distances(middle))
         phi[broken.during(own)] = np.inf
+        phi[own[:-1] >= hunt.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if frozen else middle)) / SECOND
         yield Course(own, active.during(own), phi, left)
 
@@ -102,13 +110,15 @@ class _Counts:
 
 
 class _Path:
-    """Where everyone was: at the start and at each sample, and between them on straight lines."""
+    """How far everyone was from an evader: at the start and at each sample, and between them on straight lines."""
 
-    def __init__(self, result: Result):
+    def __init__(self, result: Result, evader: int):
         frozen = result.scenario.motion.frozen
         known = [started(result), *(() if frozen else result.trace.of(Sampled))]
         self.t = np.array([each.t for each in known])
-        gaps = np.array([each.evader for each in known])[:, None] - np.array([each.pursuers for each in known])
+        gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - np.array(
+            [each.pursuers for each in known]
+        )
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
 
     def distances(self, t: Floats) -> Floats:

@@ -2,17 +2,16 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
 from desim import provenance
-from desim.analysis.metrics import Summary, summary
+from desim.analysis.metrics import Summary, plain, summary
 from desim.kernel.events import Broadcast, Event, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.faults import FAULTS, Began, Over
-from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.scenario_file import dump, validate
 from desim.simulation import Result
 
@@ -33,7 +32,7 @@ def write(result: Result, folder: Path, made: provenance.Document | None = None)
     folder.mkdir(parents=True, exist_ok=True)
     numbers = summary(result)
     result.trace.write(folder / TRACE)
-    (folder / "summary.json").write_text(json.dumps(asdict(numbers), indent=2) + "\n", encoding="utf-8")
+    (folder / "summary.json").write_text(json.dumps(plain(numbers), indent=2) + "\n", encoding="utf-8")
     resolved = result.scenario.model_copy(update={"seed": result.seed})
     (folder / "scenario.toml").write_text(dump(resolved), encoding="utf-8")
     if made is None:
@@ -74,7 +73,7 @@ def read(folder: Path) -> Result:
 def kinds() -> Mapping[str, Callable[..., Event]]:
     """Return what makes each kind of event of its fields, by its name."""
     fault: TypeAdapter[Any] = TypeAdapter(Annotated[Any, FAULTS])
-    made: list[type[Any]] = [Started, Decided, Halted, Sampled, Ended, Queued, Broadcast, Sent, Lost, Tally]
+    made: list[type[Any]] = [Started, Decided, Halted, Sampled, Captured, Ended, Queued, Broadcast, Sent, Lost, Tally]
     return {
         **{kind.__name__: kind for kind in made},
         "Began": lambda **fields: Began(**fields | {"fault": fault.validate_python(fields["fault"])}),

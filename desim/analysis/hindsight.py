@@ -5,6 +5,10 @@ the relay pursuer: that of least (phi, id) among those that are not broken; nobo
 The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is greatest for S = {i*}. Integrals
 run from 0 to the end.
 
+With several evaders each that is at large is such a game, S_j is the set of those that chase it, and Phi the sum of
+their potentials (`desim.pursuit.assignment`). It is greatest for a profile that sends at most one pursuer to each: to
+each its own relay pursuer, if these are different; if not, those of `optimal_assignment`.
+
 All this needs positions: `record.trajectory` > 0, or a frozen game. Between two samples everybody is taken to be on a
 straight line, and phi is taken in the middle of each piece (`desim.analysis.course`); in a frozen game that is exact.
 Sampled every 0.05 s and every 0.002 s, 12 seeds of scenarios/relay.toml have the same misassigned time and time to
@@ -14,7 +18,7 @@ time is then 1.244 s where it should be 1.234 s (in one run it is off by 0.16 s)
 change restarts, 1.25 s where it should be 1.34 s. If that matters, sample as often as the motion steps.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,10 +30,12 @@ from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.travel import TYPICAL_SIZE, Travel
+from desim.pursuit.assignment import optimal_assignment
 from desim.simulation import Result, run
 
 ALIKE = 20
 """Nodes of a complete graph whose links stand for those of all others."""
+NOBODY = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +45,7 @@ class Hindsight:
     times: Integers
     """(k + 1,) breakpoints, ns."""
     relayed: Truths
-    """(k,) whether S = {i*}: the relay pursuer chases alone, or nobody does and nobody should."""
+    """(k,) whether S = {i*}: the relay pursuer chases alone, or nobody does and nobody should; so on each evader."""
     gap: Floats
     """(k,) what the potential lacks to its maximum, Phi* - Phi(S), s."""
     regret: Floats
@@ -58,22 +64,25 @@ def hindsight(result: Result) -> Hindsight:
     Raises:
         ValueError: if positions were not recorded.
     """
-    size = len(started(result).active)
+    evaders, size = len(started(result).evaders), len(started(result).active)
     times, relayed, gap = [np.zeros(1, np.int64)], [np.zeros(0, bool)], [np.zeros(0)]
-    fixed, played = np.zeros(size), np.zeros(size)
-    for part in course(result):
-        times.append(part.times[1:])
-        relayed.append(_relayed(part))
-        gap.append(np.maximum(part.left - part.phi.min(axis=1), 0.0) - _potential(part))
-        gain = gains(part)
-        fixed += part.durations @ gain
-        played += part.durations @ np.where(part.active, gain, 0.0)
-    regret = np.maximum(fixed, 0.0) - played
+    fixed, played = np.zeros((evaders, size)), np.zeros(size)
+    for parts in zip(*(course(result, j + 1) for j in range(evaders)), strict=True):
+        best = _best(parts)
+        times.append(parts[0].times[1:])
+        relayed.append(np.all([_relayed(part, own) for part, own in zip(parts, best, strict=True)], axis=0))
+        most = np.sum([_worth(part, own) for part, own in zip(parts, best, strict=True)], axis=0)
+        gap.append(most - np.sum([_potential(part) for part in parts], axis=0))
+        for part, worth in zip(parts, fixed, strict=True):
+            gain = gains(part)
+            worth += part.durations @ gain
+            played += part.durations @ np.where(part.active, gain, 0.0)
+    regret = np.maximum(fixed.max(axis=0), 0.0) - played
     return Hindsight(np.concatenate(times), np.concatenate(relayed), np.concatenate(gap), regret)
 
 
 def gains(part: Course) -> Floats:
-    """Return what being active was worth to each pursuer in each piece, given what the others did, (k, N) s.
+    """Return what chasing the evader was worth to each pursuer in each piece, given what the others did, (k, N) s.
 
     U_i(active) - U_i(inactive) for the wonderful-life utility, as `desim.pursuit.game.gain`; 0 for a pursuer that
     cannot capture, which has no choice.
@@ -87,17 +96,34 @@ def gains(part: Course) -> Floats:
     return np.where(able, np.where(n > 0, (others - phi) / (n + 1), part.left[:, None] - phi), 0.0)
 
 
-def _relayed(part: Course) -> Truths:
-    """Return (k,) whether S = {i*}."""
-    relay, number = part.phi.argmin(axis=1), part.active.sum(axis=1)
-    rows = np.arange(len(relay))
-    needed = part.phi[rows, relay] < part.left
-    found: Truths = np.where(needed, (number == 1) & part.active[rows, relay], number == 0)
+def _best(parts: Sequence[Course]) -> Integers:
+    """Return which pursuer each evader had best be chased by, (M, k), or `NOBODY`; of one, the relay pursuer."""
+    best = np.array([part.phi.argmin(axis=1) for part in parts])
+    best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NOBODY
+    ordered = np.sort(best, axis=0)
+    for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NOBODY)).any(axis=0)):
+        chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
+        best[:, k] = NOBODY
+        for pursuer, evader in chosen.items():
+            best[evader - 1, k] = pursuer
+    return best
+
+
+def _worth(part: Course, chaser: Integers) -> Floats:
+    """Return the (k,) potential if one pursuer chased alone, s, given who in each piece; 0 if it would be late."""
+    found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
+    return np.where(chaser == NOBODY, 0.0, found)
+
+
+def _relayed(part: Course, best: Integers) -> Truths:
+    """Return (k,) whether the best pursuer chases alone, or nobody does and nobody should."""
+    number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
+    found: Truths = np.where(best == NOBODY, number == 0, (number == 1) & alone)
     return found
 
 
 def _potential(part: Course) -> Floats:
-    """Return the (k,) potential of the profile, s; as `desim.pursuit.game.potential`."""
+    """Return the (k,) potential of who chases the evader, s; as `desim.pursuit.game.potential`."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
     mean = np.where(counted, part.phi, 0.0).sum(axis=1) / np.maximum(n, 1)
@@ -106,6 +132,8 @@ def _potential(part: Course) -> Floats:
 
 def misassigned_time(result: Result) -> float:
     """Return how long another set than the relay pursuer alone was active, int 1{S != {i*}} dt, s.
+
+    With several evaders: how long there was another profile than the best one, one set or another.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -116,6 +144,8 @@ def misassigned_time(result: Result) -> float:
 
 def potential_gap(result: Result) -> float:
     """Return what the profile lacked to the best one, int (Phi* - Phi(S)) dt with Phi* = max(0, r - phi_min), s^2.
+
+    With several evaders Phi* is the worth of an optimal assignment of pursuers to them.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -131,9 +161,9 @@ def regret(result: Result) -> float:
 
         max over a of int U_i(a, S_-i) dt - int U_i(S) dt
 
-    with the wonderful-life utility U_i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play"). It is negative
-    for one that did better than either action throughout. Who cannot capture, for now, has no choice and regrets
-    nothing.
+    with the wonderful-life utility U_i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play"), over the M + 1
+    actions that there are with M evaders. It is negative for one that did better than any action throughout. To chase
+    who cannot be captured by it, for now or any more, is worth nothing to a pursuer.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -144,6 +174,8 @@ def regret(result: Result) -> float:
 
 def time_to_relay(result: Result, window: float | None = None) -> float | None:
     """Return the first time from which S = {i*} for a window, or to the end of the run, s; None if there is none.
+
+    With several evaders: from which the best profile is played so long.
 
     Args:
         result: of a run whose positions were recorded.

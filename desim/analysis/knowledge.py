@@ -15,6 +15,7 @@ from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, Over, clock_errors
 from desim.kernel.records import Record
+from desim.pursuit.word import told
 from desim.simulation import Result
 
 Integers = NDArray[np.int64]
@@ -26,7 +27,7 @@ PIECE = np.dtype(
         ("reader", np.int64),
         ("source", np.int64),
         ("created", np.int64),  # when the source announced it, ns
-        ("active", np.bool_),  # what the reader has heard that the source does
+        ("active", np.int32),  # what the reader has heard that the source does: which evader it chases, or 0
         ("presumed", np.bool_),  # not heard, but known or presumed at first
         ("begin", np.int64),  # when it arrived, ns
         ("after", np.int64),  # the place in the trace after which it was known, among the events of `begin`
@@ -49,7 +50,7 @@ def knowledge(result: Result) -> Pieces:
     Raises:
         ValueError: if messages were sent and not recorded.
     """
-    profile, end = np.array(started(result).active), ended(result).t
+    profile, end = np.array(started(result).active, np.int64), ended(result).t
     said, hops = _messages(result, len(profile), end)
     edges = np.searchsorted(hops.dst, np.arange(len(profile) + 1))
     forgets = _forgets(result)
@@ -75,7 +76,7 @@ class _Said:
     seq: Integers
     created: Integers
     active: Integers
-    """1, 0, or -1 if it is not told."""
+    """Which evader the source chases, or 0; -1 if it is not told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +111,7 @@ class _Life:
     begin: int
     until: int
     before: int
-    profile: NDArray[np.bool_]
+    profile: Integers
     seq: int
     """Number of the records that it presumes; older ones tell it nothing new."""
 
@@ -136,7 +137,7 @@ class _Life:
         pieces = np.empty(len(order), PIECE)
         pieces["reader"], pieces["source"] = self.reader, source[order]
         pieces["created"] = column(self.begin, said.created[record])[order]
-        pieces["active"], pieces["presumed"] = active[telling] == 1, order < len(others)
+        pieces["active"], pieces["presumed"] = active[telling], order < len(others)
         pieces["begin"] = column(self.begin, hops.arrival[hop])[order]
         pieces["after"] = column(FIRST, hops.place[hop])[order]
         pieces["until"], pieces["before"], pieces["superseded"] = self.until, self.before, False
@@ -159,12 +160,12 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
     for place, event in enumerate(result.trace):
         recorded = recorded or isinstance(event, Broadcast | Sent | Lost | Queued)
         if isinstance(event, Broadcast | Sent):
-            told = clocks.told(event)
+            said = clocks.told(event)
             to = event.dst if isinstance(event, Broadcast) else (event.dst,)
             when = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
-            if told and to:
-                carried.append((len(to), event.flight, place, len(records), len(told)))
-                records += told
+            if said and to:
+                carried.append((len(to), event.flight, place, len(records), len(said)))
+                records += said
                 dst += to
                 arrival += when if len(when) == len(to) else when * len(to)
         elif isinstance(event, Lost):
@@ -188,10 +189,8 @@ class _Clocks:
 
     def told(self, event: Broadcast | Sent) -> tuple[Record, ...]:
         """Return the records that a transmission carries, those that it relays or its own, with their true times."""
-        relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
-        if relayed is not None:
-            return relayed if self._right else tuple(map(self._set_right, relayed))
-        return (Record(event.src, event.seq, event.created, event.body),) if isinstance(event, Broadcast) else ()
+        relays = getattr(event.body, "records", None) is not None
+        return tuple(map(self._set_right, told(event))) if relays and not self._right else told(event)
 
     def _set_right(self, record: Record) -> Record:
         offset, drift = self._errors[record.src]

@@ -6,8 +6,8 @@ has none: it compares with another run, which it runs.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from math import isnan
+from dataclasses import MISSING, asdict, dataclass, field, fields
+from math import isnan, nan
 from types import MappingProxyType
 from typing import Any
 
@@ -26,13 +26,14 @@ from desim.analysis.activity import (
 )
 from desim.analysis.course import positions_known
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
-from desim.analysis.reading import ended, messages, reading
+from desim.analysis.reading import captures, ended, has_several, messages, reading
 from desim.analysis.word import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
 from desim.simulation import Result
 
 __all__ = [
+    "COMMON",
     "METRICS",
     "Metric",
     "Summary",
@@ -51,10 +52,12 @@ __all__ = [
     "excess_time",
     "handovers",
     "idle_time",
+    "mean_capture_time",
     "messages",
     "misassigned_time",
     "network_regret",
     "ping_pongs",
+    "plain",
     "potential_gap",
     "regret",
     "summary",
@@ -64,18 +67,34 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured."""
+    """Return whether the evader was captured, or all of several."""
     return ended(result).reason == "captured"
 
 
 def capture_time(result: Result) -> float | None:
-    """Return when the evader was captured, s; None if it was not."""
+    """Return when the evader was captured, or the last of several, s; None if it was not."""
     return end_time(result) if captured(result) else None
 
 
 def end_time(result: Result) -> float:
-    """Return when the run ended, s: at the capture, the horizon, or when a watcher asked for it."""
+    """Return when the run ended, s: at the (last) capture, the horizon, or when a watcher asked for it."""
     return seconds(ended(result).t)
+
+
+def mean_capture_time(result: Result) -> float:
+    """Return when evaders were captured, averaged over those that were, s; nan if none was."""
+    times = [seconds(each.t) for each in captures(result)]
+    return sum(times) / len(times) if times else nan
+
+
+def capture_times(result: Result) -> dict[str, float]:
+    """Return when each evader was captured that was, s, in order of time."""
+    return {str(each.evader): seconds(each.t) for each in captures(result)}
+
+
+def capturers(result: Result) -> dict[str, int]:
+    """Return who captured each evader that was captured, in order of time."""
+    return {str(each.evader): each.capturer for each in captures(result)}
 
 
 def messages_recorded(result: Result) -> bool:
@@ -91,6 +110,8 @@ class Metric:
     unit: str = ""
     note: "str | Callable[[Summary], str] | None" = None
     """What the table of one run says beside it; None if it has no row there."""
+    note_of_several: str | None = None
+    """What it says there if there were several evaders, if not the same."""
     given: Callable[[Result], bool] | None = None
     """Whether what it needs was recorded, if it needs more than actions; if not, the summary has None."""
     label: str | None = None
@@ -99,21 +120,26 @@ class Metric:
     """Whether it has a row in the table of several runs."""
     silent_at_0: bool = False
     """Whether tables leave it out if it is 0."""
+    of_several: bool = False
+    """Whether it is only there if there were several evaders."""
     is_number: bool = True
     """Whether its mean over several runs says something; that of a truth is a share."""
 
     def __call__(self, result: Result) -> Any:
         """Return the number; None if there is nothing to measure or nothing was found."""
-        value = self.of(result) if self.given is None or self.given(result) else None
+        there = (self.given is None or self.given(result)) and (not self.of_several or has_several(result))
+        value = self.of(result) if there else None
         return None if isinstance(value, float) and isnan(value) else value
 
 
 def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown: Any) -> Any:
     """Return a field of a summary; see `Metric`."""
-    return field(metadata={"metric": Metric(of, unit, note, **shown)})
+    metric = Metric(of, unit, note, **shown)
+    absent: Any = None if metric.of_several else MISSING
+    return field(default=absent, metadata={"metric": metric})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """The numbers of one run, in the order of tables; None for what did not happen or was not measured."""
 
@@ -121,21 +147,47 @@ class Summary:
     captured: bool = entry(captured, in_tables=False)
     capture_time: float | None = entry(capture_time, "s")
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
+    """Of several evaders, who captured the last."""
+    captures: int | None = entry(lambda result: len(captures(result)), of_several=True)
+    """How many evaders were captured; it tells whether there were several."""
+    mean_capture_time: float | None = entry(mean_capture_time, "s", of_several=True)
+    capture_times: Mapping[str, float] | None = entry(capture_times, in_tables=False, is_number=False, of_several=True)
+    """By the number of the evader, s."""
+    capturers: Mapping[str, int] | None = entry(capturers, in_tables=False, is_number=False, of_several=True)
+    """By the number of the evader."""
     end_time: float = entry(end_time, "s")
     active_time: float = entry(active_time, "s", "summed over the pursuers")
-    idle_time: float = entry(idle_time, "s", "nobody active")
-    crowded_time: float = entry(crowded_time, "s", "more than one active")
+    idle_time: float = entry(
+        idle_time, "s", "nobody active", note_of_several="nobody on an evader, summed over those at large"
+    )
+    crowded_time: float = entry(
+        crowded_time, "s", "more than one active", note_of_several="more than one on an evader, summed over these"
+    )
     excess_time: float = entry(excess_time, "s")
     misassigned_time: float | None = entry(
-        misassigned_time, "s", "not just the relay pursuer active", given=positions_known
+        misassigned_time,
+        "s",
+        "not just the relay pursuer active",
+        note_of_several="not the best pursuer alone on each evader",
+        given=positions_known,
     )
     time_to_relay: float | None = entry(
-        time_to_relay, "s", "until just the relay pursuer was, for a while", given=positions_known
+        time_to_relay,
+        "s",
+        "until just the relay pursuer was, for a while",
+        note_of_several="until just the best on each evader were, for a while",
+        given=positions_known,
     )
     potential_gap: float | None = entry(
         potential_gap, "s^2", "below the greatest potential, over time", given=positions_known
     )
-    regret: float | None = entry(regret, "s", "against each one's better fixed action, averaged", given=positions_known)
+    regret: float | None = entry(
+        regret,
+        "s",
+        "against each one's better fixed action, averaged",
+        note_of_several="against each one's best fixed action, averaged",
+        given=positions_known,
+    )
     energy: float = entry(energy, "m^2/s", "v^2 summed over the active, over time")
     decisions: int = entry(
         lambda result: len(decisions(result)), note=lambda run: f"{run.switches:,} of them changed an action"
@@ -171,18 +223,29 @@ class Summary:
         belief_error, note="share of pairs with wrong word of the action", given=messages_recorded
     )
     believed_leaders: float | None = entry(
-        believed_leaders, note="active, and heard of nobody else who is", given=messages_recorded
+        believed_leaders,
+        note="active, and heard of nobody else who is",
+        note_of_several="active, and heard of nobody else on the same evader",
+        given=messages_recorded,
     )
 
 
 METRICS: Mapping[str, Metric] = MappingProxyType({each.name: each.metadata["metric"] for each in fields(Summary)})
 """The entries of a summary."""
+COMMON = tuple(name for name, metric in METRICS.items() if not metric.of_several)
+"""The names of those that every run has."""
 
 
 def summary(result: Result) -> Summary:
     """Return the numbers of one run."""
     read = reading(result)
     return Summary(**{name: metric(read) for name, metric in METRICS.items()})
+
+
+def plain(numbers: Summary) -> dict[str, Any]:
+    """Return the numbers of a run by name, as JSON has them; those of several evaders only if it has them."""
+    names = METRICS if numbers.captures is not None else COMMON
+    return {name: each for name, each in asdict(numbers).items() if name in names}
 
 
 def words(name: str) -> str:

@@ -6,7 +6,7 @@ from functools import wraps
 from typing import Any, TypeVar
 
 from desim.kernel.events import Tally
-from desim.pursuit.events import Ended, Started
+from desim.pursuit.events import Captured, Ended, Started
 from desim.simulation import Result
 
 Derived = TypeVar("Derived")
@@ -49,6 +49,20 @@ def started(result: Result) -> Started:
 def ended(result: Result) -> Ended:
     """Return how the run ended."""
     return result.trace.of(Ended)[0]
+
+
+@remembered
+def captures(result: Result) -> list[Captured]:
+    """Return when which evader was captured, and by whom, in order; where there is one, that is the end."""
+    if has_several(result):
+        return result.trace.of(Captured)
+    end = ended(result)
+    return [] if end.capturer is None else [Captured(end.t, 1, end.capturer)]
+
+
+def has_several(result: Result) -> bool:
+    """Return whether there were several evaders."""
+    return len(started(result).evaders) > 1
 
 
 @remembered

@@ -8,6 +8,9 @@ from desim.analysis.metrics import METRICS, Summary, words
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.scenario import Scenario
 
+SHOWN = 12
+"""How many evaders the table of a run names at most."""
+
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
     """Return rows as text with columns lined up, those from `right_from` on to the right."""
@@ -23,14 +26,9 @@ def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
 
 def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
     """Return what one run came to; wall_time in s."""
-    outcome = (
-        f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
-        if run.captured
-        else f"no, the pursuit ended after {run.end_time:.3f} s"
-    )
     rate = run.messages_sent / wall_time
     rows = [
-        ("captured", outcome, ""),
+        *_captures(scenario, run),
         *_rows_of_run(run),
         ("wall time", f"{wall_time:.3f} s", f"{rate:,.0f} messages/s"),
     ]
@@ -43,10 +41,11 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(runs)]
     seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
+    every = "all " if len(scenario.evaders) > 1 else ""
     rate = sum(run.messages_sent for run in runs) / wall_time
     return (
         _heading(scenario, seeds)
-        + f"captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval\n"
+        + f"{every}captured in {captured} of {len(runs)} runs; +- is half a 95 % t interval\n"
         + f"capture probability {captured / len(runs):.3f}, 95 % Wilson interval {low:.3f} to {high:.3f}\n"
         + aligned(rows)
         + f"\nwall time {wall_time:.3f} s, {rate:,.0f} messages/s"
@@ -88,6 +87,27 @@ def json_number(value: Any) -> Any:
     return None if isnan(value) else str(value).replace("inf", "Infinity")
 
 
+def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
+    """Yield whether the evader was captured; of several how many, and each by whom, in order of time."""
+    outcome = (
+        f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
+        if run.captured
+        else f"no, the pursuit ended after {run.end_time:.3f} s"
+    )
+    if run.captures is None:
+        yield "captured", outcome, ""
+        return
+    evaders = len(scenario.evaders)
+    end = f"the last after {run.end_time:.3f} s" if run.captured else outcome.removeprefix("no, ")
+    yield "captured", f"{run.captures} of {evaders}", end
+    times, by = run.capture_times or {}, run.capturers or {}
+    for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
+        found = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
+        yield f"  evader {evader}", found, ""
+    if evaders > SHOWN:
+        yield f"  and {evaders - SHOWN} more", "", ""
+
+
 def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
     """Yield what there is to tell of a run: name, value and unit, note."""
     for name, metric in METRICS.items():
@@ -95,7 +115,8 @@ def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
         if metric.note is None or value is None or (metric.silent_at_0 and not value):
             continue
         text = f"{value:,}" if isinstance(value, int) else f"{value:.3f} {metric.unit}".rstrip()
-        yield metric.label or words(name), text, metric.note(run) if callable(metric.note) else metric.note
+        note = metric.note if run.captures is None else metric.note_of_several or metric.note
+        yield metric.label or words(name), text, note(run) if callable(note) else note
 
 
 def _rows_of_batch(runs: Sequence[Summary]) -> Iterator[Sequence[str]]:
@@ -119,4 +140,7 @@ def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
 def _heading(scenario: Scenario, what: str) -> str:
     protocol = scenario.protocol
     kind = getattr(protocol, "kind", getattr(protocol, "__name__", type(protocol).__name__))
-    return f"{scenario.name}: {scenario.team.count} pursuers, {kind}, {what}\n"
+    players = f"{scenario.team.count} pursuers" + (
+        f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
+    )
+    return f"{scenario.name}: {players}, {kind}, {what}\n"

@@ -15,11 +15,11 @@ from math import nan
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.activity import chases
+from desim.analysis.activity import action, changes
 from desim.analysis.knowledge import Integers, Pieces, knowledge
 from desim.analysis.reading import ended, remembered, started
 from desim.kernel.clock import SECOND
-from desim.pursuit.events import Decided, Halted
+from desim.pursuit.events import Decided
 from desim.simulation import Result
 
 Floats = NDArray[np.float64]
@@ -87,37 +87,39 @@ def age_at_decision(result: Result) -> float:
 def belief_error(result: Result) -> float:
     """Return the share of ordered pairs of pursuers of which one has last heard what the other is not doing.
 
-    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At first everyone knows who is
-    active or, after a cold start, takes nobody for active. Whether silence is taken for inactivity
-    (`announce.forget_after`) plays no part: this is about word, and not what is made of it.
+    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At first everyone knows what all
+    do or, after a cold start, takes nobody for active. Whether silence is taken for inactivity
+    (`announce.forget_after`) plays no part: this is about word, and not what is made of it. So it is with several
+    evaders, where word of another evader than the one that is chased is wrong, as is word of one captured since.
 
     Raises:
         ValueError: if messages were sent and not recorded.
     """
     wrong, size, end = 0, len(started(result).active), ended(result).t
-    for active_by, about in zip(_active_times(result), _split(knowledge(result), "source", size), strict=True):
-        active = active_by(about["until"]) - active_by(about["begin"])
-        inactive = about["until"] - about["begin"] - active
-        wrong += int(np.where(about["active"], inactive, active).sum())
+    for doing, about in zip(_doings(result), _split(knowledge(result), "source", size), strict=True):
+        right = doing.time(about["active"], about["until"]) - doing.time(about["active"], about["begin"])
+        wrong += int((about["until"] - about["begin"] - right).sum())
     return wrong / (size * (size - 1) * end) if size > 1 and end else nan
 
 
 def believed_leaders(result: Result) -> float:
     """Return how many pursuers are active and have last heard of all others that they are not, averaged over time.
 
-    nan if no time passed; see `belief_error` for what is believed at first.
+    With several evaders: that they do not chase the same one. nan if no time passed; see `belief_error` for what is
+    believed at first.
 
     Raises:
         ValueError: if messages were sent and not recorded.
     """
     alone, size, end = 0, len(started(result).active), ended(result).t
-    for active_by, others in zip(_active_times(result), _split(knowledge(result), "reader", size), strict=True):
-        others = others[others["active"]]
-        times = np.concatenate([[0], others["begin"], others["until"], [end]])
-        changes = np.repeat([0, 1, -1, 0], [1, len(others), len(others), 1])
-        order = np.argsort(times, kind="stable")
-        nobody = np.cumsum(changes[order])[:-1] == 0
-        alone += int(np.diff(active_by(times[order]))[nobody].sum())
+    for doing, heard in zip(_doings(result), _split(knowledge(result), "reader", size), strict=True):
+        for evader in set(doing.did.tolist()) - {0}:
+            others = heard[heard["active"] == evader]
+            times = np.concatenate([[0], others["begin"], others["until"], [end]])
+            steps = np.repeat([0, 1, -1, 0], [1, len(others), len(others), 1])
+            order = np.argsort(times, kind="stable")
+            nobody = np.cumsum(steps[order])[:-1] == 0
+            alone += int(np.diff(doing.time(evader, times[order]))[nobody].sum())
     return alone / end if end else nan
 
 
@@ -129,27 +131,33 @@ def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
 
 
 @dataclass(frozen=True, slots=True)
-class _ActiveTime:
-    """How long a pursuer had been active by a time: `active_by(t)`, (k,) ns of (k,) ns."""
+class _Doing:
+    """What a pursuer did, and how long in all."""
 
-    changed: Integers
+    began: Integers
+    """(k,) when its actions began, ns; the first at 0."""
+    did: Integers
+    """(k,) which they were: the number of an evader, or 0."""
     total: Integers
-    active: NDArray[np.bool_]
+    """(M + 1, k) how long it had done each action by then, ns."""
 
-    def __call__(self, t: Integers) -> Integers:
-        k = np.searchsorted(self.changed, t, side="right") - 1
-        return self.total[k] + self.active[k] * (t - self.changed[k])
+    def time(self, action: int | Integers, t: Integers) -> Integers:
+        """Return how long it had done an action, one or (n,), by (n,) times, ns."""
+        k = np.searchsorted(self.began, t, side="right") - 1
+        found: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
+        return found
 
 
-def _active_times(result: Result) -> Iterator[_ActiveTime]:
-    """Yield for each pursuer how long it had been active by a time."""
-    actions = [[(0, active)] for active in started(result).active]
-    for event in result.trace:
-        if isinstance(event, Decided | Halted):
-            actions[event.pursuer].append((event.t, chases(event)))
+def _doings(result: Result) -> Iterator[_Doing]:
+    """Yield what each pursuer did."""
+    actions = [[(0, int(active))] for active in started(result).active]
+    for change in changes(result):
+        actions[change.pursuer].append((change.t, action(change)))
+    options = np.arange(len(started(result).evaders) + 1)[:, None]
     for own in actions:
-        changed, active = np.array([t for t, _ in own]), np.array([action for _, action in own])
-        yield _ActiveTime(changed, np.append(0, np.cumsum(np.diff(changed) * active[:-1])), active)
+        began, did = np.array(own, np.int64).T
+        spent = np.cumsum(np.diff(began) * (did[:-1] == options), axis=1)
+        yield _Doing(began, did, np.pad(spent, ((0, 0), (1, 0))))
 
 
 def _at_decisions(result: Result, heard: Pieces) -> tuple[Floats, Integers]:

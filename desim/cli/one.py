@@ -2,7 +2,6 @@
 
 import json
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +39,7 @@ def run(
 
     from desim import provenance
     from desim.analysis.folder import write, write_below
-    from desim.analysis.metrics import summary
+    from desim.analysis.metrics import plain, summary
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation import run as simulate
     from desim.study.batch import run_many, seeds_from
@@ -69,7 +68,7 @@ def run(
     except OSError as error:
         refuse(f"--out {error.filename}: cannot be written: {error.strerror}")
     if as_json:
-        table = json.dumps({"scenario": scenario.plain(), "runs": [asdict(each) for each in results]}, indent=2)
+        table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
     click.echo(table)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from desim.analysis.metrics import METRICS, words
+from desim.analysis.metrics import COMMON, METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.analysis.tables import aligned, as_json, json_number, with_half_width
 from desim.study.store import Row, Store, StoreError
@@ -148,14 +148,21 @@ class SweepResult:
         return rows
 
     @property
+    def _measured(self) -> tuple[str, ...]:
+        """The metrics that there are: those of several evaders only if some run had them."""
+        several = any(each is not None for group in self.groups for each in group.values("captures"))
+        return tuple(METRICS) if several else COMMON
+
+    @property
     def _columns(self) -> tuple[str, ...]:
-        return (*self.keys, "replication", "status", *METRICS, "error")
+        return (*self.keys, "replication", "status", *self._measured, "error")
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield each run as a flat record: settings, replication, seed, status, metrics, and what it raised."""
+        measured = self._measured
         for group in self.groups:
             for row in group.rows:
-                numbers = dict.fromkeys(METRICS) if row.summary is None else _numbers(row)
+                numbers = dict.fromkeys(measured) if row.summary is None else _numbers(row, measured)
                 yield {
                     **group.settings,
                     "replication": row.replication,
@@ -219,8 +226,8 @@ class SweepResult:
             raise ValueError(f"{file}: should end in .csv or .parquet")
 
 
-def _numbers(row: Row) -> dict[str, Any]:
-    numbers = {name: getattr(row.summary, name) for name in METRICS}
+def _numbers(row: Row, measured: Sequence[str]) -> dict[str, Any]:
+    numbers = {name: getattr(row.summary, name) for name in measured}
     return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in numbers.items()}
 
 

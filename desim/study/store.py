@@ -7,13 +7,13 @@ seed, so that a run that is there is not done again. `SELECT * FROM results` has
 import json
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, ParamSpec, Self, TypeVar
 
-from desim.analysis.metrics import METRICS, Summary
+from desim.analysis.metrics import COMMON, Summary, plain
 from desim.study.cells import Cell
 
 Status = Literal["ok", "error", "crashed"]
@@ -35,7 +35,7 @@ CREATE TABLE IF NOT EXISTS runs (
     PRIMARY KEY (configuration, replication, root_seed)
 );
 CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, runs.seed AS seed, status, traceback,
-    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in METRICS if name != "seed")}
+    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in COMMON if name != "seed")}
     FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
 """
 """Seeds are texts, for they may have more than 64 bits."""
@@ -113,7 +113,7 @@ class Store:
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
         self._database = sqlite3.connect(path or ":memory:", timeout=30.0)
-        about = {"format": FORMAT, "metrics": json.dumps(list(METRICS))}
+        about = {"format": FORMAT, "metrics": json.dumps(COMMON)}
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not tables:
             self._database.execute("PRAGMA journal_mode = WAL")
@@ -167,7 +167,7 @@ class Store:
     @_told
     def add(self, key: str, root: int, row: Row) -> None:
         """Write down a run of a configuration and a root seed, instead of one that failed."""
-        numbers = None if row.summary is None else json.dumps(asdict(row.summary))
+        numbers = None if row.summary is None else json.dumps(plain(row.summary))
         values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
         with self._database:
             self._database.execute(

@@ -2,14 +2,14 @@
 
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from desim import provenance
 from desim.analysis.folder import can_plot, read, write, write_below
-from desim.analysis.metrics import summary
+from desim.analysis.metrics import plain, summary
+from desim.pursuit.events import Captured
 from desim.scenario import Recording, Scenario, Team
 from desim.scenario_file import dump, load
 from desim.simulation import run
@@ -35,7 +35,7 @@ def test_a_folder_is_made_with_all_above_it_and_the_numbers_are_returned(result,
 
 def test_the_numbers_in_the_folder_are_those_of_the_summary(result, tmp_path):
     write(result, tmp_path)
-    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == asdict(summary(result))
+    assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8")) == plain(summary(result))
 
 
 def test_the_trace_in_the_folder_is_that_of_the_run(result, tmp_path):
@@ -101,17 +101,19 @@ def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
 FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring", "server", "reckoning")
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_run_that_was_written_is_read_again(name, tmp_path):
+@pytest.mark.parametrize(("name", "evaders"), [*((name, 1) for name in FILES), ("relay", 3), ("reckoning", 3)])
+def test_a_run_that_was_written_is_read_again(name, evaders, tmp_path):
     """The same events, and the same numbers from them: beliefs too, which come from what was relayed."""
     file = Path(__file__).parents[2] / "scenarios" / f"{name}.toml"
-    result = run(load(file, ["horizon=1.5", "record.messages=true"]), seed=8)
+    pack = [f"evader.count={evaders}", "evader.box=[1, 19]", "team.speeds=4.0"] if evaders > 1 else []
+    result = run(load(file, ["horizon=1.5", "record.messages=true", *pack]), seed=8)
+    assert bool(result.trace.of(Captured)) == (evaders > 1)
     numbers = write(result, tmp_path)
     again = read(tmp_path)
     assert again.seed == 8
     assert again.trace.events == result.trace.events
     assert [type(event) for event in again.trace] == [type(event) for event in result.trace]
-    assert json.dumps(asdict(summary(again))) == json.dumps(asdict(numbers))
+    assert json.dumps(plain(summary(again))) == json.dumps(plain(numbers))
     assert dump(again.scenario) == (tmp_path / "scenario.toml").read_text()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from desim.analysis.metrics import Summary
 from desim.analysis.tables import aligned, batch_table, number, run_table
-from desim.scenario import Scenario, Team
+from desim.scenario import Evader, Scenario, Team
 
 SCENARIO = Scenario(name="relay", team=Team(count=3))
 CAUGHT = Summary(
@@ -219,6 +219,66 @@ def test_runs_without_a_capture_have_no_time_of_it():
     table = batch_table(SCENARIO, [ESCAPED, ESCAPED], wall_time=1.0)
     assert "captured in 0 of 2 runs" in table
     assert "capture time" not in table
+
+
+PACK = SCENARIO.model_copy(update={"evader": (Evader(), Evader(count=2))})
+TAKEN = replace(
+    SEEN,
+    captures=3,
+    mean_capture_time=2.5,
+    capture_times={"3": 1.5, "1": 2.0545, "2": 3.9454},
+    capturers={"3": 0, "1": 0, "2": 2},
+)
+
+
+def test_the_table_of_a_run_with_several_evaders_tells_who_captured_which_when_in_order():
+    assert run_table(PACK, TAKEN, wall_time=0.05).splitlines()[:12] == [
+        "relay: 3 pursuers, 3 evaders, sap, seed 7",
+        "captured          3 of 3                      the last after 3.945 s",
+        "  evader 3        after 1.500 s by pursuer 0",
+        "  evader 1        after 2.054 s by pursuer 0",
+        "  evader 2        after 3.945 s by pursuer 2",
+        "active time       12.739 s                    summed over the pursuers",
+        "idle time         0.000 s                     nobody on an evader, summed over those at large",
+        "crowded time      1.230 s                     more than one on an evader, summed over these",
+        "misassigned time  1.500 s                     not the best pursuer alone on each evader",
+        "time to relay     1.250 s                     until just the best on each evader were, for a while",
+        "potential gap     40.500 s^2                  below the greatest potential, over time",
+        "regret            -0.125 s                    against each one's best fixed action, averaged",
+    ]
+
+
+def test_the_table_of_a_run_names_the_evaders_that_were_not_captured():
+    run = replace(ESCAPED, captures=1, mean_capture_time=1.5, capture_times={"3": 1.5}, capturers={"3": 0})
+    assert run_table(PACK, run, wall_time=0.05).splitlines()[1:5] == [
+        "captured       1 of 3                      the pursuit ended after 30.000 s",
+        "  evader 3     after 1.500 s by pursuer 0",
+        "  evader 1     no",
+        "  evader 2     no",
+    ]
+    run = replace(run, captures=0, mean_capture_time=None, capture_times={}, capturers={})
+    assert run_table(PACK, run, wall_time=0.05).splitlines()[1].startswith("captured       0 of 3")
+
+
+def test_the_table_of_a_run_with_many_evaders_names_the_first_of_them():
+    many = SCENARIO.model_copy(update={"evader": Evader(count=30)})
+    lines = run_table(many, TAKEN, wall_time=0.05).splitlines()
+    assert [line.strip() for line in lines[12:15]] == ["evader 11       no", "evader 12       no", "and 18 more"]
+    assert lines[15].startswith("active time")
+
+
+def test_the_table_of_several_runs_with_several_evaders_counts_what_was_captured():
+    """Of 3 and 1: mean 2, s.e. 1, and t(1, 0.975) = 12.706."""
+    runs = [TAKEN, replace(ESCAPED, captures=1, mean_capture_time=1.5, capture_times={"3": 1.5}, capturers={"3": 0})]
+    lines = batch_table(PACK, runs, wall_time=1.0).splitlines()
+    assert lines[:2] == [
+        "relay: 3 pursuers, 3 evaders, sap, seeds 7 to 8",
+        "all captured in 1 of 2 runs; +- is half a 95 % t interval",
+    ]
+    cells = {line[:22].strip(): line[22:].split() for line in lines[3:-1]}
+    assert list(cells)[1:4] == ["capture time, s", "captures", "mean capture time, s"]
+    assert cells["captures"] == ["2.000", "12.706", "1.000", "3.000", "2"]
+    assert cells["mean capture time, s"] == ["2.000", "6.353", "1.500", "2.500", "2"]
 
 
 def test_a_protocol_of_ones_own_is_called_by_its_name():

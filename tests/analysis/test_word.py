@@ -32,7 +32,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.kernel.records import Record
-from desim.pursuit.events import Decided, Ended, Halted, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.word import Announcements, Assignment, Relayed
 from desim.scenario import Motion, Recording, Scenario, Team
 from desim.simulation import Result, run
@@ -49,11 +49,11 @@ def ns(time):
     return LOST if time is None else round(time * SECOND)
 
 
-def by_hand(profile, end, *events, warm=True, fault=(), sent=1):
+def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
     """Return a result with this start, these events and this end, s."""
     trace, places = Trace(), tuple((float(i), 0.0) for i in range(len(profile)))
     tally = Tally(ns(end), sent, 0, 0, 0, {}, 0, 0, 0.0)
-    start = Started(0, (9.0, 0.0), places, (1.0,) * len(profile), profile)
+    start = Started(0, (9.0, 0.0), places, (1.0,) * len(profile), profile, ((9.0, 9.0),) * (evaders - 1))
     trace.events += [start, *events, tally, Ended(ns(end), "horizon", None)]
     return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
 
@@ -287,6 +287,21 @@ def test_after_a_cold_start_all_who_are_active_believe_that_they_lead():
     assert believed_leaders(by_hand((True, True, False), 4.0, sent=0)) == 0.0
 
 
+def test_word_of_another_evader_than_the_one_that_is_chased_is_wrong():
+    """0 goes from evader 1 to 2 at 1 s, and 1 hears of it at 2 s; 2 is captured at 3 s: wrong for 1 + 1 of 2 x 4 s."""
+    news = decided(1.0, 0, 2), told(0, 1, 1.0, {1: 2.0}, Assignment(2))
+    assert belief_error(by_hand((1, 0), 4.0, *news, evaders=2)) == 0.125
+    assert belief_error(by_hand((1, 0), 4.0, *news, Captured(ns(3.0), 2, 0), evaders=2)) == 0.25
+    assert belief_error(by_hand((1, 0), 4.0, *news, Captured(ns(3.0), 1, 0), evaders=2)) == 0.125
+
+
+def test_leaders_have_heard_of_nobody_else_on_the_same_evader():
+    """All know who chases what: 0 evader 1, 1 and 2 evader 2. Then 2 goes to evader 1; only 1 hears of it, at 2 s."""
+    assert believed_leaders(by_hand((1, 2, 2), 4.0, evaders=2, sent=0)) == 1.0
+    news = decided(1.0, 2, 1), told(2, 1, 1.0, {1: 2.0}, Assignment(1))
+    assert believed_leaders(by_hand((1, 2, 2), 4.0, *news, evaders=2)) == 1.0 + 2.0 / 4
+
+
 # What there is to measure.
 
 
@@ -322,20 +337,23 @@ TICK = SECOND // 8
 
 @st.composite
 def histories(draw):
-    """Draw a run of up to four pursuers on a grid of 1/8 s: words, relays, losses, decisions, breakdowns."""
-    size = draw(st.integers(1, 4))
+    """Draw a run of up to four pursuers and three evaders on a grid of 1/8 s: words, relays, decisions, captures ..."""
+    size, evaders = draw(st.integers(1, 4)), draw(st.integers(1, 3))
+    large, actions = set(range(1, evaders + 1)), st.integers(0, evaders)
     nodes, ticks, truths = st.integers(0, size - 1), st.integers(0, 40), st.booleans()
     events, seqs, created = [], defaultdict(int), {}
     for flight, tick in enumerate(sorted(draw(st.lists(ticks, max_size=25)))):
         t, node = tick * TICK, draw(nodes)
-        kind = draw(st.sampled_from(["word", "word", "relay", "gossip", "decided", "decided", "halted", "forgets"]))
+        kind = draw(
+            st.sampled_from(["word", "word", "relay", "gossip", "decided", "decided", "halted", "forgets", "captured"])
+        )
         others = tuple(i for i in range(size) if i != node)
         arrival = tuple(LOST if draw(truths) and draw(truths) else t + draw(st.integers(0, 12)) * TICK for _ in others)
         known = [draw(st.sampled_from(sorted(created))) for _ in range(draw(st.integers(0, 3)))] if created else []
         passed_on = Relayed(tuple(Record(*which, *created[which]) for which in known))
         if kind == "word":
             seqs[node] += 1
-            body = draw(st.sampled_from([ACTIVE, INACTIVE, None]))
+            body = draw(st.one_of(st.none(), actions.map(Assignment)))
             created[node, seqs[node]] = (t, body)
             events.append(Broadcast(t, flight, node, seqs[node], others, arrival, t, 24, body))
         elif kind == "relay" and others:
@@ -343,14 +361,17 @@ def histories(draw):
         elif kind == "gossip":
             events.append(Broadcast(t, flight, node, 1, others, arrival, t, 24, passed_on))
         elif kind == "decided":
-            events.append(Decided(t, node, draw(truths)))
+            events.append(Decided(t, node, draw(st.sampled_from([0, *large]))))
         elif kind == "halted":
             events.append(Halted(t, node))
         elif kind == "forgets":
             events.append(Over(t, Crash(at=0.0, until=1.0, node=node, memory=False)))
+        elif kind == "captured" and len(large) > 1:
+            events.append(Captured(t, large.pop(), node))
         if others and draw(truths):
             events.append(Lost(t, flight, node, others[-1], "reach"))
-    return by_hand(tuple(draw(truths) for _ in range(size)), 5.0, *events, warm=draw(truths), sent=0)
+    profile = tuple(draw(actions) for _ in range(size))
+    return by_hand(profile, 5.0, *events, warm=draw(truths), sent=0, evaders=evaders)
 
 
 def simulated(result):
@@ -363,6 +384,8 @@ def simulated(result):
             happenings.append((event.t, -1, event.fault.node, None))
         if isinstance(event, Decided | Halted):
             happenings.append((event.t, place, event.pursuer, event))
+        if isinstance(event, Captured):
+            happenings.append((event.t, place, None, event))
         if isinstance(event, Broadcast | Sent):
             to = [event.dst] if isinstance(event, Sent) else event.dst
             when = [event.arrival] if isinstance(event, Sent) else event.arrival
@@ -391,6 +414,8 @@ def simulated(result):
                     newest[node][what.src] = what
                     if what.body is not None:
                         believed[node][what.src] = what.body.active
+            elif isinstance(what, Captured):
+                active = [0 if each == what.evader else each for each in active]
             else:
                 active[node] = isinstance(what, Decided) and what.active
                 if isinstance(what, Decided):
@@ -402,8 +427,8 @@ def simulated(result):
                     areas[reader, source].append(t + TICK / 2 - record.sent)
             pairs = [(i, j) for i in range(size) for j in range(size) if i != j]
             wrong.append(np.mean([believed[i][j] != active[j] for i, j in pairs]) if pairs else nan)
-            alone = [active[i] and not any(believed[i][j] for j in range(size) if j != i) for i in range(size)]
-            leaders.append(sum(alone))
+            alone = [active[i] and all(believed[i][j] != active[i] for j in range(size) if j != i) for i in range(size)]
+            leaders.append(sum(map(bool, alone)))
     tables = []
     for values in (areas, peaks, found):
         table = np.full((size, size), nan)
@@ -532,7 +557,7 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
             now = mine[since & still]
             page = next(pages)
             assert now["source"].tolist() == [j for j in range(6) if j != event.pursuer]
-            assert {j for j, (_, active) in page.items() if active} == set(now["source"][now["active"]].tolist())
+            assert {j for j, (_, active) in page.items() if active} == set(now["source"][now["active"] > 0].tolist())
             heard = {row["source"]: row["created"] for row in now if not row["presumed"]}
             assert {j: page[j][0] for j in heard} == heard
             assert warm or set(page) == set(heard)

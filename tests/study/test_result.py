@@ -10,7 +10,7 @@ from math import inf, nan
 
 import pytest
 
-from desim.analysis.metrics import METRICS, summary
+from desim.analysis.metrics import COMMON, METRICS, summary
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.scenario import Scenario, Team
 from desim.simulation import run
@@ -251,7 +251,7 @@ def test_a_record_is_a_run():
         "replication",
         "status",
         "seed",
-        *(name for name in METRICS if name != "seed"),
+        *(name for name in COMMON if name != "seed"),
         "error",
     ]
     assert {tuple(each) for each in records} == {tuple(records[0])}
@@ -261,6 +261,31 @@ def test_a_record_is_a_run():
     ]
     assert records[1]["active_time"] is None
     assert json.loads(records[0]["messages_lost_by"]) == RUN.messages_lost_by
+
+
+PACK = {"captures": 2, "mean_capture_time": 1.5, "capture_times": {"2": 1.0, "1": 2.0}, "capturers": {"2": 0, "1": 0}}
+
+
+def test_records_tell_what_was_captured_of_several_evaders_if_some_run_had_them(tmp_path):
+    some = SweepResult("some", ("x",), (group({"x": 1}, ok(0), failed(1)), group({"x": 2}, ok(0, **PACK), ok(1))))
+    records = list(some.records())
+    assert {tuple(each) for each in records} == {("x", "replication", "status", *METRICS, "error")}
+    assert [each["captures"] for each in records] == [None, None, 2, None]
+    assert json.loads(records[2]["capture_times"]) == PACK["capture_times"]
+    some.write(tmp_path / "x.csv")
+    with (tmp_path / "x.csv").open(newline="") as file:
+        assert [row["mean_capture_time"] for row in csv.DictReader(file)] == ["", "", "1.5", ""]
+    assert some.to_frame()["captures"].dtype.name == "Int64"
+
+
+def test_a_store_keeps_what_was_captured_of_several_evaders_and_nothing_of_it_where_there_was_one(tmp_path):
+    with Store(tmp_path / "x.sqlite") as store:
+        for row in (ok(0), ok(1, **PACK)):
+            store.add("key", 0, row)
+        assert store.runs("key", 0) == [ok(0), ok(1, **PACK)]
+        ((one,), (two,)) = store._database.execute("SELECT summary FROM runs ORDER BY replication")
+    assert tuple(json.loads(one)) == COMMON
+    assert tuple(json.loads(two)) == tuple(METRICS)
 
 
 def test_a_frame_has_the_types_of_what_is_measured():
