@@ -60,6 +60,7 @@ class World:
         ]
         self._at_large = list(self._targets)
         self._free: Sequence[int] = range(1, len(self._targets) + 1)
+        self._options: dict[int, list[int]] = {}
         self._lone = len(self._targets) == 1
         self._prune = scenario.prune
         self._sampling = scenario.record.trajectory
@@ -138,6 +139,15 @@ class World:
         if self._prune == "infeasible":
             return (view or self).capture_times(evader)[pursuer] < self.time_left(self._env.now)
         return self._prune == "none" or not target.slow[pursuer]
+
+    def options(self, pursuer: int) -> Sequence[int]:
+        """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
+        known = self._options.get(pursuer)
+        if known is None:
+            known = [0, *(evader for evader in self._free if self.may_chase(pursuer, evader))]
+            if self._prune != "infeasible":  # they change with captures only
+                self._options[pursuer] = known
+        return known
 
     def _may(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer has the choice to chase an evader, as far as it knows."""
@@ -412,6 +422,7 @@ class World:
         target.captured = self._env.now
         self._at_large.remove(target)
         self._free = [each.number for each in self._at_large]
+        self._options.clear()
         velocities = self._velocities.copy()
         velocities[self.size + target.number - 1] = 0.0
         velocities[: self.size][self._actions == target.number] = 0.0

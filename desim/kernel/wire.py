@@ -20,6 +20,7 @@ HEADER = 16
 NUMBER = 8
 """Bytes of a number."""
 SCALARS = frozenset({int, float, bool})
+COLLECTIONS = (tuple, list, set, frozenset)
 
 
 def size_of(body: Any) -> int:
@@ -30,16 +31,16 @@ def size_of(body: Any) -> int:
 def _size(body: Any) -> int:
     if type(body) in SCALARS:
         return NUMBER
+    if isinstance(body, Record):
+        return size_of(body.body)
+    if isinstance(body, COLLECTIONS):
+        return sum(map(_size, body))
     if body is None:
         return 0
     if isinstance(body, str | bytes):
         return len(body.encode() if isinstance(body, str) else body)
-    if isinstance(body, Record):
-        return size_of(body.body)
     if isinstance(body, dict):
         return sum(_size(key) + _size(each) for key, each in body.items())
-    if isinstance(body, tuple | list | set | frozenset):
-        return sum(map(_size, body))
     if isinstance(body, np.ndarray):
         return NUMBER * body.size
     return 2 * NUMBER if isinstance(body, complex) else NUMBER

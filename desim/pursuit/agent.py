@@ -121,15 +121,13 @@ class Agent:
         """Return the evaders that have not been captured."""
         return self._world.evaders()
 
-    def options(self) -> list[int]:
+    def options(self) -> Sequence[int]:
         """Return the actions that it may choose: 0, and each evader that it may chase (`Scenario.prune`)."""
-        may, me = self._world.may_chase, self.id
-        return [0, *[evader for evader in self._world.evaders() if may(me, evader)]]
+        return self._world.options(self.id)
 
     def may_choose(self) -> bool:
         """Return whether it has a choice at all."""
-        may, me = self._world.may_chase, self.id
-        return any([may(me, evader) for evader in self._world.evaders()])
+        return len(self._world.options(self.id)) > 1
 
     @property
     def evader_count(self) -> int:

@@ -248,6 +248,10 @@ class Sight:
         """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""
         return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
 
+    def options(self, pursuer: int) -> list[int]:
+        """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
+        return [0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader))]
+
     def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
 

@@ -39,6 +39,10 @@ class Surroundings(Protocol):
         """Return whether a pursuer has the choice to chase an evader."""
         ...
 
+    def options(self, pursuer: int) -> Sequence[int]:
+        """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
+        ...
+
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
         ...
