@@ -13,18 +13,19 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
-from desim.analysis.reading import ended
+from desim.analysis.reading import captures, ended, started
 from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.events import Broadcast, Sent
 from desim.simulation import Result
 from desim.view.passages import passages
-from desim.view.pursuit import Paths, stints
+from desim.view.pursuit import HUES, Look, Paths, stints
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -38,6 +39,10 @@ MOST = 1500
 HOLD = 1500
 """How long the last frame stays, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
+PALE = 0.4
+"""What is left of the hue of an evader in who chases it beside others, if there are several evaders."""
+FEW = 6
+"""Up to so many evaders are in the legend."""
 SHORT = 0.02
 """How far before its receiver the cross of a lost message stands, in widths of the picture."""
 SHADES = 10
@@ -95,7 +100,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
     for artist in stage.moving:  # it has had its share of the layout
         artist.set_animated(True)
     canvas.draw()
-    background, palette = canvas.copy_from_bbox(figure.bbox), _palette()
+    background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
     found: list[Image.Image] = []
     before = -1
     for t in tqdm(times, desc="frames", unit="frame", disable=None):
@@ -108,13 +113,49 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
     return found
 
 
-def _palette() -> Image.Image:
+def _colours(result: Result) -> tuple[str, ...]:
+    several = len(started(result).evaders) > 1
+    return tuple(dict.fromkeys((*COLOURS, *HUES))) if several else COLOURS
+
+
+def _palette(of: Sequence[str]) -> Image.Image:
     """Return an image that has the palette of all frames."""
-    colours = [1.0 + (np.array(to_rgb(each)) - 1.0) * k / SHADES for each in COLOURS for k in range(1, SHADES + 1)]
+    colours = [_shade(each, k / SHADES) for each in of for k in range(1, SHADES + 1)]
     levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
     found = Image.new("P", (1, 1))
     found.putpalette(levels.ravel().tolist())
     return found
+
+
+def _shade(colour: str, share: float) -> Floats:
+    """Return a colour of which a share is left, the rest white."""
+    found: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
+    return found
+
+
+class _Quarry:
+    """What moves about an evader: itself, and who chases it.
+
+    Args:
+        axes: to draw on.
+        evader: 1 .. M
+        count: M
+    """
+
+    def __init__(self, axes: Axes, evader: int, count: int):
+        look, lone = Look.of(evader, count), count == 1
+        pale = look.beside if lone else to_hex(tuple(_shade(look.beside, PALE).tolist()))
+        name = "evader" if lone else f"evader {evader}"
+        mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
+        (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
+        (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
+        (self.evaded,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
+        (self.beside,) = axes.plot([], [], "o", mfc=pale, mec=look.alone, ms=6, label="active with others")
+        (self.alone,) = axes.plot([], [], "o", mfc=look.alone, mec=look.alone, ms=9, label="active alone")
+        (self.evader,) = axes.plot([], [], look.mark, color=VERMILION, label=name, **mark)
+        (self.star,) = axes.plot([], [], "*", color="black", ms=14, mew=0)
+        offset: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
+        self.number = axes.annotate("" if lone else str(evader), (0, 0), color=VERMILION, weight="bold", **offset)
 
 
 class _Stage:
@@ -122,30 +163,46 @@ class _Stage:
 
     def __init__(self, figure: Figure, result: Result):
         self._result, self._paths, self._stints = result, Paths(result), stints(result)
+        self._captured = {each.evader: each for each in captures(result)}
         axes = figure.add_subplot()
         self._set(axes)
         left, right = axes.get_xlim()
         self._flown = _flights(result, self._paths, SHORT * (right - left))
-        (self._trails,) = axes.plot([], [], color=SKY, lw=1.0, solid_capstyle="butt")
-        (self._relay,) = axes.plot([], [], color=BLUE, lw=2.5, solid_capstyle="butt")
-        (self._evaded,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
+        count = self._paths.count
+        self._quarries = [_Quarry(axes, evader, count) for evader in range(1, count + 1)]
         (self._dots,) = axes.plot([], [], "o", color=ORANGE, ms=2.5, mew=0, label="message")
         (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
         (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
-        (self._beside,) = axes.plot([], [], "o", mfc=SKY, mec=BLUE, ms=6, label="active with others")
-        (self._alone,) = axes.plot([], [], "o", mfc=BLUE, mec=BLUE, ms=9, label="active alone")
-        (self._evader,) = axes.plot([], [], "s", color=VERMILION, ms=6, label="evader")
-        (self._star,) = axes.plot([], [], "*", color="black", ms=14, mew=0)
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, self._beside, self._alone, self._evader]
+        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:FEW])]
         shown += [self._dots] if len(self._flown.left) else []
         shown += [self._crosses] if self._flown.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
-        self.moving: list[Artist] = [self._trails, self._relay, self._evaded, self._inactive, self._beside]
-        self.moving += [self._alone, self._dots, self._crosses, self._evader, self._star, self._caption]
+        self.moving = self._in_order()
+
+    def _chasers(self) -> list[Line2D]:
+        """Return what the legend shows of who chases; where each evader has a hue, in none of them."""
+        first = self._quarries[0]
+        if len(self._quarries) == 1:
+            return [first.beside, first.alone]
+        greys = {first.beside: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
+        return [
+            Line2D([], [], marker="o", ls="", mfc=grey, mec=GREY, ms=each.get_markersize(), label=str(each.get_label()))
+            for each, grey in greys.items()
+        ]
+
+    def _in_order(self) -> list[Artist]:
+        """Return what moves in the order of drawing."""
+
+        def of_each(*names: str) -> list[Artist]:
+            return [getattr(each, name) for name in names for each in self._quarries]
+
+        found = [*of_each("trails", "relay", "evaded"), self._inactive, *of_each("beside", "alone")]
+        found += [self._dots, self._crosses, *of_each("evader", "star", "number"), self._caption]
+        return found
 
     def _set(self, axes: Axes) -> None:
-        everywhere = np.concatenate([self._paths.evader, self._paths.pursuers.reshape(-1, 2)])
+        everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
         low, high = everywhere.min(axis=0), everywhere.max(axis=0)
         margin = 0.05 * float((high - low).max()) or 1.0
         axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -153,27 +210,53 @@ class _Stage:
 
     def at(self, t: int, before: int) -> list[Artist]:
         """Return what moves as it is at a time, the frame before being of another (ns), in the order of drawing."""
-        paths, size = self._paths, self._paths.pursuers.shape[1]
-        begun = [each for each in self._stints if each.begin <= t]
-        for line, alone in ((self._trails, False), (self._relay, True)):
-            line.set_data(_joined([paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]))
-        self._evaded.set_data(paths.of(None, 0, t).T)
-        active = {s.pursuer for s in begun if t < s.end or t == s.end == ended(self._result).t}
-        places = np.array([paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
-        role = np.array([(1 if len(active) > 1 else 2) if pursuer in active else 0 for pursuer in range(size)])
-        for kind, line in enumerate((self._inactive, self._beside, self._alone)):
-            line.set_data(places[role == kind].T)
+        chases = self._chases(t)
+        size = self._paths.pursuers.shape[1]
+        places = np.array([self._paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
+        for evader, quarry in enumerate(self._quarries, start=1):
+            self._set_quarry(evader, quarry, t, places[[i for i in range(size) if chases.get(i) == evader]])
+        self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
         self._dots.set_data(self._flown.under_way(t).T)
         self._crosses.set_data(self._flown.lost_between(before, t).T)
-        here = paths.at(None, np.array([t])).T
-        end = ended(self._result)
-        is_over = t >= end.t and end.reason == "captured"
-        self._evader.set_data(here)
-        self._star.set_data(here if is_over else ([], []))
-        who = f"pursuer {min(active)} alone" if len(active) == 1 else f"{len(active)} active"
-        told = f"captured by {end.capturer}" if is_over else who
-        self._caption.set_text(f"{seconds(t):.2f} s: {told}")
+        self._caption.set_text(f"{seconds(t):.2f} s: {self._told(t, chases)}")
         return self.moving
+
+    def _chases(self, t: int) -> dict[int, int]:
+        """Return which evader each active pursuer chases at a time; as the run ends, those who did until then."""
+        lone, end = self._paths.count == 1, ended(self._result).t
+        return {
+            each.pursuer: each.evader
+            for each in self._stints
+            if each.begin <= t
+            and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
+        }
+
+    def _set_quarry(self, evader: int, quarry: _Quarry, t: int, chasers: Floats) -> None:
+        begun = [each for each in self._stints if each.begin <= t and each.evader == evader]
+        for line, alone in ((quarry.trails, False), (quarry.relay, True)):
+            own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
+            line.set_data(_joined(own))
+        past = self._paths.of_evader(evader, 0, t)
+        quarry.evaded.set_data(past.T)
+        quarry.beside.set_data(chasers.T if len(chasers) > 1 else ([], []))
+        quarry.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
+        quarry.evader.set_data(past[-1:].T)
+        quarry.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))
+        quarry.number.xy = tuple(past[-1].tolist())
+
+    def _is_captured(self, evader: int, t: int) -> bool:
+        return evader in self._captured and self._captured[evader].t <= t
+
+    def _told(self, t: int, chases: dict[int, int]) -> str:
+        """Return what a caption says beside the time."""
+        count, by = self._paths.count, ended(self._result).capturer
+        captured = sum(self._is_captured(evader, t) for evader in self._captured)
+        if count > 1:
+            last = f", the last by {by}" if captured == count else f", {len(chases)} active"
+            return f"captured {captured} of {count}{last}"
+        if captured:
+            return f"captured by {by}"
+        return f"pursuer {min(chases)} alone" if len(chases) == 1 else f"{len(chases)} active"
 
 
 def _joined(paths: Sequence[Floats]) -> Floats:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from desim.analysis.plots import Axes
 
@@ -25,8 +26,10 @@ def label_points(
     avoid: Sequence[Place] = (),
     size: float = 6.0,
     **look: Any,
-) -> None:
+) -> list[Text]:
     """Write a short name beside each place, where it covers least: no place, no other name, no edge of the axes.
+
+    Returns the texts.
 
     Args:
         axes: to write on; with their final limits, and on a figure that is laid out (`draw_without_rendering`).
@@ -41,6 +44,7 @@ def label_points(
     everything = axes.transData.transform(np.array([*places, *avoid], dtype=float)) * points
     taken = [np.concatenate([each - MARKER, each + MARKER]) for each in everything]  # left, bottom, right, top
     frame = np.array(axes.bbox.extents) * points
+    texts: list[Text] = []
     for name, place, anchor in zip(names, places, everything, strict=False):
         boxes = _beside(anchor, WIDTH * size * len(name), HEIGHT * size)
         costs = [sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
@@ -49,6 +53,8 @@ def label_points(
         x, y = (best[:2] - anchor).tolist()
         text = axes.annotate(name, place, (x, y), textcoords="offset points", fontsize=size, **look)
         text.set_in_layout(False)
+        texts.append(text)
+    return texts
 
 
 def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:

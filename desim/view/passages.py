@@ -9,7 +9,7 @@ arrives ends on the line of its receiver.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from desim.analysis.activity import changes, chases
+from desim.analysis.activity import action, moves, relays
 from desim.analysis.reading import ended, messages, started
 from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
 from desim.kernel.faults import Began, Fault, Over
@@ -72,10 +72,10 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Passage]:
         yield Passage(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
 
 
-def news(body: Any) -> bool | None:
-    """Return what a message says of its sender's action: active, inactive, or None if nothing."""
+def news(body: Any) -> int | None:
+    """Return what a message says that its sender does: which evader it chases, or 0; None if nothing."""
     said = getattr(body, "active", None)
-    return said if isinstance(said, bool) else None
+    return int(said) if isinstance(said, int) else None
 
 
 class Spell(NamedTuple):
@@ -85,20 +85,44 @@ class Spell(NamedTuple):
     end: int
 
 
-def chasing(result: Result) -> list[list[Spell]]:
-    """Return when each pursuer was active, in order of time."""
-    start, end = started(result), ended(result).t
-    since: list[int | None] = [0 if active else None for active in start.active]
-    found: list[list[Spell]] = [[] for _ in start.active]
-    for change in changes(result):
-        begin = since[change.pursuer]
-        since[change.pursuer] = change.t if chases(change) else None
-        if begin is not None:
-            found[change.pursuer].append(Spell(begin, change.t))
-    for pursuer, begin in enumerate(since):
-        if begin is not None:
-            found[pursuer].append(Spell(begin, end))
+class Chase(NamedTuple):
+    """A time for which somebody chased an evader, ns."""
+
+    begin: int
+    end: int
+    evader: int
+    """1 .. M"""
+
+
+def chasing(result: Result) -> list[list[Chase]]:
+    """Return when each pursuer chased which evader, in order of time."""
+    actions, end = list(map(int, started(result).active)), ended(result).t
+    since = [0] * len(actions)
+    found: list[list[Chase]] = [[] for _ in actions]
+    for change, before in moves(result):
+        if before:
+            found[change.pursuer].append(Chase(since[change.pursuer], change.t, before))
+        actions[change.pursuer], since[change.pursuer] = action(change), change.t
+    for own, begin, chased in zip(found, since, actions, strict=True):
+        if chased:
+            own.append(Chase(begin, end, chased))
     return found
+
+
+class Takeover(NamedTuple):
+    """Somebody came to be the only one that chases an evader, and was not the last that was so."""
+
+    t: int
+    """ns"""
+    pursuer: int
+    evader: int
+    """1 .. M"""
+
+
+def takeovers(result: Result) -> list[Takeover]:
+    """Return who came to chase an evader alone, in order of time; each but the first of an evader is a hand-over."""
+    count = len(started(result).evaders)
+    return sorted(Takeover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
 
 def outages(result: Result) -> list[tuple[Fault, Spell]]:

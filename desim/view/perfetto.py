@@ -10,18 +10,19 @@ The pursuers are the threads of one process; each receiver is a process, whose t
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import inf, isfinite, nextafter
 from pathlib import Path
 from typing import Any
 
-from desim.analysis.activity import changes, chases, decisions, relays
-from desim.analysis.reading import ended, started
+from desim.analysis.activity import action, changes, chases, decisions, moves
+from desim.analysis.reading import ended, has_several, started
 from desim.kernel.clock import SECOND
 from desim.kernel.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash
+from desim.pursuit.events import Captured
 from desim.simulation import Result
-from desim.view.passages import chasing, outages, passages
+from desim.view.passages import chasing, outages, passages, takeovers
 
 PURSUERS = 1
 """The process whose threads are the pursuers."""
@@ -72,9 +73,11 @@ def _names(size: int, told: bool) -> Iterator[Entry]:
 
 def _slices(result: Result) -> Iterator[Entry]:
     """Yield what lasts: chases, and what is broken."""
-    for pursuer, spells in enumerate(chasing(result)):
-        for begin, end in spells:
-            yield _entry("X", "active", FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
+    several = has_several(result)
+    for pursuer, own in enumerate(chasing(result)):
+        for begin, end, evader in own:
+            name = f"chases {evader}" if several else "active"
+            yield _entry("X", name, FIRST + pursuer, begin, cat="chase", dur=_microseconds(end - begin))
     for k, (fault, (begin, end)) in enumerate(outages(result)):
         ends: dict[str, Any] = {"cat": "fault", "id": f"fault {k}"}
         name = f"{fault.scope} of {fault.node} down" if isinstance(fault, Crash) else fault.kind
@@ -83,24 +86,40 @@ def _slices(result: Result) -> Iterator[Entry]:
 
 
 def _instants(result: Result) -> Iterator[Entry]:
-    """Yield what happens at once: decisions, take-overs, and the end."""
-    changed = {id(change) for change in changes(result)}
+    """Yield what happens at once: decisions, take-overs, captures, and the end."""
+    changed, several = {id(change) for change in changes(result)}, has_several(result)
     for each in decisions(result):
-        name = ("starts" if chases(each) else "stops") if id(each) in changed else "decides as before"
+        starts = f"turns to {action(each)}" if several else "starts"
+        name = (starts if chases(each) else "stops") if id(each) in changed else "decides as before"
         yield _entry("i", name, FIRST + each.pursuer, each.t, cat="decision", s="t", args={"active": each.active})
-    for t, pursuer in relays(result):
-        yield _entry("i", f"{pursuer} takes over", TEAM, t, cat="relay", s="t", args={"pursuer": pursuer})
+    for t, pursuer, evader in takeovers(result):
+        whom: dict[str, int] = {"evader": evader} if several else {}
+        name = f"{pursuer} takes {evader} over" if several else f"{pursuer} takes over"
+        yield _entry("i", name, TEAM, t, cat="relay", s="t", args={"pursuer": pursuer} | whom)
+    for capture in result.trace.of(Captured):
+        who = {"evader": capture.evader, "capturer": capture.capturer}
+        name = f"evader {capture.evader} captured"
+        yield _entry("i", name, TEAM, capture.t, cat="capture", s="g", args=who)
     end = ended(result)
     yield _entry("i", end.reason, TEAM, end.t, cat="end", s="g", args={"capturer": end.capturer})
 
 
 def _counts(result: Result) -> Iterator[Entry]:
-    """Yield the number of active pursuers as often as it changes."""
-    number = sum(started(result).active)
-    yield _entry("C", "active pursuers", TEAM, 0, args={"number": number})
-    for change in changes(result):
-        number += 1 if chases(change) else -1
-        yield _entry("C", "active pursuers", TEAM, change.t, args={"number": number})
+    """Yield the number of active pursuers, of several evaders also of those on each, as often as it changes."""
+    start = started(result)
+    on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
+
+    def counts(t: int, evaders: Iterable[int]) -> Iterator[Entry]:
+        yield _entry("C", "active pursuers", TEAM, t, args={"number": sum(on.values())})
+        for evader in evaders if len(on) > 1 else ():
+            yield _entry("C", f"pursuers on {evader}", TEAM, t, args={"number": on[evader]})
+
+    yield from counts(0, on)
+    for change, before in moves(result):
+        turns = [(evader, by) for evader, by in ((before, -1), (action(change), 1)) if evader]
+        for evader, by in turns:
+            on[evader] += by
+        yield from counts(change.t, [evader for evader, _ in turns])
 
 
 def _messages(result: Result) -> Iterator[Entry]:

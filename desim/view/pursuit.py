@@ -1,16 +1,21 @@
-"""A pursuit from above, in little room: who chased alone, who chased beside others, and where it was handed over."""
+"""A pursuit from above, in little room: who chased alone, who chased beside others, and where it was handed over.
+
+Of several evaders each has a number, a mark and a hue, which who chases it has, too.
+"""
 
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from matplotlib.patheffects import withStroke
 
-from desim.analysis.activity import changes, relays
-from desim.analysis.plots import BLUE, EVADER, GREY, SKY, Axes, place
-from desim.analysis.reading import ended, started
+from desim.analysis.activity import Hunt, hunts
+from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, place
+from desim.analysis.reading import captures
 from desim.pursuit.events import Sampled
 from desim.simulation import Result
 from desim.view.labels import label_points
+from desim.view.passages import Takeover, takeovers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,8 +23,36 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+HUES = (BLUE, GREEN, PURPLE)
+"""Of who chases which of several evaders."""
+MARKS = ("s", "^", "v", "P")
+"""Of evaders."""
+HALO = (withStroke(linewidth=1.5, foreground="white"),)
+"""What lets a name be read that lies over a path."""
+
+
+class Look(NamedTuple):
+    """How an evader, and who chases it, is drawn."""
+
+    mark: str
+    inner: str
+    """The colour within the mark of the evader."""
+    alone: str
+    """The colour of who chases it alone."""
+    beside: str
+    """The colour of who chases it beside others."""
+
+    @classmethod
+    def of(cls, evader: int, count: int) -> "Look":
+        """Return that of one of so many evaders."""
+        if count == 1:
+            return cls(MARKS[0], VERMILION, BLUE, SKY)
+        hue = HUES[(evader - 1) % len(HUES)]
+        return cls(MARKS[(evader - 1) % len(MARKS)], hue, hue, hue)
+
+
 class Stint(NamedTuple):
-    """A time for which a pursuer chased, alone or beside others."""
+    """A time for which a pursuer chased an evader, alone or beside others."""
 
     pursuer: int
     begin: int
@@ -27,23 +60,31 @@ class Stint(NamedTuple):
     end: int
     """ns"""
     alone: bool
+    """Whether nobody else chased that evader."""
+    evader: int
+    """1 .. M"""
 
 
 def stints(result: Result) -> list[Stint]:
-    """Return who chased when, and whether alone, in order of their ends."""
-    active = {pursuer: 0 for pursuer, chasing in enumerate(started(result).active) if chasing}
-    times = [0, *(change.t for change in changes(result)), ended(result).t]
+    """Return who chased which evader when, and whether alone, in order of the evaders and then of their ends."""
+    return [stint for evader, hunt in enumerate(hunts(result), start=1) for stint in _stints(evader, hunt)]
+
+
+def _stints(evader: int, hunt: Hunt) -> list[Stint]:
+    active = {pursuer: 0 for pursuer, chasing in enumerate(hunt.start) if chasing}
+    times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
     found, alone = [], len(active) == 1
-    for change, (begin, end) in zip([None, *changes(result)], pairwise(times), strict=True):
-        if change is not None:
-            if change.pursuer in active:
-                found.append(Stint(change.pursuer, active.pop(change.pursuer), begin, alone))
+    for step, (begin, end) in zip([None, *hunt.steps], pairwise(times), strict=True):
+        if step is not None:
+            _, pursuer, by = step
+            if by < 0:
+                found.append(Stint(pursuer, active.pop(pursuer), begin, alone, evader))
             else:
-                active[change.pursuer] = begin
+                active[pursuer] = begin
         if (len(active) == 1) != alone and begin < end:
-            found += [Stint(pursuer, since, begin, alone) for pursuer, since in active.items() if since < begin]
+            found += [Stint(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin]
             active, alone = dict.fromkeys(active, begin), not alone
-    found += [Stint(pursuer, since, ended(result).t, alone) for pursuer, since in active.items()]
+    found += [Stint(pursuer, since, hunt.end, alone, evader) for pursuer, since in active.items()]
     return [each for each in found if each.begin < each.end]
 
 
@@ -59,53 +100,103 @@ class Paths:
         if not samples:
             raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
         self.t = np.array([sample.t for sample in samples])
-        self.evader = np.array([sample.evader for sample in samples])
-        """(samples, 2) m"""
+        self.evaders = np.array([sample.evaders for sample in samples])
+        """(samples, M, 2) m"""
         self.pursuers = np.array([sample.pursuers for sample in samples])
         """(samples, N, 2) m"""
 
-    def of(self, pursuer: int | None, begin: int, end: int) -> "Floats":
-        """Return the (k, 2) path of a pursuer, or of the evader (None), between two times, ns."""
-        inside = self.t[(begin < self.t) & (self.t < end)]
-        return self.at(pursuer, np.concatenate([[begin], inside, [end]]))
+    @property
+    def count(self) -> int:
+        """Number of evaders M."""
+        return len(self.evaders[0])
 
-    def at(self, pursuer: int | None, times: "NDArray[np.int64]") -> "Floats":
-        """Return the (k, 2) places of a pursuer, or of the evader (None), at (k,) times, ns."""
-        known = self.evader if pursuer is None else self.pursuers[:, pursuer]
+    def of(self, pursuer: int, begin: int, end: int) -> "Floats":
+        """Return the (k, 2) path of a pursuer between two times, ns."""
+        return self._between(self.pursuers[:, pursuer], begin, end)
+
+    def of_evader(self, evader: int, begin: int, end: int) -> "Floats":
+        """Return the (k, 2) path of an evader, 1 .. M, between two times, ns."""
+        return self._between(self.evaders[:, evader - 1], begin, end)
+
+    def at(self, pursuer: int, times: "NDArray[np.int64]") -> "Floats":
+        """Return the (k, 2) places of a pursuer at (k,) times, ns."""
+        return self._along(self.pursuers[:, pursuer], times)
+
+    def takes_over(self, takeover: Takeover) -> tuple[float, float]:
+        """Return where somebody took over, m."""
+        x, y = self.at(takeover.pursuer, np.array([takeover.t]))[0].tolist()
+        return x, y
+
+    def _between(self, known: "Floats", begin: int, end: int) -> "Floats":
+        inside = self.t[(begin < self.t) & (self.t < end)]
+        return self._along(known, np.concatenate([[begin], inside, [end]]))
+
+    def _along(self, known: "Floats", times: "NDArray[np.int64]") -> "Floats":
         return np.stack([np.interp(times, self.t, known[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def draw_pursuit(axes: Axes, result: Result) -> None:
     """Draw a pursuit: bold who chases alone, thin who chases beside others, a diamond where somebody comes to be alone.
 
-    Each diamond but the first is a hand-over; beside it stands the number of the pursuer. Pursuers that never moved
-    are where their circles are.
+    Each diamond but the first of an evader is a hand-over; beside it stands the number of the pursuer. Pursuers that
+    never moved are where their circles are.
 
     Raises:
         ValueError: if the run recorded no positions.
     """
-    paths, end = Paths(result), ended(result)
+    paths = Paths(result)
+    looks = {evader: Look.of(evader, paths.count) for evader in range(1, paths.count + 1)}
     place(axes)
     axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
-    looks: dict[bool, dict[str, Any]] = {
-        False: {"color": SKY, "lw": 0.8},
-        True: {"color": BLUE, "lw": 2.6, "zorder": 3},
-    }
-    labels = {False: "active with others", True: "active alone"}
-    for stint in stints(result):
-        path = paths.of(stint.pursuer, stint.begin, stint.end)
-        axes.plot(*path.T, **looks[stint.alone], label=labels.pop(stint.alone, None), solid_capstyle="butt")
-    places = [paths.at(pursuer, np.array([t]))[0] for t, pursuer in relays(result)]
+    _draw_stints(axes, result, paths, looks)
+    _draw_takeovers(axes, result, paths, looks)
+    for evader, look in looks.items():
+        label = "evader" if paths.count == 1 else f"evader {evader}"
+        mark: dict[str, Any] = {"ms": 3} if paths.count == 1 else {"ms": 6, "mfc": look.inner, "mew": 1.2}
+        axes.plot(*paths.evaders[:, evader - 1].T, lw=1.2, label=label, **{**EVADER, "marker": look.mark, **mark})
+    places = [paths.evaders[-1, each.evader - 1] for each in captures(result)]
     if places:
-        axes.plot(*np.transpose(places), "D", ls="", mfc="white", mec=BLUE, mew=0.9, ms=4, zorder=5, label="takes over")
-    axes.plot(*paths.evader.T, lw=1.2, ms=3, label="evader", **EVADER)
-    if end.reason == "captured":
-        axes.plot(*paths.evader[-1], "*", color="black", ms=7, mew=0, zorder=7, label="capture")
+        axes.plot(*np.transpose(places), "*", color="black", ms=7, mew=0, zorder=7, label="capture")
+
+
+def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look]) -> None:
+    labels: dict[bool, str | None] = {False: "active with others", True: "active alone"}
+    wide: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
+    if paths.count > 1:
+        for alone, label in labels.items():
+            axes.plot([], [], color=GREY, label=label, **wide[alone])
+        labels = {}
+    for stint in stints(result):
+        path, look = paths.of(stint.pursuer, stint.begin, stint.end), looks[stint.evader]
+        colour = look.alone if stint.alone else look.beside
+        label = labels.pop(stint.alone, None)
+        axes.plot(*path.T, color=colour, **wide[stint.alone], label=label, solid_capstyle="butt")
+
+
+def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look]) -> None:
+    label = "takes over"
+    for evader, look in looks.items():
+        places = [paths.takes_over(each) for each in takeovers(result) if each.evader == evader]
+        if places:
+            style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
+            axes.plot(*np.transpose(places), "D", ls="", label=label, **style)
+            label = ""
 
 
 def label_takeovers(axes: Axes, result: Result) -> None:
-    """Write beside each diamond of `draw_pursuit` who takes over; see `label_points` for the axes."""
-    paths, chain = Paths(result), relays(result)
-    places = [tuple(paths.at(pursuer, np.array([t]))[0].tolist()) for t, pursuer in chain]
-    ends = [tuple(path[k].tolist()) for path in (paths.evader, *paths.pursuers.transpose(1, 0, 2)) for k in (0, -1)]
-    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=ends, color=BLUE, zorder=6)
+    """Write beside each diamond of `draw_pursuit` who takes over, and where each of several evaders starts its number.
+
+    See `label_points` for the axes.
+    """
+    paths, chain = Paths(result), takeovers(result)
+    everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
+    ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
+    named = [(paths.takes_over(each), str(each.pursuer), each.evader, "normal") for each in chain]
+    if paths.count > 1:
+        named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
+    places, names = [each[0] for each in named], [each[1] for each in named]
+    texts = label_points(axes, places, names, avoid=ends, zorder=6)
+    for text, (_, _, evader, weight) in zip(texts, named, strict=True):
+        text.set(color=Look.of(evader, paths.count).alone, weight=weight)
+        if paths.count > 1:
+            text.set_path_effects(list(HALO))

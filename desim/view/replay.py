@@ -5,35 +5,36 @@ typed arrays in base64, little-endian.
 """
 
 from base64 import b64encode
+from collections import defaultdict
 from collections.abc import Iterator
 from importlib.resources import files
 from itertools import groupby
 from math import isfinite
 from typing import Any, NamedTuple
 
-import networkx as nx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from desim.analysis.activity import relays
+from desim.analysis.activity import Change, Released, action, moves
 from desim.analysis.course import positions_known
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.reading import ended, messages, reading, started
+from desim.analysis.reading import captures, ended, has_several, messages, reading, started
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, Fault, Partition
+from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.reach import Disk
 from desim.kernel.topology import Topology
-from desim.pursuit.events import Decided, Halted, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Halted, Sampled, Started
 from desim.simulation import Result
-from desim.view.passages import outages, passages
+from desim.view.passages import outages, passages, takeovers
 
 Floats = NDArray[np.float64]
 LATEST = 2**32 - 1
 """The last tick of a column."""
-STAYS, CHASES, UNHEARD = range(3)
-"""What is believed of somebody."""
+DECIDED, HALTED, RELEASED = range(3)
+"""Why somebody does something from some time on: it decided so, broke down, or what it chased was captured."""
 Document = dict[str, Any]
 """What JSON has."""
 
@@ -74,12 +75,21 @@ def _about(result: Result) -> str:
     end, scenario = ended(result), result.scenario
     rule = scenario.protocol
     protocol = getattr(rule, "kind", None) or getattr(rule, "__name__", type(rule).__name__)
+    players, which = f"{len(started(result).active)} pursuers", ""
     outcome = {
         "captured": f"captured by {end.capturer} after {seconds(end.t):.2f} s",
         "horizon": f"not captured within {seconds(end.t):g} s",
         "stopped": f"stopped after {seconds(end.t):.2f} s",
     }
-    return f"{len(started(result).active)} pursuers, {protocol}, seed {result.seed}: {outcome[end.reason]}"
+    if has_several(result):
+        count = len(started(result).evaders)
+        players, which = f"{players}, {count} evaders", f"captured {len(captures(result))} of {count}"
+        outcome |= {
+            "captured": f", the last by {end.capturer} after {seconds(end.t):.2f} s",
+            "horizon": f" within {seconds(end.t):g} s",
+            "stopped": f", stopped after {seconds(end.t):.2f} s",
+        }
+    return f"{players}, {protocol}, seed {result.seed}: {which}{outcome[end.reason]}"
 
 
 def _has_messages(result: Result) -> bool:
@@ -137,20 +147,22 @@ def _document(result: Result) -> Document:
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = _Ticks.fit(end.t)
     told = _has_messages(result)
-    handovers = relays(result)
     return {
         "tick": ticks.length / SECOND,
         "end": ticks.last,
-        "captured": end.reason == "captured",
-        "capturer": end.capturer,
+        "evaders": len(start.evaders),
+        "captures": [
+            {"t": ticks.nearest(each.t), "evader": each.evader, "capturer": each.capturer} for each in captures(result)
+        ],
         "radius": scenario.capture.radius,
+        "sight": scenario.sensing.radius if scenario.sensing.limited else None,
         "arcs": _arcs(result),
         "reach": _reach(result),
         "speeds": list(start.speeds),
         "active": [int(active) for active in start.active],
         "path": _path(result, ticks),
         "decisions": _decisions(result, ticks),
-        "relays": {"t": ticks([t for t, _ in handovers]), "who": _column([who for _, who in handovers], "<u2")},
+        "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),
         "messages": _messages(result, ticks) if told else None,
         "beliefs": _beliefs(knowledge(result), result, ticks) if told else None,
@@ -199,7 +211,7 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     """Return the (size, size) distances up to which any two nodes hear each other, m: what halving leaves."""
     places = np.zeros((size, 2))
     found = np.zeros((size, size))
-    graph = nx.complete_graph(size)
+    graph = Complete()(size)
     frozen = links.fading == "frozen"
     topology = Topology(graph, links.range, lambda: places, links.reach, frozen=frozen, seed=seed)
     for node in range(size):
@@ -219,8 +231,8 @@ def _samples(result: Result) -> list[Started | Sampled]:
 
 
 def _places(result: Result) -> Floats:
-    """Return the (samples, N + 1, 2) places of everyone, pursuers first, m."""
-    return np.array([[*each.pursuers, each.evader] for each in _samples(result)])
+    """Return the (samples, N + M, 2) places of everyone, pursuers first, m."""
+    return np.array([[*each.pursuers, *each.evaders] for each in _samples(result)])
 
 
 def _per_metre(places: Floats) -> float:
@@ -248,13 +260,42 @@ def _path(result: Result, ticks: _Ticks) -> Document:
 
 
 def _decisions(result: Result, ticks: _Ticks) -> Document:
-    """Return who decided what when; who broke down while active decided nothing, and stays."""
-    found = [event for event in result.trace if isinstance(event, Decided | Halted)]
+    """Return who decided what when; who stays because it broke down, or what it chased was captured, is among them."""
+    found = list(_acts(result))
+    why = {Decided: DECIDED, Halted: HALTED, Released: RELEASED}
     return {
         "t": ticks([event.t for event in found]),
         "who": _column([event.pursuer for event in found], "<u2"),
-        "active": _column([isinstance(event, Decided) and event.active for event in found], "u1"),
-        "halted": _column([isinstance(event, Halted) for event in found], "u1"),
+        "active": _column([action(event) for event in found], _kind(result)),
+        "halted": _column([why[type(event)] for event in found], "u1"),
+    }
+
+
+def _acts(result: Result) -> Iterator[Change]:
+    """Yield what everybody did, in order, be it what it did before."""
+    released: defaultdict[int, list[Change]] = defaultdict(list)
+    for change, before in moves(result):
+        if isinstance(change, Released):
+            released[before].append(change)
+    for event in result.trace:
+        if isinstance(event, Decided | Halted):
+            yield event
+        elif isinstance(event, Captured):
+            yield from released[event.evader]
+
+
+def _kind(result: Result) -> str:
+    """Return the kind of a column of actions: 0 .. M, and M + 1 if nothing is known."""
+    return "u1" if len(started(result).evaders) < 255 else "<u2"
+
+
+def _relays(result: Result, ticks: _Ticks) -> Document:
+    """Return who came to chase which evader alone, and when."""
+    found = takeovers(result)
+    return {
+        "t": ticks([each.t for each in found]),
+        "who": _column([each.pursuer for each in found], "<u2"),
+        "evader": _column([each.evader for each in found], "<u2"),
     }
 
 
@@ -298,12 +339,13 @@ def _messages(result: Result, ticks: _Ticks) -> Document:
 
 
 def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> Document:
-    """Return from when on who had last heard of whom that it chases, or stays, or nothing; only what changed.
+    """Return from when on who had last heard of whom what it does: 0 .. M, or M + 1 for nothing; only what changed.
 
     Of what was heard at one instant, the last counts.
     """
+    unheard = len(started(result).evaders) + 1
     warm = result.scenario.announce.warm_start & (known["begin"] == 0)
-    value = np.where(known["presumed"] & ~warm, UNHEARD, known["active"].astype(int))
+    value = np.where(known["presumed"] & ~warm, unheard, known["active"].astype(int))
     columns = (known["reader"], known["source"], value)
     changed = np.ones(len(known), bool)
     changed[1:] = np.any([column[1:] != column[:-1] for column in columns], axis=0)
@@ -313,5 +355,5 @@ def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> Document:
         "t": ticks(known["begin"][order]),
         "reader": _column(known["reader"][order], "<u2"),
         "source": _column(known["source"][order], "<u2"),
-        "value": _column(value[order], "u1"),
+        "value": _column(value[order], _kind(result)),
     }

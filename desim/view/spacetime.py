@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from desim.analysis.activity import changes, chases, decisions
-from desim.analysis.plots import BLUE, GREY, VERMILION, Axes, Figure, styled
-from desim.analysis.reading import ended, started
+from desim.analysis.activity import changes, chases, decisions, moves
+from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
+from desim.analysis.reading import ended, has_several, started
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
+from desim.pursuit.events import Captured
 from desim.simulation import Result
 from desim.view.passages import Passage, Spell, chasing, news, outages, passages
+from desim.view.pursuit import HALO, Look
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -70,7 +72,8 @@ def spacetime(
         rows = {pursuer: row for row, pursuer in enumerate(shown)}
         _draw_pursuers(axes, result, rows, window)
         _draw_outages(axes, result, rows, window)
-        _draw_messages(axes, own, rows, _mean_latency(own))
+        _draw_captures(axes, result, rows, window)
+        _draw_messages(axes, own, rows, _mean_latency(own), len(started(result).evaders))
         _draw_decisions(axes, result, rows, window)
         axes.set(xlabel="time (s)", ylabel="pursuer", xlim=[t / SECOND for t in window], ylim=(len(shown) - 0.4, -0.8))
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
@@ -145,15 +148,24 @@ def _mean_latency(own: Sequence[Passage]) -> float:
 
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
-    """Draw a thin line for each pursuer, thick while it is active."""
-    spells = chasing(result)
-    for pursuer, row in rows.items():
+    """Draw a thin line for each pursuer, thick while it is active; of several evaders, with the number of its own."""
+    spells, several = chasing(result), has_several(result)
+    for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
-        for spell in spells[pursuer]:
-            if spell.begin > window.end or spell.end < window.begin:
-                continue
-            x = [max(spell.begin, window.begin) / SECOND, min(spell.end, window.end) / SECOND]
-            axes.plot(x, [row, row], color=BLUE, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label="active")
+    inside = [
+        (row, spell)
+        for pursuer, row in rows.items()
+        for spell in spells[pursuer]
+        if spell.begin <= window.end and spell.end >= window.begin
+    ]
+    for row, spell in sorted(inside, key=lambda each: each[1].evader):  # so it is in the legend
+        x = [max(spell.begin, window.begin) / SECOND, min(spell.end, window.end) / SECOND]
+        colour = _hue(spell.evader, several)
+        label = f"chases {spell.evader}" if several else "active"
+        axes.plot(x, [row, row], color=colour, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label=label)
+        if several:
+            offset: dict[str, Any] = {"xytext": (1, 3), "textcoords": "offset points", "path_effects": HALO}
+            axes.annotate(str(spell.evader), (x[0], row), **offset, color=colour, fontsize=6, zorder=6)
 
 
 def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
@@ -173,14 +185,44 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Spel
             axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
 
 
-def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], latency: float) -> None:
+def _hue(evader: int, several: bool) -> str:
+    """Return the colour of who chases an evader."""
+    return Look.of(evader, 2 if several else 1).alone
+
+
+def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+    """Draw when several evaders were captured, which, and by whom."""
+    for t, evader, capturer in result.trace.of(Captured):
+        if window.begin <= t <= window.end:
+            axes.axvline(t / SECOND, color="black", lw=0.8, ls=(0, (4, 2)), zorder=1)
+            place = (t / SECOND, -0.8)
+            axes.annotate(
+                f"{evader} captured", place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7
+            )
+            if capturer in rows:
+                axes.plot(
+                    t / SECOND,
+                    rows[capturer],
+                    "*",
+                    color="black",
+                    ms=8,
+                    zorder=6,
+                    clip_on=False,
+                    ls="",
+                    label="captures",
+                )
+
+
+def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], latency: float, evaders: int) -> None:
     """Draw the messages that arrive as arrows, those that do not as dotted lines to a cross."""
 
     def kind(each: Passage) -> tuple[str, str]:
         said = news(each.body)
         if said is None:
             return "#555555", "message"
-        return (BLUE, "says: active") if said else (PALE, "says: inactive")
+        if not said:
+            return PALE, "says: inactive"
+        return _hue(said, evaders > 1), f"says: chases {said}" if evaders > 1 else "says: active"
 
     arrived = sorted((each for each in own if each.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):
@@ -213,12 +255,18 @@ def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Sp
     """Mark the decisions: a tick for each, a triangle where the action changed."""
     inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
     changed = {id(each) for each in changes(result)}
+    turns = {id(each) for each, before in moves(result) if before and chases(each)}
     looks: list[tuple[str, dict[str, Any], list[Any]]] = [
         ("decides as before", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
         (
             "starts",
             {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
-            [x for x in inside if id(x) in changed and chases(x)],
+            [x for x in inside if id(x) in changed - turns and chases(x)],
+        ),
+        (
+            "turns to another",
+            {"marker": "D", "mfc": "black", "mec": "black", "ms": 4},
+            [x for x in inside if id(x) in turns],
         ),
         (
             "stops",

@@ -1,10 +1,10 @@
-"""A run of one second in which everything happens that can be drawn, made by hand; times in ms."""
+"""Runs of one second in which everything happens that can be drawn, made by hand; times in ms."""
 
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.faults import Began, Crash, Jamming, Over
-from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.pursuit.word import Assignment
-from desim.scenario import Scenario
+from desim.scenario import Evader, Scenario
 from desim.simulation import Result
 
 MS = 1_000_000
@@ -54,3 +54,41 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
     trace = Trace()
     trace.events += sorted([*own, *sampled, *(word if messages else ()), *more], key=lambda event: event.t) + end
     return Result(Scenario(name=name), 3, trace)
+
+
+def pair(samples=range(0, 1001, 100)) -> Result:
+    """Return a run with two evaders: 1 is captured by 0 at 400 ms, 2 by 0 as the run ends.
+
+    1 is chased by 0 and 1, from 150 ms on by 0 alone; 2 by 2 alone, then 1 and 2, from 300 ms on 1 alone, from the
+    instant of the first capture on 0 and 1, from 700 ms on 0 alone. Of its messages that of 160 ms tells that 1 chases
+    2, that of 310 ms that 2 stays. Pursuer 0 runs from (0, 0) along x, 1 stays at (10, 0), 2 stays at (0, 10); evader 1
+    runs from (5, 5) along y to its capture, 2 from (8, 2) along x.
+    """
+    events = [
+        Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 2), ((8.0, 2.0),)),
+        Decided(150 * MS, 1, 2),
+        Broadcast(160 * MS, 0, 1, 1, (0, 2), (200 * MS,), 160 * MS, 24, Assignment(2)),
+        Decided(200 * MS, 0, 1),
+        Decided(300 * MS, 2, 0),
+        Broadcast(310 * MS, 1, 2, 1, (0, 1), (350 * MS,), 310 * MS, 24, Assignment(0)),
+        Captured(400 * MS, 1, 0),
+        Decided(400 * MS, 0, 2),
+        Decided(700 * MS, 1, 0),
+    ]
+    events += [
+        Sampled(
+            t * MS,
+            (5.0, 5.0 + min(t, 400) / 1000),
+            ((t / 250, 0.0), (10.0, 0.0), (0.0, 10.0)),
+            ((8.0 + t / 1000, 2.0),),
+        )
+        for t in samples
+    ]
+    end = [
+        Captured(1000 * MS, 2, 0),
+        Tally(1000 * MS, 4, 4, 0, 0, {}, 2, 48, 0.0),
+        Ended(1000 * MS, "captured", 0),
+    ]
+    trace = Trace()
+    trace.events += sorted(events, key=lambda event: event.t) + end
+    return Result(Scenario(name="pair", evader=Evader(count=2)), 3, trace)

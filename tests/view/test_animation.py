@@ -9,7 +9,7 @@ from desim import load, run
 from desim.analysis.plots import styled
 from desim.view.animation import COLOURS, HOLD, MOST, SHADES, SHORT, _Stage, animate, frames
 from scenarios.study import SCENARIOS
-from tests.view.by_hand import MS, history
+from tests.view.by_hand import MS, history, pair
 
 
 def played(path):
@@ -23,12 +23,13 @@ def played(path):
         return found, pauses, film.info.get("loop")
 
 
-def at(result, t, before=-1):
-    """Return the points of what moves, by its name on the stage, and the caption."""
+def at(result, t, before=-1, evader=1):
+    """Return the points of what moves, of one evader and of all, by its name on the stage, and the caption."""
     with styled((4.0, 4.0)) as figure:
         stage = _Stage(figure, result)
         stage.at(t * MS, before * MS)
-    points = {name: line.get_xydata() for name, line in vars(stage).items() if hasattr(line, "get_xydata")}
+    moving = vars(stage) | vars(stage._quarries[evader - 1])
+    points = {name: line.get_xydata() for name, line in moving.items() if hasattr(line, "get_xydata")}
     return {name.lstrip("_"): each[~np.isnan(each).any(axis=1)].tolist() for name, each in points.items()} | {
         "caption": stage._caption.get_text()
     }
@@ -51,6 +52,36 @@ def test_everyone_stands_where_it_was_in_the_look_of_what_it_did(t, inactive, be
     assert found["caption"] == caption
     assert found["evader"] == [[5.0, pytest.approx(5.0 + t / 1000)]]
     assert found["star"] == (found["evader"] if t == 1000 else [])
+
+
+@pytest.mark.parametrize(
+    ("t", "inactive", "on_1", "on_2", "captured", "caption"),
+    [
+        (0, [], [[0, 0], [10, 0]], [[0, 10]], (), "0.00 s: captured 0 of 2, 3 active"),
+        (200, [], [[0.8, 0]], [[10, 0], [0, 10]], (), "0.20 s: captured 0 of 2, 3 active"),
+        (300, [[0, 10]], [[1.2, 0]], [[10, 0]], (), "0.30 s: captured 0 of 2, 2 active"),
+        (400, [[0, 10]], [], [[1.6, 0], [10, 0]], (1,), "0.40 s: captured 1 of 2, 2 active"),
+        (800, [[10, 0], [0, 10]], [], [[3.2, 0]], (1,), "0.80 s: captured 1 of 2, 1 active"),
+        (1000, [[4, 0], [10, 0], [0, 10]], [], [], (1, 2), "1.00 s: captured 2 of 2, the last by 0"),
+    ],
+)
+def test_of_two_evaders_each_is_chased_by_its_own_and_captured_in_its_time(t, inactive, on_1, on_2, captured, caption):
+    for evader, chasers in ((1, on_1), (2, on_2)):
+        found = at(pair(), t, evader=evader)
+        assert np.round(found["inactive"], 9).tolist() == inactive
+        alone, beside = (np.round(found[name], 9).reshape(-1, 2).tolist() for name in ("alone", "beside"))
+        assert (alone, beside) == ((chasers, []) if len(chasers) == 1 else ([], chasers))
+        place = [5, 5 + min(t, 400) / 1000] if evader == 1 else [8 + t / 1000, 2]
+        assert found["evader"] == [pytest.approx(place)]
+        assert found["star"] == (found["evader"] if evader in captured else [])
+        assert found["caption"] == caption
+
+
+def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
+    """What is drawn in a hue stays near it: the green of who chases evader 2 is in the picture."""
+    image = frames(pair(), [800 * MS])[0]
+    green = np.array([0, 158, 115])
+    assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
 
 
 def test_trails_are_as_long_as_the_past():

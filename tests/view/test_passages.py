@@ -8,10 +8,10 @@ from desim import load, run, summary
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Began, Jamming, Over
 from desim.pursuit.events import Decided
-from desim.view.passages import Passage, Spell, chasing, news, outages, passages
+from desim.view.passages import Chase, Passage, Spell, chasing, news, outages, passages, takeovers
 from desim.view.pursuit import stints
 from scenarios.study import SCENARIOS
-from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history
+from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
 NAMES = ("faults", "radio", "lora", "flooding", "token_ring", "soak", "bursts", "server")
 
@@ -52,11 +52,25 @@ def test_without_recorded_messages_it_is_said_how_to_record_them():
 
 
 def test_a_message_tells_of_an_action_or_of_none():
-    assert (news(ACTIVE), news(INACTIVE), news(("token", 1)), news(None)) == (True, False, None, None)
+    assert (news(ACTIVE), news(INACTIVE), news(("token", 1)), news(None)) == (1, 0, None, None)
+    assert [news(each.body) for each in passages(pair())] == [2, 2, 0, 0]
 
 
 def test_spells_of_chasing_begin_with_the_run_and_end_by_decision_breakdown_or_end():
-    assert chasing(history()) == [[Spell(0, 400 * MS)], [Spell(0, 150 * MS)], [Spell(800 * MS, 1000 * MS)]]
+    assert chasing(history()) == [[Chase(0, 400 * MS, 1)], [Chase(0, 150 * MS, 1)], [Chase(800 * MS, 1000 * MS, 1)]]
+
+
+def test_of_two_evaders_a_spell_ends_as_another_is_chased_or_the_own_one_is_captured():
+    assert chasing(pair()) == [
+        [Chase(0, 400 * MS, 1), Chase(400 * MS, 1000 * MS, 2)],
+        [Chase(0, 150 * MS, 1), Chase(150 * MS, 700 * MS, 2)],
+        [Chase(0, 300 * MS, 2)],
+    ]
+
+
+def test_who_takes_over_which_evader_is_told_in_order_of_time():
+    assert takeovers(pair()) == [(0, 2, 2), (150 * MS, 0, 1), (300 * MS, 1, 2), (700 * MS, 0, 2)]
+    assert takeovers(history()) == [(150 * MS, 0, 1), (800 * MS, 2, 1)]
 
 
 def test_what_is_never_over_is_broken_until_the_end():
@@ -79,31 +93,46 @@ def test_nobody_is_alone_for_no_time():
     at = [(850, 1, True), (850, 1, False), (900, 2, False), (900, 1, True), (950, 2, True), (950, 1, False)]
     found = stints(history(*(Decided(t * MS, pursuer, active) for t, pursuer, active in at)))
     assert found[3:] == [
-        (2, 800 * MS, 900 * MS, True),
-        (1, 900 * MS, 950 * MS, True),
-        (2, 950 * MS, 1000 * MS, True),
+        (2, 800 * MS, 900 * MS, True, 1),
+        (1, 900 * MS, 950 * MS, True, 1),
+        (2, 950 * MS, 1000 * MS, True, 1),
     ]
     both = stints(history(Decided(850 * MS, 1, True), Decided(900 * MS, 2, False), Decided(900 * MS, 0, True)))
     assert [each for each in both if each.begin >= 850 * MS] == [
-        (2, 850 * MS, 900 * MS, False),
-        (1, 850 * MS, 1000 * MS, False),
-        (0, 900 * MS, 1000 * MS, False),
+        (2, 850 * MS, 900 * MS, False, 1),
+        (1, 850 * MS, 1000 * MS, False, 1),
+        (0, 900 * MS, 1000 * MS, False, 1),
     ]
 
 
 def test_stints_are_split_where_somebody_comes_to_be_alone():
     assert stints(history()) == [
-        (1, 0, 150 * MS, False),
-        (0, 0, 150 * MS, False),
-        (0, 150 * MS, 400 * MS, True),
-        (2, 800 * MS, 1000 * MS, True),
+        (1, 0, 150 * MS, False, 1),
+        (0, 0, 150 * MS, False, 1),
+        (0, 150 * MS, 400 * MS, True, 1),
+        (2, 800 * MS, 1000 * MS, True, 1),
+    ]
+
+
+def test_who_is_alone_is_so_on_an_evader():
+    assert stints(pair()) == [
+        (1, 0, 150 * MS, False, 1),
+        (0, 0, 150 * MS, False, 1),
+        (0, 150 * MS, 400 * MS, True, 1),
+        (2, 0, 150 * MS, True, 2),
+        (2, 150 * MS, 300 * MS, False, 2),
+        (1, 150 * MS, 300 * MS, False, 2),
+        (1, 300 * MS, 400 * MS, True, 2),
+        (1, 400 * MS, 700 * MS, False, 2),
+        (0, 400 * MS, 700 * MS, False, 2),
+        (0, 700 * MS, 1000 * MS, True, 2),
     ]
 
 
 def test_spells_and_stints_last_as_long_as_the_active_time(ran):
     """Their sum is int n dt; those of who is alone are int 1{n = 1} dt, what is neither idle nor crowded."""
     numbers = summary(ran)
-    spells = sum(end - begin for own in chasing(ran) for begin, end in own) / SECOND
+    spells = sum(end - begin for own in chasing(ran) for begin, end, _ in own) / SECOND
     found = stints(ran)
     assert spells == pytest.approx(numbers.active_time, abs=1e-8)
     assert sum(each.end - each.begin for each in found) / SECOND == pytest.approx(numbers.active_time, abs=1e-8)

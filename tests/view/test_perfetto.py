@@ -12,7 +12,7 @@ from desim import load, run, summary
 from desim.view.passages import chasing, passages
 from desim.view.perfetto import _microseconds, perfetto, trace_events, write
 from scenarios.study import SCENARIOS
-from tests.view.by_hand import MS, history
+from tests.view.by_hand import MS, history, pair
 
 NAMES = ("faults", "radio", "token_ring", "soak", "server", "flooding")
 
@@ -151,7 +151,7 @@ class Imported:
 def test_perfetto_loses_nothing_of_it(ran):
     """Chases and messages last as long as in the run, to the nanosecond, and nothing overlaps on a thread."""
     found = Imported(perfetto(ran))
-    chased = [(begin, end) for spells in chasing(ran) for begin, end in spells]
+    chased = [(begin, end) for own in chasing(ran) for begin, end, _ in own]
     assert sorted((begin, end) for name, begin, end in found.waits if name == "active") == sorted(chased)
     flown = [(f"{each.src} to {each.dst}", each.left, each.until) for each in passages(ran)]
     assert sorted(each for each in found.waits if " to " in each[0]) == sorted(flown)
@@ -276,6 +276,43 @@ def test_a_run_by_hand_reads_line_by_line():
         ("e", 3, 6, 1_000_000.001, "0 to 1", "4.1"),
         ("e", 2, 5, 1_200_000, "1 to 0", "3.0"),
         ("e", 4, 7, 1_200_000, "1 to 2", "3.2"),
+    ]
+
+
+def test_of_two_evaders_it_is_told_who_chases_which_and_how_many_do():
+    Imported(perfetto(pair()))
+    found = [each for each in trace_events(pair()) if each["ph"] != "M" and each.get("cat") != "message"]
+    chases = [(each["tid"] - 2, each["ts"], each["dur"], each["name"]) for each in found if each["ph"] == "X"]
+    assert chases == [
+        (0, 0, 400_000, "chases 1"),
+        (1, 0, 150_000, "chases 1"),
+        (2, 0, 300_000, "chases 2"),
+        (1, 150_000, 550_000, "chases 2"),
+        (0, 400_000, 600_000, "chases 2"),
+    ]
+    numbers = defaultdict(list)
+    for each in found:
+        if each["ph"] == "C":
+            numbers[each["name"]].append((each["ts"] // 1000, each["args"]["number"]))
+    assert dict(numbers) == {
+        "active pursuers": [(0, 3), (150, 3), (300, 2), (400, 1), (400, 2), (700, 1), (1000, 0)],
+        "pursuers on 1": [(0, 2), (150, 1), (400, 0)],
+        "pursuers on 2": [(0, 1), (150, 2), (300, 1), (400, 2), (700, 1), (1000, 0)],
+    }
+    told = [(each["ts"] // 1000, each["name"]) for each in found if each["ph"] == "i"]
+    assert told == [
+        (0, "2 takes 2 over"),
+        (150, "turns to 2"),
+        (150, "0 takes 1 over"),
+        (200, "decides as before"),
+        (300, "stops"),
+        (300, "1 takes 2 over"),
+        (400, "turns to 2"),
+        (400, "evader 1 captured"),
+        (700, "stops"),
+        (700, "0 takes 2 over"),
+        (1000, "evader 2 captured"),
+        (1000, "captured"),
     ]
 
 

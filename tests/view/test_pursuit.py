@@ -5,8 +5,8 @@ import pytest
 
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.pursuit import Paths, draw_pursuit, label_takeovers
-from tests.view.by_hand import MS, history
+from desim.view.pursuit import Look, Paths, draw_pursuit, label_takeovers
+from tests.view.by_hand import MS, history, pair
 
 
 def drawn(result):
@@ -63,10 +63,47 @@ def test_the_looks_differ_without_colour():
     assert len(set(looks)) == len(looks) == 6
 
 
+def test_of_two_evaders_each_has_a_path_a_mark_and_a_number_and_rests_where_it_was_captured():
+    axes = drawn(pair())
+    (one,), (other,) = ([line for line in axes.lines if line.get_label() == f"evader {k}"] for k in (1, 2))
+    assert one.get_xydata()[[0, -1]].tolist() == [[5, 5], [5, pytest.approx(5.4)]]
+    assert other.get_xydata()[[0, -1]].tolist() == [[8, 2], [9, 2]]
+    assert one.get_marker() != other.get_marker()
+    assert one.get_markerfacecolor() != other.get_markerfacecolor()
+    assert one.is_dashed()
+    assert paths(axes, "capture") == [[[5, pytest.approx(5.4)], [9, 2]]]
+    numbers = [(each.get_text(), each.xy) for each in axes.texts if each.get_weight() == "bold"]
+    assert numbers == [("1", (5.0, 5.0)), ("2", (8.0, 2.0))]
+
+
+def test_who_chases_one_of_two_evaders_has_its_hue():
+    """Pursuer 0 is at 0.6 m after 150 ms, at 1.6 m after 400 ms, at 2.8 m after 700 ms and at 4 m in the end."""
+    axes = drawn(pair())
+    hues = [Look.of(evader, 2).alone for evader in (1, 2)]
+    found = [
+        [line.get_xdata()[[0, -1]].round(9).tolist() for line in axes.lines if is_stint(line, hue, wide)]
+        for hue in hues
+        for wide in (True, False)
+    ]
+    assert found == [
+        [[0.6, 1.6]],
+        [[10, 10], [0, 0.6]],
+        [[0, 0], [10, 10], [2.8, 4.0]],
+        [[0, 0], [10, 10], [10, 10], [1.6, 2.8]],
+    ]
+    names = [(each.get_text(), each.get_color()) for each in axes.texts if each.get_weight() == "normal"]
+    assert names == [("2", hues[1]), ("0", hues[0]), ("1", hues[1]), ("0", hues[1])]
+
+
+def is_stint(line, hue, wide):
+    """Return whether a line is the path of a pursuer in a hue, and as wide as that of who is alone, or not."""
+    return line.get_color() == hue and line.get_marker() == "None" and (line.get_linewidth() > 2) == wide
+
+
 def test_paths_are_straight_between_samples_and_end_where_they_are_asked_to():
     found = Paths(history())
     assert found.of(0, 250 * MS, 750 * MS).tolist() == [[2, 0], [4, 0], [4, 0]]
-    assert found.of(None, 0, 500 * MS).tolist() == [[5, 5], [5, 5.5]]
+    assert found.of_evader(1, 0, 500 * MS).tolist() == [[5, 5], [5, 5.5]]
     assert found.at(0, np.array([125 * MS, 250 * MS])).tolist() == [[1, 0], [2, 0]]
 
 

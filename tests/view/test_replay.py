@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -32,14 +33,16 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.reach import LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
-from desim.pursuit.events import Decided, Halted, Sampled
+from desim.pursuit.evasion import Still
+from desim.pursuit.events import Captured, Decided, Halted, Sampled
+from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
-from desim.view.replay import CHASES, LATEST, STAYS, UNHEARD, _column, _document, _Ticks, lacks, replay
+from desim.view.replay import DECIDED, LATEST, RELEASED, _column, _document, _Ticks, lacks, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.view.browser import CHROMIUM
-from tests.view.by_hand import MS, history
+from tests.view.by_hand import MS, history, pair
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HOSTILE = "</script><script>window.hurt = 1</script><!-- & \u2028 {{ name }} <b>Bold</b>"
@@ -73,10 +76,12 @@ CASES = {
     "flooding": load(SCENARIOS / "flooding.toml", ["horizon=1.0", "record.messages=true"]),
     "token_ring": load(SCENARIOS / "token_ring.toml", ["horizon=1.0", "record.messages=true"]),
     "crowded": CROWDED,
+    "many": load(SCENARIOS / "many.toml"),
     "cold": FORTY.model_copy(
         update={"name": "cold", "horizon": 2.0, "announce": Announcements(heartbeat=0.5, warm_start=False)}
     ),
 }
+STAYS, CHASES, UNHEARD = range(3)  # what is believed of somebody, where there is one evader
 RESULTS = {}
 
 
@@ -85,6 +90,18 @@ def result_of(name):
     if name not in RESULTS:
         RESULTS[name] = run(CASES[name])
     return RESULTS[name]
+
+
+# Two pursuers at one place, so that what they see is one disc, in the middle of all that is shown; nothing else is.
+SEEING = Scenario(
+    name="seeing",
+    team=Team(positions=[(5.0, 5.0), (5.0, 5.0)], speeds=1.0, active_at_start=0.0),
+    evader=tuple(Evader(position=(x, x), speed=0.0, strategy=Still()) for x in (0.0, 10.0)),
+    sensing=Sensing(radius=2.0),
+    motion=Motion(frozen=True),
+    horizon=0.1,
+    announce=Announcements(trigger="never"),
+)
 
 
 def column(text, kind):
@@ -121,8 +138,8 @@ def wrong_now(result, t):
     Only for runs in which each tells of itself and nobody forgets.
     """
     size = len(started(result).active)
-    does = np.array(started(result).active)
-    heard = np.tile(does & result.scenario.announce.warm_start, (size, 1))
+    does = np.array(started(result).active, int)
+    heard = np.tile(does * result.scenario.announce.warm_start, (size, 1))
     newest = np.zeros((size, size), int)
     lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
     for event in result.trace:
@@ -130,6 +147,8 @@ def wrong_now(result, t):
             break
         if isinstance(event, Decided):
             does[event.pursuer] = event.active
+        if isinstance(event, Captured):
+            does[does == event.evader] = 0
         if isinstance(event, Broadcast):
             arrival = event.arrival if len(event.arrival) == len(event.dst) else event.arrival * len(event.dst)
             for node, when in zip(event.dst, arrival, strict=True):
@@ -216,7 +235,7 @@ def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick()
     assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [4 * 10**8, 4 * 10**8 + 1, LATEST]
 
 
-@pytest.mark.parametrize("name", ["relay", "faults", "radio", "soak", "flooding", "cold"])
+@pytest.mark.parametrize("name", ["relay", "faults", "radio", "soak", "flooding", "cold", "many"])
 def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(name):
     """The integral of the wrong pairs, by counting them between any two changes, is the belief error x N (N - 1) T."""
     result = result_of(name)
@@ -226,10 +245,11 @@ def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(nam
     changes += [(int(t), 1, k) for k, t in enumerate(column(told["t"], "<u4"))]
     who, active = column(own["who"], "<u2"), column(own["active"], "u1")
     reader, source, value = column(told["reader"], "<u2"), column(told["source"], "<u2"), column(told["value"], "u1")
-    does, heard = np.array(document["active"]), np.full((size, size), UNHEARD)
+    unheard = len(started(result).evaders) + 1
+    does, heard = np.array(document["active"]), np.full((size, size), unheard)
     others, total, before = ~np.eye(size, dtype=bool), 0, 0
     for t, kind, k in [*sorted(changes), (document["end"], 2, 0)]:
-        total += int((((heard == CHASES) != does) & others).sum()) * (t - before)
+        total += int(((np.where(heard == unheard, STAYS, heard) != does) & others).sum()) * (t - before)
         before = t
         if kind == 0:
             does[who[k]] = active[k]
@@ -237,7 +257,7 @@ def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(nam
             heard[reader[k], source[k]] = value[k]
     last = np.full((size, size), -1)
     for i, j, now in zip(reader, source, value, strict=True):
-        assert now != last[i, j] or now == UNHEARD, "only what changed"
+        assert now != last[i, j] or now == unheard, "only what changed"
         last[i, j] = now
     assert total / (size * (size - 1) * document["end"]) == pytest.approx(belief_error(result), abs=1e-6)
     assert total > 0
@@ -265,14 +285,16 @@ def test_who_forgot_has_heard_of_nobody():
     assert len(column(told["source"], "<u2")[then]) == 39
 
 
-@pytest.mark.parametrize("name", ["relay", "faults"])
+@pytest.mark.parametrize("name", ["relay", "faults", "many"])
 def test_everyone_is_where_it_was_to_the_millimetre(name):
     result = result_of(name)
     path = _document(result)["path"]
-    shifts = column(path["shifts"], f"<i{path['bits'] // 8}").reshape(-1, 2 * len(started(result).active) + 2)
+    shifts = column(path["shifts"], f"<i{path['bits'] // 8}").reshape(
+        -1, 2 * (len(started(result).active) + len(started(result).evaders))
+    )
     places = column(path["start"], "<i4") + np.vstack([np.zeros(shifts.shape[1], int), np.cumsum(shifts, axis=0)])
     known = [started(result), *result.trace.of(Sampled)]
-    there = np.array([[*each.pursuers, each.evader] for each in known]).reshape(len(known), -1)
+    there = np.array([[*each.pursuers, *each.evaders] for each in known]).reshape(len(known), -1)
     assert np.abs(places / path["per_metre"] - there).max() <= 0.0005 + 1e-9
     assert len(column(path["t"], "<u4")) == len(known)
 
@@ -297,6 +319,42 @@ def test_decisions_and_handovers_are_those_of_the_trace():
     assert list(found) == expected
     assert any(halted for _, _, halted in expected)
     assert column(document["relays"]["who"], "<u2").tolist() == [who for _, who in relays(result)]
+
+
+def test_of_two_evaders_it_is_told_who_chases_which_and_when_who_captured_it():
+    """Who chased the one that is captured stays from then on, unless it decides something at the same instant."""
+    document = _document(pair())
+    own = document["decisions"]
+    columns = [column(own[key], kind).tolist() for key, kind in (("t", "<u4"), ("who", "<u2"), ("active", "u1"))]
+    assert list(zip(*columns, column(own["halted"], "u1").tolist(), strict=True)) == [
+        (150 * MS, 1, 2, DECIDED),
+        (200 * MS, 0, 1, DECIDED),
+        (300 * MS, 2, 0, DECIDED),
+        (400 * MS, 0, 0, RELEASED),
+        (400 * MS, 0, 2, DECIDED),
+        (700 * MS, 1, 0, DECIDED),
+        (1000 * MS, 0, 0, RELEASED),
+    ]
+    assert (document["evaders"], document["active"]) == (2, [1, 1, 2])
+    assert [tuple(each.values()) for each in document["captures"]] == [(400 * MS, 1, 0), (1000 * MS, 2, 0)]
+    assert column(document["relays"]["who"], "<u2").tolist() == [2, 0, 1, 0]
+    assert column(document["relays"]["evader"], "<u2").tolist() == [2, 1, 2, 2]
+    assert "3 pursuers, 2 evaders, sap, seed 3: captured 2 of 2, the last by 0 after 1.00 s" in replay(pair())
+
+
+def test_of_very_many_evaders_the_last_is_told_too():
+    """Actions 0 .. 300, and 301 for nothing heard, are more than a byte has room for."""
+    team, evaders = Team(count=2, box=(9.0, 10.0)), Evader(count=300, box=(2.0, 3.0))
+    protocol = SpatialAdaptivePlay(schedule=Poisson(rate=0.1))
+    result = run(Scenario(team=team, evader=evaders, protocol=protocol, horizon=0.05, record=ALL), seed=2)
+    beliefs = _document(result)["beliefs"]
+    assert column(beliefs["value"], "<u2").tolist() == [started(result).active[k] for k in (1, 0)]
+    assert max(started(result).active) > 255
+
+
+def test_how_far_pursuers_see_is_told_if_there_is_a_limit():
+    assert _document(run(SEEING))["sight"] == 2.0
+    assert _document(result_of("relay"))["sight"] is None
 
 
 def test_faults_last_from_their_beginning_to_their_end_or_that_of_the_run():
@@ -691,6 +749,142 @@ def test_the_page_believes_what_the_trace_tells_forwards_and_backwards(shown):
         opened.value(f"{AT}({t})")
         assert opened.value("wrong.textContent") == f"{wrong_now(result, t)} of 1,560"
     assert opened.value("replay.heard.filter((each, k) => k % 41 > 0 && each !== 2).length") == 0
+
+
+@in_chromium
+def test_the_page_shows_who_chases_which_evader_and_which_are_captured_as_the_trace_tells(shown):
+    """Just after decisions, just before and after captures, the latest first; a tick is 10 ns."""
+    result = result_of("many")
+    opened, tick = shown(result), round(_document(result)["tick"] * SECOND)
+    seized = result.trace.of(Captured)
+    decided = [event.t for event in result.trace.of(Decided)]
+    times = [0, *(t + 2 * tick for t in decided[::25]), *(each.t + way * tick for each in seized for way in (-2, 2))]
+    samples = [started(result), *result.trace.of(Sampled)]
+    known = np.array([[*each.pursuers, *each.evaders] for each in samples])
+    assert len(seized) == 3
+    for t in sorted(times, reverse=True):
+        opened.value(f"{AT}({t / tick})")
+        actions, captured = profile(result, t)
+        assert opened.value("[replay.truth, replay.captured]") == [actions, captured]
+        there = [[np.interp(t, [each.t for each in samples], known[:, k, c]) for c in (0, 1)] for k in range(9)]
+        assert opened.value("replay.players") == [pytest.approx(each, abs=2e-3) for each in there]
+        assert opened.value("wrong.textContent") == f"{wrong_now(result, t)} of 30"
+        assert opened.value("caught.textContent") == f"{len(captured)} of 3"
+    assert {len(profile(result, t)[1]) for t in times} == {0, 1, 2, 3}
+
+
+def profile(result, t):
+    """Return what everybody does at a time (ns), and the captured evaders with who captured them."""
+    actions, captured = list(started(result).active), []
+    for event in result.trace:
+        if event.t > t:
+            break
+        if isinstance(event, Decided):
+            actions[event.pursuer] = event.active
+        elif isinstance(event, Captured):
+            actions = [0 if each == event.evader else each for each in actions]
+            captured.append([event.evader, event.capturer])
+    return actions, captured
+
+
+@in_chromium
+def test_of_two_evaders_the_words_tell_which(shown):
+    opened = shown(pair())
+    text = "(t => (replay.seek(t), [caught, chasing, said, document.getElementById('event')].map(e => e.textContent)))"
+    opened.value("replay.choose(0)")
+    assert opened.value(f"{text}(0.25)") == [
+        "0 of 2",
+        "1: 0\n2: 1, 2",
+        "0 chases 1 (1 m/s), hears 2 now and believes that 1, 2 chase 2.",
+        "0.150 s: 1 chases 2; 0 is alone on 1",
+    ]
+    assert opened.value(f"{text}(0.12)")[2].endswith("believes that 1 chases 1 and 2 chases 2.")
+    assert opened.value(f"{text}(0.401)") == [
+        "1 of 2",
+        "1: captured by 0\n2: 0, 1",
+        "0 chases 2 (1 m/s), hears 2 now and believes that 1 chases 2.",
+        "0.400 s: 0 chases 2; 0 captures evader 1",
+    ]
+    assert opened.value(f"{text}(0.701)")[3] == "0.700 s: 1 stays; 1 hands 2 over to 0"
+    assert opened.value(f"{text}(2)") == [
+        "2 of 2",
+        "1: captured by 0\n2: captured by 0",
+        "0 stays (1 m/s), hears 2 now and believes that 1 chases 2.",
+        "1.000 s: 0 captures evader 2",
+    ]
+    for key in ("Home", "e", "ArrowRight"):
+        opened.press(key)
+    assert opened.value("[kind.value, replay.time]") == ["captures", pytest.approx(0.4)]
+
+
+HUE = """((x, y, up) => {
+  const [left, top] = replay.pixel(x, y).map(each => Math.round(each * devicePixelRatio));
+  const copy = new OffscreenCanvas(1, 1), context = copy.getContext("2d");
+  context.drawImage(arena, -left, up - top);
+  return [...context.getImageData(0, 0, 1, 1).data].slice(0, 3);
+})"""
+"""The colour of the plane so many pixels above a place."""
+
+
+@in_chromium
+def test_an_evader_is_a_diamond_and_after_its_capture_a_star_where_it_rests(shown):
+    """6 px above its middle there is no number, and the capture circle is smaller."""
+    opened = shown(pair())
+    opened.until("(replay.draw(), replay.scale > 1)")
+    vermilion, ink = [0xD5, 0x5E, 0x00], [0x1C, 0x20, 0x24]
+    for t, one, other, hues in (
+        (0.3, 5.3, 8.3, [vermilion] * 2),
+        (0.6, 5.4, 8.6, [ink, vermilion]),
+        (2, 5.4, 9, [ink] * 2),
+    ):
+        opened.value(f"replay.seek({t})")
+        assert [opened.value(f"{HUE}(5, {one}, 6)"), opened.value(f"{HUE}({other}, 2, 6)")] == hues
+
+
+@in_chromium
+def test_a_line_leads_from_a_pursuer_to_the_evader_that_it_chases(shown):
+    """Half way from 0, which runs along x at 4 m/s, to evader 1 and, from 400 ms on, to evader 2; the other is free."""
+    opened = shown(pair())
+    opened.until("(replay.draw(), replay.scale > 1)")
+    for t, expected in ((0.2, [True, False]), (0.6, [False, True]), (2.0, [False, False])):
+        opened.value(f"replay.seek({t})")
+        drawn = []
+        for x, y in ((5, 5 + min(t, 0.4)), (8 + min(t, 1.0), 2)):
+            begin = 4 * min(t, 1.0)
+            way = [(begin + share * (x - begin), share * y) for share in np.linspace(0.4, 0.6, 21).tolist()]
+            hues = [opened.value(f"{HUE}({left}, {high}, 0)") for left, high in way]
+            drawn.append(sum(hue[0] > 150 and hue[2] < 120 for hue in hues) > 3)
+        assert drawn == expected
+
+
+TINTED = """(() => {
+  const copy = new OffscreenCanvas(arena.width, arena.height), context = copy.getContext("2d");
+  context.drawImage(arena, 0, 0);
+  const { data } = context.getImageData(0, 0, copy.width, copy.height);
+  let count = 0;
+  for (let k = 3; k < data.length; k += 4) if (Math.abs(data[k] - 0.13 * 255) < 2) count++;
+  return count / replay.scale ** 2;
+})()"""
+"""On how many square metres of the plane there is nothing but what is seen."""
+
+
+@in_chromium
+def test_what_pursuers_see_is_a_disc_to_scale_that_can_be_taken_away(shown):
+    """Of a radius of 2 m, 4 pi square metres less what lines and pursuers cover; twice seen is not darker."""
+    opened = shown(run(SEEING))
+    opened.until("(replay.draw(), replay.scale > 1)")
+    assert opened.value(TINTED) == pytest.approx(4 * np.pi, rel=0.08)
+    assert "within sight of a pursuer" in opened.value("document.querySelector('.key').textContent")
+    opened.press("s")
+    assert opened.value(f"(replay.draw(), {TINTED})") < 0.01
+
+
+@in_chromium
+def test_where_there_is_one_evader_that_is_seen_from_everywhere_no_word_is_of_others_or_of_sight(shown):
+    opened = shown(result_of("relay"))
+    said = opened.value("document.body.innerText + document.querySelector('#keys').textContent")
+    assert not {"Captured", "sight", "evader 2", "captures"} & set(re.findall(r"evader \d|\w+", said))
+    assert opened.value("['sight', 'caught'].map(id => document.getElementById(id))") == [None, None]
 
 
 # Word takes no time, so that who receives a broadcast tells who hears its sender at that instant; the pursuers move and

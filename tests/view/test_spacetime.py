@@ -12,7 +12,7 @@ from desim.kernel.faults import Began, Partition
 from desim.view.passages import passages
 from desim.view.spacetime import MOST, spacetime
 from scenarios.study import SCENARIOS
-from tests.view.by_hand import MS, history
+from tests.view.by_hand import MS, history, pair
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +73,22 @@ def test_the_actions_and_decisions_are_on_the_line_of_their_pursuer():
     assert lines(figure, "starts") == [[[0.8, 2]]]
     assert lines(figure, "stops") == [[[0.15, 1]]]
     assert lines(figure, "decides as before") == [[[0.16, 1]]]
+
+
+def test_of_two_evaders_it_is_told_which_is_chased_turned_to_and_captured():
+    figure = spacetime(pair())
+    (axes,) = figure.axes
+    assert lines(figure, "chases 1") == [[[0.0, 0], [0.4, 0]], [[0.0, 1], [0.15, 1]]]
+    assert lines(figure, "chases 2") == [[[0.4, 0], [1.0, 0]], [[0.15, 1], [0.7, 1]], [[0.0, 2], [0.3, 2]]]
+    assert lines(figure, "turns to another") == [[[0.15, 1]]]
+    assert lines(figure, "starts") == [[[0.4, 0]]]
+    assert lines(figure, "stops") == [[[0.3, 2], [0.7, 1]]]
+    assert lines(figure, "captures") == [[[0.4, 0]], [[1.0, 0]]]
+    numbers = [(each.get_text(), each.xy) for each in axes.texts if "captured" not in each.get_text()]
+    assert numbers == [("1", (0.0, 0)), ("1", (0.0, 1)), ("2", (0.4, 0)), ("2", (0.15, 1)), ("2", (0.0, 2))]
+    assert [each.get_text() for each in axes.texts if "captured" in each.get_text()] == ["1 captured", "2 captured"]
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert [name for name in names if name.startswith("says")] == ["says: chases 2", "says: inactive"]
 
 
 def test_rows_are_the_pursuers_asked_for_from_top_to_bottom_and_only_messages_among_them():
