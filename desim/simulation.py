@@ -45,18 +45,20 @@ class Result:
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__),
-            "ended": _told(ends[-1]) if ends else "not yet",
+            "ended": _told(ends[-1], len(self.scenario.evaders)) if ends else "not yet",
             "events": f"{len(self.trace):,}",
         }
         lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
         return f"<table>{lines}</table>"
 
 
-def _told(end: Ended) -> str:
+def _told(end: Ended, evaders: int) -> str:
     """Return how a run ended, in words."""
     if end.reason == "captured":
-        return f"captured by {end.capturer} after {seconds(end.t):.2f} s"
-    return f"{'not captured within' if end.reason == 'horizon' else 'stopped after'} {seconds(end.t):g} s"
+        last = "" if evaders == 1 else f"all {evaders} captured, the last "
+        return f"{last or 'captured '}by {end.capturer} after {seconds(end.t):.2f} s"
+    late = "not captured" if evaders == 1 else "not all captured"
+    return f"{f'{late} within' if end.reason == 'horizon' else 'stopped after'} {seconds(end.t):g} s"
 
 
 def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:

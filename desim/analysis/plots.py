@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.names import PICTURES, files
-from desim.analysis.reading import ended
+from desim.analysis.reading import captures
 from desim.kernel.clock import seconds
 from desim.pursuit.events import Sampled
 from desim.simulation import Result
@@ -116,19 +116,26 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     samples = result.trace.of(Sampled)
     if not samples:
         raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
-    end = ended(result)
-    evader = np.array([sample.evader for sample in samples])
+    evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
-    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i != end.capturer]
+    captured = captures(result)
+    capturers = list(dict.fromkeys(each.capturer for each in captured))
+    others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
     place(axes)
     axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
     for i in others:
         label = "pursuer that chased for a while" if i == others[0] else None
         axes.plot(*pursuers[:, i].T, color=SKY, lw=1.4, label=label)
-    if end.capturer is not None:
-        axes.plot(
-            *pursuers[:, end.capturer].T, color=BLUE, lw=2.0, label=f"pursuer {end.capturer}, which captures", zorder=3
-        )
-    axes.plot(*evader.T, lw=1.6, ms=5, label="evader", **EVADER)
-    if end.reason == "captured":
-        axes.plot(*evader[-1], "*", color="black", ms=11, zorder=5, label=f"capture, {seconds(end.t):.2f} s")
+    several = len(evaders[0]) > 1
+    for capturer in capturers:
+        label = None if capturer != capturers[0] else "pursuer that captures"
+        label = label if several else f"pursuer {capturer}, which captures"
+        axes.plot(*pursuers[:, capturer].T, color=BLUE, lw=2.0, label=label, zorder=3)
+    for k, path in enumerate(evaders.transpose(1, 0, 2), start=1):
+        axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER)
+        if several:
+            axes.annotate(str(k), path[0], (4, 4), textcoords="offset points", fontsize=8, zorder=6)
+    for capture in captured:
+        which = f"capture of {capture.evader} by {capture.capturer}" if several else "capture"
+        label = f"{which}, {seconds(capture.t):.2f} s"
+        axes.plot(*evaders[-1, capture.evader - 1], "*", color="black", ms=11, zorder=5, label=label)

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -13,10 +14,12 @@ import pytest
 from desim.analysis.plots import save, styled, trajectory
 from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
-from desim.pursuit.events import Ended, Sampled, Started
+from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.scenario import Scenario
-from desim.simulation import Result
+from desim.scenario_file import load
+from desim.simulation import Result, run
 
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 START = ((0.0, 0.0), (5.0, 5.0), (9.0, 0.0), (7.0, 7.0))
 
 
@@ -211,3 +214,19 @@ def test_a_styled_figure_has_its_size_in_inches():
     with styled((3.0, 2.0)) as figure:
         assert figure.get_size_inches().tolist() == [3.0, 2.0]
         assert mpl.rcParams["svg.fonttype"] == "none"
+
+
+def test_a_trajectory_numbers_several_evaders_and_says_who_captured_which():
+    """A captured evader is where its star is; a pursuer that captures twice is drawn once."""
+    result = run(load(SCENARIOS / "many.toml", ["horizon=20.0", "record.messages=false"]), 3)
+    captured, last = result.trace.of(Captured), result.trace.of(Sampled)[-1]
+    (axes,) = trajectory(result).axes
+    assert [text.get_text() for text in axes.texts] == ["1", "2", "3"]
+    stars = [line for line in axes.lines if line.get_marker() == "*"]
+    assert [line.get_label().split(",")[0] for line in stars] == [
+        f"capture of {each.evader} by {each.capturer}" for each in captured
+    ]
+    places = [(line.get_xdata()[0], line.get_ydata()[0]) for line in stars]
+    assert places == [last.evaders[each.evader - 1] for each in captured]
+    bold = [line for line in axes.lines if line.get_linewidth() == 2.0]
+    assert len(bold) == len({each.capturer for each in captured})
