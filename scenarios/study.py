@@ -1,8 +1,8 @@
 """What all studies share: their options, and how they show what they found."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -32,6 +32,8 @@ class Options:
     seed: int
     out: Path
     as_json: bool
+    own: Mapping[str, Any] = field(default_factory=dict)
+    """Those that only this study has, by name."""
 
     def measure(
         self, scenarios: Sequence["Scenario"], label: str, metric: Callable[["Result"], Measured]
@@ -66,8 +68,17 @@ class Options:
             click.echo(f"wrote {path}", err=True)
 
 
-def study(name: str, doc: str | None, runs: int) -> Callable[[Callable[[Options], None]], click.Command]:
-    """Make a command of a function of `Options`: its name, its help, and how many runs it takes by default."""
+def study(
+    name: str, doc: str | None, runs: int, *own: click.Option
+) -> Callable[[Callable[[Options], None]], click.Command]:
+    """Make a command of a function of `Options`.
+
+    Args:
+        name: of the study.
+        doc: its help.
+        runs: how many it takes by default.
+        own: options that only it has; see `Options.own`.
+    """
 
     def command(run: Callable[[Options], None]) -> click.Command:
         @click.command(name=name, help=doc)
@@ -76,9 +87,10 @@ def study(name: str, doc: str | None, runs: int) -> Callable[[Callable[[Options]
         @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first run.")
         @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
-        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool) -> None:
-            run(Options(name, runs, jobs, seed, out, as_json))
+        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **own: Any) -> None:
+            run(Options(name, runs, jobs, seed, out, as_json, own))
 
+        main.params.extend(own)
         return main
 
     return command
