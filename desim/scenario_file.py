@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
-from pydantic import BaseModel, Discriminator, ValidationError
+from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -119,12 +119,18 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
         if isinstance(part, str):
             owner, info = inner, inner.model_fields.get(part) if inner else None
         inner = _model_of(info, node) if info else None
-        tagged = info is not None and any(isinstance(each, OneOf | Discriminator) for each in markers_of(info))
-        if tagged and path and isinstance(path[0], str):
+        if info is not None and path and path[0] in _tags(info):
             path.pop(0)
     if error["type"] == "union_tag_invalid":
         place += ("kind",)
     return place, owner, info
+
+
+def _tags(info: FieldInfo) -> set[str]:
+    """Return what pydantic's path may name between a field, or an item of it, and what is in that."""
+    markers = markers_of(info)
+    kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
+    return kinds | {each.tag for each in markers if isinstance(each, Tag)}
 
 
 def _one_of(info: FieldInfo) -> OneOf | None:

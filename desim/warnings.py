@@ -17,6 +17,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     flights = [evader.speed for evader in scenario.evaders]
     if fastest <= max(flights):
         yield "team.speeds", _out_of_reach(fastest, flights, scenario.prune != "none")
+    yield from _of_sensing(scenario)
     yield from _of_network(scenario)
     yield from broken(scenario)
     schedule: Any = getattr(scenario.protocol, "schedule", None)
@@ -48,6 +49,22 @@ def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
         f" time of capture{whose} is inf{f' and nobody will chase{whom}' if pruned else ''}"
     )
+
+
+def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what of sight has no effect, and what leaves nothing to see."""
+    sensing = scenario.sensing
+    if not sensing.limited:
+        yield from (
+            (f"sensing.{key}", "it has no effect while the radius is inf")
+            for key in sensing.model_fields_set - {"radius"}
+        )
+    elif sensing.radius <= scenario.capture.radius:
+        yield (
+            "sensing.radius",
+            f"nobody sees an evader before it is captured: the radius of {sensing.radius:g} m is not more than that of"
+            f" capture, {scenario.capture.radius:g} m",
+        )
 
 
 def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:

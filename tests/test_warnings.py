@@ -6,6 +6,7 @@ from desim import Scenario
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.links import Links
 from desim.kernel.reach import QuasiUnitDisk
+from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Team
 from desim.warnings import warnings
@@ -30,6 +31,8 @@ def test_the_default_is_not_warned_of():
     ("given", "key", "why"),
     [
         ({"team": Team(count=2, speeds=(0.5, 0.9))}, "team.speeds", "the fastest moves at 0.9 m/s, the evader at 0.9"),
+        ({"sensing": Sensing(estimate="hold")}, "sensing.estimate", "no effect while the radius is inf"),
+        ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "nobody sees an evader before it is captured"),
         ({"network": Links(reach=QuasiUnitDisk())}, "network.reach", "no effect while the range is inf"),
         (
             {"network": Links(preset="lte", latency={"kind": "constant"})},
@@ -97,6 +100,7 @@ def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key
     [
         {"team": Team(count=2, speeds=(0.5, 0.91))},
         {"network": Links(range=1e6, reach=QuasiUnitDisk())},
+        {"sensing": Sensing(radius=0.11, estimate="hold")},
         {"network": Links(preset="lte")},
         {"network": Links(preset="lte", range=1e6)},
         {"announce": Announcements(trigger="revision", spread=Flooding())},

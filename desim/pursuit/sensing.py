@@ -48,7 +48,7 @@ class Sensing(Value):
     """Age T_lost of a sighting from which on the evader is lost, s."""
     when_lost: Literal["stay", "search"] = "search"
     """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
-    be, with turns 2 R_s apart."""
+    be, with turns 2 R_s apart, each pursuer in a direction of its own. Who has never heard of it stays."""
 
     @property
     def limited(self) -> bool:
@@ -191,7 +191,8 @@ class Sight:
         if sensing.when_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
-        off = spiral(self.speed(self._id) * (age - sensing.lost_after), apart)
+        arm = np.exp(2j * pi * self._id / self.size)  # so that who is equally fast goes another way
+        off = complex(arm * spiral(self.speed(self._id) * (age - sensing.lost_after), apart))
         return Estimate(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
 
     def report(self) -> None:

@@ -208,7 +208,7 @@ THERE = {
     "radio": "latency, range limit",
     "reckoning": "latency, stale knowledge",
     "relay": "latency, loss",
-    "search": "latency, range limit, limited sight",
+    "search": "latency, limited sight",
     "server": "latency",
     "soak": "latency, loss, faults, serial decisions",
     "table1_20": "serial decisions",
