@@ -119,7 +119,9 @@ def host_in_reach(scenario: "Scenario") -> str | None:
 
 
 def times_known(scenario: "Scenario") -> str | None:
-    """Everybody knows everybody's time of capture: positions are sensed, or all are told."""
+    """Everybody knows everybody's time of capture: positions are sensed, or all are told, and the evader is seen."""
+    if scenario.sensing.limited:
+        return "not everybody sees the evader (`sensing.radius`)"
     if scenario.announce.payload == "action":
         return None
     if scenario.announce.payload == "time" and len(scenario.evaders) > 1:

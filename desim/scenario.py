@@ -181,6 +181,12 @@ class Evader(Value):
         )
 
 
+def _some(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
+    if not evaders:  # `min_length` would count only the valid ones
+        raise ValueError("should have at least one table")
+    return evaders
+
+
 def _form_of_evaders(value: Any) -> str:
     return "list" if isinstance(value, list | tuple) else "table"
 
@@ -303,7 +309,7 @@ class Scenario(Value):
     would be late (phi >= r)."""
     team: Team = Team()
     evader: Annotated[
-        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], Field(min_length=1), Tag("list")],
+        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_some), Tag("list")],
         Discriminator(_form_of_evaders),
     ] = Evader()
     """Who flees: a table or, for evaders that differ, a list of tables."""

@@ -109,7 +109,8 @@ class _Crew:
         clocks = [
             NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
         ]
-        self._watch = Watch(scenario.sensing, world, network, clocks) if scenario.sensing.limited else None
+        blind = scenario.sensing.limited and not getattr(scenario.protocol, "omniscient", False)
+        self._watch = Watch(scenario.sensing, world, network, clocks) if blind else None
         if self._watch is not None:
             world.look_through(self._watch)
         views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
@@ -165,8 +166,8 @@ class _Crew:
                 self._world.repair(node)
                 self._repaired[node].succeed(remembers)
         self._agents[node].repaired(restarted=not remembers)
-        if self._watch is not None and not remembers:
-            self._watch.sights[node].forget()
+        if self._watch is not None and not crash.memory:
+            self._watch.sights[node].forget(heard_only=remembers)
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
         """Run a process of a pursuer from time 0 on, in order of ids whatever the order in which they were made.

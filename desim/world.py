@@ -60,7 +60,7 @@ class World:
         ]
         self._at_large = list(self._targets)
         self._free: Sequence[int] = range(1, len(self._targets) + 1)
-        self._options: dict[int, list[int]] = {}
+        self._options: dict[int, tuple[int, ...]] = {}
         self._lone = len(self._targets) == 1
         self._prune = scenario.prune
         self._sampling = scenario.record.trajectory
@@ -111,12 +111,10 @@ class World:
     def state(self, evader: int = 1) -> State:
         """Return where everyone and an evader are now, and who chases it."""
         players, target = self._players_now(), self._targets[evader - 1]
-        state = target.state
-        if state is None:
+        if target.state is None:
             chasers = self._chasers[evader - 1]
-            state = State(self._time, players[: self.size], players.item(self.size + evader - 1), chasers)
-            target.state = state
-        return state
+            target.state = State(self._time, players[: self.size], players.item(self.size + evader - 1), chasers)
+        return target.state
 
     def capture_times(self, evader: int = 1) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
@@ -144,7 +142,7 @@ class World:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         known = self._options.get(pursuer)
         if known is None:
-            known = [0, *(evader for evader in self._free if self.may_chase(pursuer, evader))]
+            known = (0, *(evader for evader in self._free if self.may_chase(pursuer, evader)))
             if self._prune != "infeasible":  # they change with captures only
                 self._options[pursuer] = known
         return known
@@ -421,7 +419,7 @@ class World:
         """Let an evader be captured: it is still, and who chased it stays until it decides anew."""
         target.captured = self._env.now
         self._at_large.remove(target)
-        self._free = [each.number for each in self._at_large]
+        self._free = tuple(each.number for each in self._at_large)
         self._options.clear()
         velocities = self._velocities.copy()
         velocities[self.size + target.number - 1] = 0.0

@@ -29,6 +29,8 @@ class Centralised(Value):
     """Nobody repeats its action by heartbeats."""
     embodied: ClassVar[bool] = False
     """The centre is in no robot, and does not break down with one."""
+    omniscient: ClassVar[bool] = True
+    """Whom it leads goes by what the centre knows, however far pursuers see."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time between two decisions delta, s."""

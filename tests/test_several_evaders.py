@@ -130,7 +130,7 @@ def test_a_captured_evader_may_not_be_chased_any_more():
         yield from (walk if me.id == 0 else look)(me)
 
     desim.run(standing(2.0, -30.0, team=Team(positions=((0.0, 0.0), (0.0, 9.0)), speeds=1.0), protocol=both))
-    assert seen == [(0, [0, 2], float("inf"), [2])]
+    assert seen == [(0, (0, 2), float("inf"), (2,))]
 
 
 @pytest.mark.parametrize("payload", ["action", "time", "state"])

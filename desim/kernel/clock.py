@@ -97,6 +97,10 @@ class NodeClock:
         """The true time, ns."""
         return self._env.now
 
+    def at(self, true: int) -> float:
+        """Return what it shows at a true time (ns), s."""
+        return self._offset + self._rate * seconds(true)
+
     def when(self, time: float) -> int:
         """Return the true time at which it shows a time (s), ns."""
         return nanoseconds((time - self._offset) / self._rate)

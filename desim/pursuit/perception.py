@@ -71,7 +71,7 @@ class Mind:
 class Eavesdropper:
     """A watcher of events that listens to the radio: it knows when word of a change of action is in flight.
 
-    What waits to be transmitted is not heard.
+    What waits to be transmitted is not heard; nor are the orders of a server, only the reports of who obeys them.
     """
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ class Eavesdropper:
             self._actions[record.src], self._changed[record.src] = action, record.seq
         if self._changed.get(record.src) == record.seq:
             arrivals = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
-            self._until = max(self._until, *arrivals)
+            self._until = max((self._until, *arrivals))
 
 
 class Memory:

@@ -4,7 +4,7 @@ During a motion step all pursuers see the same: an evader that goes on straight 
 law of guidance knows nothing else, so whoever has seen the path of the evader can retrace that of a teammate.
 """
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -65,7 +65,8 @@ class Sightings:
         known = (position, speed, since)
         began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
         first = bisect_right(self._sights, t, key=itemgetter(0)) - 1
-        ends = [sight.begun for sight in self._sights[first + 1 :]] + [now]
+        last = bisect_left(self._sights, now, key=itemgetter(0))  # the evader may have been captured since
+        ends = [sight.begun for sight in self._sights[first + 1 : last]] + [now]
         for sight, end in zip(self._sights[first:], ends, strict=False):  # none yet at the start
             began, origin = t, place
             place += way(self._law, sight.at(t) - place, sight.aim - place, sight.flight, speed, seconds(end - t))

@@ -39,16 +39,19 @@ class Sensing(Value):
     """Distance R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
     """Where an evader is that is not seen: where it was last seen (hold); where it would be had it kept the velocity it
-    had then; or somewhere within v_e age of where it was, so that phi is a bound: (d + v_e age - eps) / (v_i - v_e)."""
+    had then; or somewhere within v_e age of where it was, so that with equal clocks phi is a bound:
+    (d + v_e age - eps) / (v_i - v_e)."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, each of them made only if there is something new to tell, s."""
+    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `lost_after` old,
+    again and again, for reports are lost as other messages are."""
     pass_on: Truth = False
-    """Whether what others have reported is reported, too, so that it spreads over several hops."""
+    """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
     lost_after: Extent = 5.0
     """Age T_lost of a sighting from which on the evader is lost, s."""
     when_lost: Literal["stay", "search"] = "search"
     """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
-    be, with turns 2 R_s apart, each pursuer in a direction of its own. Who has never heard of it stays."""
+    be, with turns 2 R_s apart, each pursuer in a direction of its own. The spiral begins as the evader is lost, wherever
+    the pursuer is by then. Who has never heard of it stays."""
 
     @property
     def limited(self) -> bool:
@@ -110,9 +113,10 @@ class Watch:
         self.sights = [Sight(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
 
     def look(self, now: int) -> None:
-        """Let everybody remember the evaders that it sees at an instant, ns."""
+        """Let everybody that is not broken remember the evaders that it sees at an instant, ns."""
+        able = np.array([self._world.obeys(pursuer) for pursuer in range(self._world.size)])
         for evader in self._world.evaders():
-            seeing = self._world.distances(evader) <= self.sensing.radius
+            seeing = able & (self._world.distances(evader) <= self.sensing.radius)
             row = evader - 1
             self._seen[row, seeing] = now
             self._places[row, seeing] = self._world.evader(evader)
@@ -155,7 +159,6 @@ class Sight:
         self.action, self.obeys, self.order = world.action, world.obeys, world.order
         self.evaders, self.time_left = world.evaders, world.time_left
         self._heard: dict[int, Sighting] = {}
-        self._told: dict[int, float] = {}
 
     # What it knows of an evader.
 
@@ -172,7 +175,7 @@ class Sight:
         when, place, velocity = self._watch.last(self._id, evader)
         if when == NEVER:
             return heard
-        own = self._clock.now - seconds(self._clock.true - when)
+        own = self._clock.at(when)
         return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
 
     def estimate(self, evader: int) -> Estimate | None:
@@ -196,23 +199,19 @@ class Sight:
         return Estimate(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
 
     def report(self) -> None:
-        """Tell the neighbours of sightings that are newer than those told last."""
-        news = []
-        for evader in self._world.evaders():
-            sighting = self.newest(evader)
-            if sighting is None or sighting.seen <= self._told.get(evader, -inf):
-                continue
-            if self._sensing.pass_on or sighting is not self._heard.get(evader):
-                news.append(sighting)
-                self._told[evader] = sighting.seen
-        if news:
-            self._network.send(self._id, None, tuple(news), port=PORT)
+        """Tell the neighbours the newest sightings that are not too old."""
+        oldest = self._clock.now - self._sensing.lost_after
+        news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
+        told = tuple(each for each in news if self._sensing.pass_on or each is not self._heard.get(each.evader))
+        if told:
+            self._network.send(self._id, None, told, port=PORT)
 
-    def forget(self) -> None:
-        """Forget all sightings."""
-        self._watch.forget(self._id)
+    def forget(self, *, heard_only: bool) -> None:
+        """Forget what has been reported to it, or all sightings."""
+        self._listen()
         self._heard.clear()
-        self._told.clear()
+        if not heard_only:
+            self._watch.forget(self._id)
 
     def _listen(self) -> None:
         """Take note of what has been reported to it."""
@@ -249,15 +248,17 @@ class Sight:
         """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""
         return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
 
-    def options(self, pursuer: int) -> list[int]:
+    def options(self, pursuer: int) -> tuple[int, ...]:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
-        return [0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader))]
+        return (0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader)))
 
     def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
 
         Straight towards where the evader is believed to be, for nobody has seen its whole path.
         """
+        if evader not in self._world.evaders():
+            return self._world.reckoned(position, speed, age, evader, exact=False)
         estimate = self.estimate(evader)
         if estimate is None or self._world.frozen:
             return position
