@@ -50,8 +50,8 @@ class Sensing(Value):
     """Age T_lost of a sighting from which on the evader is lost, s."""
     when_lost: Literal["stay", "search"] = "search"
     """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
-    be, with turns 2 R_s apart, each pursuer in a direction of its own. The spiral begins as the evader is lost, wherever
-    the pursuer is by then. Who has never heard of it stays."""
+    be, with turns 2 R_s apart, each pursuer in a direction of its own. The spiral begins as the evader is lost,
+    wherever the pursuer is by then. Who has never heard of it stays."""
 
     @property
     def limited(self) -> bool:
