@@ -178,7 +178,7 @@ def test_only_who_sees_reports_if_nobody_passes_on():
 
 
 def test_a_report_has_its_size_and_tells_the_newest():
-    """Header of 16 bytes and six numbers of 8. Nobody tells older news than it told, nor any older than `lost_after`."""
+    """Header of 16 bytes and six numbers of 8. Nobody tells older news than it told before."""
     result = desim.run(scenario(Sensing(radius=9.0, period=0.05)))
     sent = [event for event in result.trace.of(Sent) if hasattr(event.body[0], "seen")]
     assert {event.size for event in sent} == {64}
