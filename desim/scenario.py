@@ -198,6 +198,8 @@ class Capture(Value):
     """Distance eps at which the evader is captured, m."""
     test: Literal["segment", "sample"] = "segment"
     """segment: at the very instant the distance falls to the radius; sample: judged at motion steps only."""
+    needed: Annotated[int, Field(ge=1, strict=True)] | None = None
+    """Number of captures that end the run; if absent, all evaders."""
 
 
 class Motion(Value):
@@ -360,6 +362,11 @@ class Scenario(Value):
             for src, dst in link.ways() if not strangers else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
+        if (needed := self.capture.needed) is not None and needed > (number := len(self.evaders)):
+            yield (
+                ("capture", "needed"),
+                f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
+            )
         if isinstance(host := getattr(self.protocol, "host", None), int) and host >= count:
             yield ("protocol", "host"), nobody.format(host)
         for k, fault in enumerate(self.fault):

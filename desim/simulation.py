@@ -16,7 +16,7 @@ from desim.kernel.faults import Crash, clock_errors, drawn
 from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
-from desim.pursuit.events import Ended
+from desim.pursuit.events import Captured, Ended
 from desim.pursuit.perception import Eavesdropper
 from desim.pursuit.sensing import Watch, reports
 from desim.pursuit.state import coordinates
@@ -45,20 +45,21 @@ class Result:
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__),
-            "ended": _told(ends[-1], len(self.scenario.evaders)) if ends else "not yet",
+            "ended": _told(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
             "events": f"{len(self.trace):,}",
         }
         lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
         return f"<table>{lines}</table>"
 
 
-def _told(end: Ended, evaders: int) -> str:
+def _told(end: Ended, captures: int, evaders: int) -> str:
     """Return how a run ended, in words."""
+    several = f"{captures} of {evaders} captured" if evaders > 1 else ""
     if end.reason == "captured":
-        last = "" if evaders == 1 else f"all {evaders} captured, the last "
-        return f"{last or 'captured '}by {end.capturer} after {seconds(end.t):.2f} s"
-    late = "not captured" if evaders == 1 else "not all captured"
-    return f"{f'{late} within' if end.reason == 'horizon' else 'stopped after'} {seconds(end.t):g} s"
+        how = f"{several}, the last by" if several else "captured by"
+        return f"{how} {end.capturer} after {seconds(end.t):.2f} s"
+    how = f"{several or 'not captured'} within" if end.reason == "horizon" else "stopped after"
+    return f"{how} {seconds(end.t):g} s"
 
 
 def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:

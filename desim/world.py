@@ -62,6 +62,7 @@ class World:
         self._free: Sequence[int] = range(1, len(self._targets) + 1)
         self._options: dict[int, tuple[int, ...]] = {}
         self._lone = len(self._targets) == 1
+        self._needed = scenario.capture.needed or len(self._targets)
         self._prune = scenario.prune
         self._sampling = scenario.record.trajectory
         self.size = scenario.team.count
@@ -412,7 +413,7 @@ class World:
         if not self._lone:
             self._trace.append(Captured(self._env.now, target.number, capturer))
             self._remove(target)
-        if self._lone or not self._at_large:
+        if self._lone or len(self._targets) - len(self._at_large) >= self._needed:
             self.finish("captured", capturer)
 
     def _remove(self, target: Target) -> None:

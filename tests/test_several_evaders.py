@@ -15,6 +15,7 @@ from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 from desim.scenario_file import load
+from desim.source import ScenarioError
 
 
 def chase(*targets):
@@ -47,6 +48,23 @@ def test_evaders_are_captured_one_after_the_other_and_the_last_one_ends_the_run(
     # It decides anew at the next hundredth of a second.
     assert seconds(second.t) == pytest.approx(1.9 + 4.8, abs=0.0101)
     assert end == Ended(second.t, "captured", 0)
+
+
+@pytest.mark.parametrize(("needed", "captures"), [(1, 1), (2, 2), (3, 3), (None, 3)])
+def test_as_many_captures_as_are_needed_end_the_run(needed, captures):
+    result = desim.run(standing(1.0, 2.0, 3.0, capture=Capture(needed=needed)))
+    captured, (end,) = result.trace.of(Captured), result.trace.of(Ended)
+    assert len(captured) == captures
+    assert end == Ended(captured[-1].t, "captured", 0)
+    assert seconds(end.t) == pytest.approx(captures - 0.1, abs=0.03)
+
+
+@pytest.mark.parametrize(("needed", "evaders", "why"), [(2, 1, "there is only 1"), (4, 3, "there are only 3")])
+def test_more_captures_than_evaders_are_an_error_with_its_key(tmp_path, needed, evaders, why):
+    path = tmp_path / "many.toml"
+    path.write_text(f"[evader]\ncount = {evaders}\n[capture]\nneeded = {needed}\n")
+    with pytest.raises(ScenarioError, match=rf"many\.toml:4: capture\.needed: {why} to capture \(got {needed}\)"):
+        load(path)
 
 
 def test_the_horizon_ends_a_run_in_which_some_are_captured():

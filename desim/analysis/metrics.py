@@ -67,7 +67,7 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured, or all of several."""
+    """Return whether the evader was captured; of several all, or as many as end the run (`capture.needed`)."""
     return ended(result).reason == "captured"
 
 
