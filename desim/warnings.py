@@ -8,6 +8,7 @@ from desim.assumptions import broken
 from desim.kernel.links import Links
 from desim.kernel.presets import PRESETS
 from desim.kernel.reach import Disk
+from desim.pursuit.sensing import Sensing
 from desim.scenario import Scenario
 
 
@@ -55,10 +56,9 @@ def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield what of sight has no effect, and what leaves nothing to see."""
     sensing = scenario.sensing
     if not sensing.limited:
-        yield from (
-            (f"sensing.{key}", "it has no effect while the radius is inf")
-            for key in sensing.model_fields_set - {"radius"}
-        )
+        default = Sensing()
+        others = [key for key in Sensing.model_fields if getattr(sensing, key) != getattr(default, key)]
+        yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
     elif sensing.radius <= scenario.capture.radius:
         yield (
             "sensing.radius",

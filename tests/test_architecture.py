@@ -97,7 +97,7 @@ ALLOWED = {
     },
     "desim.scenario": {"desim.kernel", "desim.pursuit", "desim.value"},
     "desim.assumptions": {"desim.kernel", "desim.scenario"},
-    "desim.warnings": {"desim.assumptions", "desim.kernel", "desim.scenario"},
+    "desim.warnings": {"desim.assumptions", "desim.kernel", "desim.pursuit.sensing", "desim.scenario"},
     "desim.toml_lines": set(),
     "desim.source": {"desim.kernel.presets", "desim.scenario", "desim.toml_lines", "desim.value"},
     "desim.scenario_file": {"desim.scenario", "desim.source", "desim.toml_lines", "desim.value"},

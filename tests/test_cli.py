@@ -129,7 +129,7 @@ FAULTS = {
         "[evader]\nsped = 0.9",
         2,
         "evader.sped",
-        ["unknown key, did you mean 'speed'?", "allowed: box, position, speed, strategy"],
+        ["unknown key, did you mean 'speed'?", "allowed: box, count, position, reaction, sight, speed, strategy"],
     ),
     "unknown key of a latency": (
         "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",

@@ -144,7 +144,7 @@ def test_to_chase_an_evader_that_is_there_is_none():
 @pytest.mark.parametrize(
     ("evader", "why"),
     [
-        ((), "at least 1 item"),
+        ((), "at least one table"),
         ({"count": 0}, "greater than or equal to 1"),
         ([{"count": 2}, {"count": -1}], "greater than or equal to 1"),
         ({"count": True}, "valid integer"),

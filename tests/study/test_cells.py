@@ -349,6 +349,7 @@ OTHERS = {
     "prune": {"prune": "none"},
     "team": {"team": Team(count=4)},
     "evader": {"evader": {"speed": 0.8}},
+    "sensing": {"sensing": {"radius": 5.0}},
     "capture": {"capture": {"radius": 0.2}},
     "motion": {"motion": {"step": 0.02}},
     "protocol": {"protocol": BestResponse()},
