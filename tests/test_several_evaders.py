@@ -1,6 +1,7 @@
 """Runs with several evaders: who is captured when, what becomes of who chased it, and one evader as a special case."""
 
 import json
+from math import nan
 
 import numpy as np
 import pytest
@@ -8,14 +9,17 @@ import pytest
 import desim
 from desim import Scenario
 from desim.analysis.folder import kinds
-from desim.kernel.clock import SECOND, seconds
+from desim.kernel.clock import SECOND, Clock, seconds
 from desim.kernel.events import Trace
-from desim.pursuit.evasion import ConstantHeading, PureEvasion, Still
+from desim.kernel.faults import Crash
+from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 from desim.scenario_file import load
 from desim.source import ScenarioError
+from desim.world import World
 
 
 def chase(*targets):
@@ -81,6 +85,26 @@ def test_who_runs_into_another_evader_captures_it_too():
     assert not [each for each in result.trace.of(Decided) if passed.t < each.t < chased.t and each.active != 1]
 
 
+@pytest.mark.parametrize("places", [(2.0, 4.0), (4.0, 2.0)])
+def test_two_that_are_reached_within_one_step_are_captured_in_the_order_in_which_they_are_reached(places):
+    """One step of 5 s, in which the pursuer heads for the one at 4 m."""
+    base = standing(*places, protocol=chase(1 + places.index(4.0)), motion=Motion(step=5.0))
+    captures = desim.run(base).trace.of(Captured)
+    assert [places[each.evader - 1] for each in captures] == [2.0, 4.0]
+    assert [seconds(each.t) for each in captures] == [pytest.approx(1.9), pytest.approx(3.9)]
+
+
+@pytest.mark.parametrize(("until", "end"), [(None, 3.8), (3.0, 3.8), (4.0, 4.0), (9.0, None)])
+def test_who_is_broken_captures_nobody(until, end):
+    """An evader comes from 2 m away at 0.5 m/s: it touches the pursuer after 3.8 s, and leaves it after 4.2 s."""
+    comes = Evader(position=(-2.0, 0.0), speed=0.5, strategy=ConstantHeading(angle=0.0))
+    fault = () if until is None else (Crash(node=0, at=0.5, until=until),)
+    stays = Team(positions=((0.0, 0.0),), speeds=1.0, active_at_start=0.0)
+    base = standing(evader=comes, team=stays, protocol=lambda me: iter(()), fault=fault, horizon=9.0)
+    (ended,) = desim.run(base).trace.of(Ended)
+    assert (ended.reason, seconds(ended.t)) == (("captured", pytest.approx(end)) if end else ("horizon", 9.0))
+
+
 @pytest.mark.parametrize("test", ["segment", "sample"])
 def test_two_that_are_reached_at_the_same_instant_are_both_captured(test):
     result = desim.run(standing(2.0, 2.0, 2.0, capture=Capture(test=test)))
@@ -89,7 +113,7 @@ def test_two_that_are_reached_at_the_same_instant_are_both_captured(test):
 
 
 def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
-    """Nobody decides after the start: both stop at the capture, and so does what was captured."""
+    """Nobody decides after the start: both stop at the capture, within a step, and so does what was captured."""
 
     def once(me):
         me.assign(1)
@@ -100,8 +124,8 @@ def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
         Evader(position=(2.0, 0.0), speed=0.5, strategy=ConstantHeading(angle=0.0)),
         Evader(position=(0.0, 50.0), speed=0.5, strategy=PureEvasion()),
     )
-    base = standing(team=team, evader=evaders, protocol=once, horizon=8.0, record=Recording(trajectory=0.5))
-    result = desim.run(base)
+    keys = {"horizon": 8.0, "record": Recording(trajectory=0.1), "motion": Motion(step=0.5)}
+    result = desim.run(standing(team=team, evader=evaders, protocol=once, **keys))
     (captured,) = result.trace.of(Captured)
     after = [sample for sample in result.trace.of(Sampled) if sample.t > captured.t]
     assert seconds(captured.t) == pytest.approx((2.0 - 0.1) / 0.5)
@@ -179,6 +203,60 @@ def test_what_is_said_names_the_evader(payload):
                 assert believed == {chaser: pytest.approx(phi[evader - 1][chaser])}
             known = {j: belief.active for j, belief in beliefs.items()}
             assert known == {j: j + 1 for j in range(3) if j != me}
+            # Of a time of capture that was told it is known to which evader it is.
+            times = {j: nan if payload == "time" and j != chaser else phi[evader - 1][j] for j in known}
+            assert {j: belief.capture_time for j, belief in beliefs.items()} == pytest.approx(times, nan_ok=True)
+
+
+@pytest.mark.parametrize("sensing", [Sensing(), Sensing(radius=1e6)], ids=["unlimited", "limited"])
+@pytest.mark.parametrize("reckoning", ["exact", "cheap"])
+def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sensing):
+    """At 1 m/s from the origin: after 1 s a metre up, where evader 2 stands, not to the right, where evader 1 does."""
+    seen = []
+
+    def tell(me):
+        me.assign(2)
+        me.tell()
+        yield me.at(1.0)
+        seen.append((me.id, me.whereabouts(1).places[0]))
+
+    team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
+    evaders = (
+        Evader(position=(20.0, 0.0), speed=0.0, strategy=Still()),
+        Evader(position=(0.0, 20.0), speed=0.0, strategy=Still()),
+    )
+    said = Announcements(payload="state", trigger="never", reckoning=reckoning)
+    keys = {"team": team, "evader": evaders, "announce": said, "sensing": sensing, "horizon": 2.0}
+    desim.run(standing(protocol=tell, **keys))
+    assert seen == [(me, pytest.approx(1j, abs=1e-12)) for me in (0, 1)]
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
+    """Two chase an evader; seconds after the capture they are still where they were by then.
+
+    Along the path of the evader that holds for both; straight to where it is, for the one that was right behind it.
+    """
+    team = Team(positions=((0.0, 0.0), (0.0, -6.0)), speeds=2.0, active_at_start=0.0)
+    evaders = (
+        Evader(position=(2.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=0.0)),
+        Evader(position=(60.0, 60.0), speed=0.9),
+    )
+    clock = Clock()
+    said = Announcements(payload="state")
+    world = World(clock, Scenario(team=team, evader=evaders, announce=said), 0, Trace())
+    world.begin()
+    world.order(0, 1), world.order(1, 1)
+    clock.run(until=SECOND)
+    told = world.places()
+    clock.run(until=8 * SECOND)
+    assert world.evaders() == (2,)
+    for pursuer in (0, 1) if exact else (0,):
+        for place, age in ((team.positions[pursuer], 8), ((told[pursuer].real, told[pursuer].imag), 7)):
+            reckoned = world.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
+            assert abs(reckoned - world.place(pursuer)) < 1e-9
+        # Who told it after the capture has not moved since.
+        assert world.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
 
 
 def test_a_trace_with_several_evaders_reads_back():
@@ -209,10 +287,17 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
     assert list(desim.run(load(path)).trace.lines()) == list(desim.run(table).trace.lines())
 
 
+def test_alike_evaders_do_not_move_alike():
+    """They start at one place, and each wanders as chance has it."""
+    wander = Evader(count=3, position=(5.0, 5.0), strategy=Diffusion())
+    last = desim.run(Scenario(horizon=0.5, team=Team(count=1), evader=wander)).trace.of(Sampled)[-1]
+    assert len({last.evader, *last.others}) == 3
+
+
 def test_a_start_at_random_chases_every_evader_alike():
     """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075."""
-    base = Scenario(horizon=0.01, team=Team(count=400), evader=Evader(count=3), record=Recording(trajectory=0.0))
-    first = np.concatenate([desim.run(base, seed).trace.of(Started)[0].active for seed in range(10)])
+    base = Scenario(team=Team(count=400, speeds=1.0), evader=Evader(count=3))
+    first = np.concatenate([World(Clock(), base, seed, Trace()).profile() for seed in range(10)])
     shares = [(first == action).mean() for action in (1, 2, 3)]
     assert max(abs(share - 1 / 3) for share in shares) < 4 * 0.0075
     assert (first == 0).sum() == 0

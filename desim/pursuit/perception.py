@@ -93,8 +93,8 @@ class Eavesdropper:
 
     def _hear(self, record: Record, event: Broadcast | Sent) -> None:
         """Take note of a record that is transmitted."""
-        action = getattr(record.body, "active", None)
-        if action is not None and action != self._actions.get(record.src, 0):
+        action, newer = getattr(record.body, "active", None), record.seq > self._changed.get(record.src, 0)
+        if newer and action is not None and action != self._actions.get(record.src, 0):
             self._actions[record.src], self._changed[record.src] = action, record.seq
         if self._changed.get(record.src) == record.seq:
             arrivals = event.arrival if isinstance(event, Broadcast) else (event.arrival,)

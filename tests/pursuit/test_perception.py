@@ -3,17 +3,34 @@
 import weakref
 from math import inf
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.pursuit.evasion import Diffusion, Listener, MaxMin, PureEvasion, VoronoiVertex, Zigzag
+from desim.kernel.graphs import Edges
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.evasion import (
+    ConstantHeading,
+    Diffusion,
+    Listener,
+    MaxMin,
+    PureEvasion,
+    Still,
+    VoronoiVertex,
+    Zigzag,
+)
+from desim.pursuit.events import Sampled
 from desim.pursuit.outlook import Outlook
 from desim.pursuit.perception import Memory
 from desim.pursuit.state import State
+from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Team
+from protocols.dissemination import Flooding, Gossip
 
 MS = 1_000_000
 SPEEDS = np.array([1.0, 1.5, 2.0])
@@ -210,3 +227,93 @@ def test_who_sees_less_is_captured_sooner(settings, time):
         protocol=nothing,
     )
     assert summary(run(scenario)).capture_time == pytest.approx(time, abs=0.003)
+
+
+# Listening in a run.
+
+LATENCY = 0.5
+"""Of every message, s."""
+APART = Team(positions=((100.0, 0.0), (110.0, 0.0), (120.0, 0.0)), speeds=2.0, active_at_start=0.0)
+CHASING = APART.model_copy(update={"active_at_start": 1.0})
+
+
+def way(*words, spread=None, **keys):
+    """Return how far an evader goes, m, that moves at 1 m/s while it hears that a change is told, and else stands.
+
+    Args:
+        words: (time, pursuer, action) what who does from when on, and tells then.
+        spread: how word spreads; one hop if None.
+        keys: of the scenario.
+    """
+
+    def behaviour(me):
+        for time, who, action in words:
+            if who == me.id:
+                yield me.at(time)
+                me.assign(action)
+                me.tell()
+
+    said = {} if spread is None else {"spread": spread}
+    settings = {
+        "team": APART,
+        "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(then=ConstantHeading(angle=0.0))),
+        "network": Links(latency=Constant(value=LATENCY)),
+        "announce": Announcements(trigger="never", **said),
+    }
+    result = run(Scenario(horizon=5.0, protocol=behaviour, **(settings | keys)))
+    return pytest.approx(result.trace.of(Sampled)[-1].evader[0], abs=1e-9)
+
+
+def test_it_moves_for_exactly_as_long_as_word_of_a_change_is_in_flight():
+    assert way() == 0.0
+    assert way((1.0, 0, 1)) == LATENCY
+    assert way((1.0, 0, 1), (3.0, 0, 0)) == 2 * LATENCY
+    assert way((1.0, 0, 1), (1.3, 1, 1)) == 0.3 + LATENCY
+
+
+def test_word_of_what_was_said_before_is_no_change():
+    assert way((1.0, 0, 1), (1.3, 0, 1), (3.0, 0, 1)) == LATENCY
+    assert way((1.0, 0, 1), (1.3, 1, 0)) == LATENCY
+
+
+def test_what_everybody_does_at_first_is_known():
+    assert way((1.0, 0, 1), team=CHASING) == 0.0
+    assert way((1.0, 0, 0), team=CHASING) == LATENCY
+
+
+def test_to_chase_another_evader_is_a_change():
+    listens = Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(then=ConstantHeading(angle=0.0)))
+    two = (listens, Evader(position=(0.0, 90.0), speed=1.0, strategy=Still()))
+    assert way((1.0, 0, 1), (2.0, 0, 2), (3.0, 0, 2), evader=two) == 2 * LATENCY
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"team": Team(positions=((100.0, 0.0),), speeds=2.0, active_at_start=0.0)},
+        {"network": Links(latency=Constant(value=LATENCY), range=2.0)},
+        {"network": Links(latency=Constant(value=LATENCY), loss=Bernoulli(p=1.0))},
+    ],
+    ids=["nobody there", "nobody near", "all is lost"],
+)
+@pytest.mark.parametrize("spread", [None, Flooding(), Gossip()], ids=["one_hop", "flooding", "gossip"])
+def test_word_that_reaches_nobody_is_not_in_flight(spread, keys):
+    assert way((1.0, 0, 1), spread=spread, **keys) == 0.0
+
+
+@pytest.mark.parametrize(("hops", "flights"), [(1, 1), (2, 2), (5, 3)])
+def test_a_change_that_is_passed_on_is_in_flight_for_longer(hops, flights):
+    """On a line of three: it is told to the next one, to that one's neighbours, and by the last one back."""
+    line = Links(graph=Edges.of(nx.path_graph(3)), latency=Constant(value=LATENCY))
+    flooding = Flooding(hops=hops, jitter=0.0)
+    assert way((1.0, 0, 1), spread=flooding, network=line) == flights * LATENCY
+    assert way((1.0, 0, 0), spread=flooding, network=line) == 0.0
+
+
+def test_of_what_is_passed_on_only_the_change_counts():
+    """Pursuer 1 stays, and says so with all it knows: at 1.2 s that pursuer 0 stayed at first, at 1.7 s that it chases.
+
+    Word of the change is in flight from 1 to 1.5 s and from 1.7 to 2.2 s; what is out of date by 1.2 s is no change.
+    """
+    assert way((1.0, 0, 1), (1.2, 1, 0), spread=Gossip()) == LATENCY
+    assert way((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), spread=Gossip()) == 2 * LATENCY
