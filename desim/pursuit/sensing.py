@@ -42,8 +42,8 @@ class Sensing(Value):
     had then; or somewhere within v_e age of where it was, so that with equal clocks phi is a bound:
     (d + v_e age - eps) / (v_i - v_e)."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `lost_after` old,
-    again and again, for reports are lost as other messages are."""
+    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `lost_after` old
+    or it hears of a newer one, again and again, for reports are lost as other messages are."""
     pass_on: Truth = False
     """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
     lost_after: Extent = 5.0
