@@ -216,15 +216,28 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """Let processes that are started here inherit that Ctrl-C is not for them; it waits for us meanwhile."""
+    """Let processes that are started here inherit that Ctrl-C is not for them; it waits for us meanwhile.
+
+    Python lets its handler run in the main thread whichever thread hears the signal, and another may not have blocked
+    it. So what is heard is noted, and comes afterwards.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    heard: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    handles = handler is not None and threading.current_thread() is threading.main_thread()
+    if handles:
+        signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if handles:
+            signal.signal(signal.SIGINT, handler)  # what has come by now is noted before
+        if heard:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _serve(driver: int) -> None:

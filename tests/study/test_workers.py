@@ -287,3 +287,22 @@ def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
     assert made.exit_code == 2
     assert made.stderr == f"{address}: has no workers within 5 s\n"
     assert sweeps.count(tmp_path / "out" / "sweep.sqlite") >= 1
+
+
+def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
+    """That of a progress bar, say, has not blocked it; an interrupt half-way leaves a worker that is told nothing."""
+    over = threading.Event()
+    threading.Thread(target=over.wait, daemon=True).start()
+    reached, handler = [], signal.getsignal(signal.SIGINT)
+
+    def start():
+        with places._deaf():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.05)
+            reached.append("the end")
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    over.set()
+    assert reached == ["the end"]
+    assert signal.getsignal(signal.SIGINT) is handler
