@@ -289,11 +289,20 @@ def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
     assert sweeps.count(tmp_path / "out" / "sweep.sqlite") >= 1
 
 
+@pytest.fixture
+def interruptible():
+    """Let Ctrl-C be what it is at a prompt, whatever ran in this process before."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
     """That of a progress bar, say, has not blocked it; an interrupt half-way leaves a worker that is told nothing."""
     over = threading.Event()
     threading.Thread(target=over.wait, daemon=True).start()
-    reached, handler = [], signal.getsignal(signal.SIGINT)
+    reached = []
 
     def start():
         with places._deaf():
@@ -305,4 +314,4 @@ def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
         start()
     over.set()
     assert reached == ["the end"]
-    assert signal.getsignal(signal.SIGINT) is handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
