@@ -39,15 +39,20 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
         refuse(f"a replay needs {error.name}: pip install 'pursuit-desim[plot]'")
     except ValueError as error:
         refuse(str(error))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(page)
-    except OSError as error:
-        refuse(f"--out {path}: cannot be written: {error.strerror}")
+    put(page, path)
     size, tally = len(started(result).active), messages(result)
     click.echo(
         f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB"
     )
+
+
+def put(page: bytes, path: Path) -> None:
+    """Write a page, in folders that are made if need be; end the program if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(page)
+    except OSError as error:
+        refuse(f"{path}: cannot be written: {error.strerror}")
 
 
 def page_at(out: Path | None, usual: Path) -> Path:

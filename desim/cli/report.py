@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.look import page_at
+from desim.cli.look import page_at, put
 from desim.cli.options import STORE, refuse, storing
 
 
@@ -27,11 +27,7 @@ def report(folder: Path, out: Path | None) -> None:
         refuse(f"a report needs {error.name}: pip install 'pursuit-desim[plot]'")
     except ValueError as error:
         refuse(str(error))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(page)
-    except OSError as error:
-        refuse(f"{path}: cannot be written: {error.strerror}")
+    put(page, path)
     groups = study.result.groups
     click.echo(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
 
