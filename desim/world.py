@@ -249,7 +249,7 @@ class World:
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
-        if not 0 <= action <= len(self._targets):
+        if action not in range(len(self._targets) + 1):
             raise ValueError(f"an action should be 0 or an evader, 1 .. {len(self._targets)}, got {action}")
         able = action and not self._broken[pursuer] and self._may(pursuer, action)
         action = int(action) if able else 0

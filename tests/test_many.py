@@ -130,7 +130,7 @@ def assigned(action, evaders=2):
 
 
 @pytest.mark.parametrize("evaders", [1, 2])
-@pytest.mark.parametrize("action", [7, 3, -1])
+@pytest.mark.parametrize("action", [7, 3, -1, 0.5])
 def test_to_chase_an_evader_that_is_not_there_is_an_error_that_names_those_that_are(action, evaders):
     with pytest.raises(ValueError, match=f"an action should be 0 or an evader, 1 .. {evaders}, got {action}"):
         assigned(action, evaders)
