@@ -3,7 +3,9 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from desim.kernel.hops import Positions
+import numpy as np
+
+from desim.kernel.positions import Whereabouts, as_positions
 
 Cut = Mapping[int, int]
 """The group of each node that is named; all others form one more."""
@@ -14,8 +16,8 @@ Disc = tuple[tuple[float, float], float]
 class Conditions:
     """The faults that are open; each is opened and closed by the one who knows it."""
 
-    def __init__(self, positions: Positions | None = None):
-        self._positions = positions
+    def __init__(self, positions: Whereabouts | None = None):
+        self._positions = None if positions is None else as_positions(positions)
         self._down: Counter[int] = Counter()
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
@@ -32,7 +34,7 @@ class Conditions:
         """Return whether a node is within a jamming disc."""
         if not self._jams or self._positions is None:
             return False
-        x, y = self._positions()[node]
+        ((x, y),) = self._positions.of(np.array([node]))
         return any((x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams)
 
     def break_down(self, node: int) -> None:

@@ -1,15 +1,12 @@
 """The hops of one transmission: what a model of a link may know when it answers for them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.kernel.positions import Whereabouts, as_positions, distances
 from desim.kernel.seeds import pair_luck
-
-Positions = Callable[[], NDArray[np.float64]]
-"""Where the nodes are now, (n, 2) m."""
 
 
 @dataclass(slots=True)
@@ -24,7 +21,7 @@ class Hops:
     """Bytes."""
     seed: int = 0
     """Of the run."""
-    positions: Positions | None = None
+    positions: Whereabouts | None = None
 
     @property
     def distances(self) -> NDArray[np.float64]:
@@ -35,14 +32,9 @@ class Hops:
         """
         if self.positions is None:
             raise ValueError("a model that asks for distances needs a network whose nodes have positions")
-        return distances(self.positions(), self.src, self.dst)
+        nodes = np.concatenate((self.dst, [self.src]))
+        return distances(as_positions(self.positions).of(nodes), -1)[:-1]
 
     def luck(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
         """Return (k,) uniform numbers in (0, 1) that belong to the pairs of nodes and never change."""
         return pair_luck(self.seed, name, self.src, self.dst, symmetric=symmetric)
-
-
-def distances(at: NDArray[np.float64], src: int, dst: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the (k,) distances from one node to others, given everybody's position (n, 2), m."""
-    apart = at[dst] - at[src]
-    return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
 from desim.kernel.hops import Hops
+from desim.kernel.seeds import ROOM
 from desim.value import OneOf, Positive, Speed, Time, Truth, Value, beside
 
 Floats = NDArray[np.float64]
@@ -255,7 +256,7 @@ class PerPair(Value):
 
 
 class _Pairs:
-    """The pairs of one run: what is their own is worked out once per sender."""
+    """The pairs of one run: what is their own is worked out once per sender, while there is room to keep it."""
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)
@@ -263,9 +264,11 @@ class _Pairs:
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        if hops.src not in self._own:
+        if hops.src not in self._own and (len(self._own) + 1) * len(self._all) <= ROOM:
             self._own[hops.src] = self._model.own(replace(hops, dst=self._all))
-        return self._own[hops.src][hops.dst] + self._model.jitter(hops, rng)
+        kept = self._own.get(hops.src)
+        own = self._model.own(hops) if kept is None else kept[hops.dst]
+        return own + self._model.jitter(hops, rng)
 
 
 LATENCIES = OneOf(Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Propagation, PerPair)

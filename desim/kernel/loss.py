@@ -3,6 +3,7 @@
 A model with memory has a method `begin(size)` that returns what answers for one run; the model itself stays frozen.
 """
 
+from collections import defaultdict
 from typing import Annotated, Literal, Protocol, Self
 
 import numpy as np
@@ -61,7 +62,7 @@ class GilbertElliott(Value):
 
     def begin(self, size: int) -> Loss:
         """Return the links of one run between `size` nodes; they remember how they were."""
-        return _Bursts(self, size)
+        return _Bursts(self)
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
         """Return which of the hops lose a message if nothing is remembered: the stationary law."""
@@ -69,30 +70,55 @@ class GilbertElliott(Value):
 
 
 class _Bursts:
-    """How the links of one run were when they were last used, one row per sender."""
+    """The links of one run, one row per sender; memory for those links only that are used."""
 
-    def __init__(self, model: GilbertElliott, size: int):
-        self._share, self._in_time, self._size = model.share, model.advance == "time", size
+    def __init__(self, model: GilbertElliott):
+        self._share, self._in_time = model.share, model.advance == "time"
         self._recovery = 1.0 / model.burst  # r
         self._failure = self._recovery * model.share / (1.0 - model.share)  # p
-        self._rows: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
         """Return which of the hops lose the message: each link advances, and its state is its answer."""
-        if hops.src not in self._rows:
-            # At first, and in time after an eternity, a link has forgotten how it was.
-            self._rows[hops.src] = np.full(self._size, self._share), np.full(self._size, -np.inf)
-        was_bad, since = self._rows[hops.src]
-        known = since[hops.dst] > -np.inf
+        row = self._rows[hops.src]
+        links = row.links(hops.dst)
+        was_bad, since = row.was_bad[links], row.since[links]
         if self._in_time:
             # Two states in continuous time: P(bad) tends to its share at the sum of the two rates.
-            memory = np.exp((self._failure + self._recovery) * (since[hops.dst] - hops.now))
-            chance = self._share + (was_bad[hops.dst] - self._share) * memory
+            memory = np.exp((self._failure + self._recovery) * (since - hops.now))
+            chance = self._share + (was_bad - self._share) * memory
         else:
-            chance = np.where(was_bad[hops.dst] > 0.0, 1.0 - self._recovery, self._failure)
-        bad: Truths = rng.random(len(hops.dst)) < np.where(known, chance, self._share)
-        was_bad[hops.dst], since[hops.dst] = bad, hops.now
+            chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
+        bad: Truths = rng.random(len(hops.dst)) < np.where(since > -np.inf, chance, self._share)
+        row.was_bad[links], row.since[links] = bad, hops.now
         return bad
+
+
+class _Row:
+    """How the links of a sender to those receivers that it has had were when they were last used.
+
+    At first, and in time after an eternity, a link has forgotten how it was.
+    """
+
+    def __init__(self, share: float):
+        self._share = share
+        self._nodes = np.array([-1])  # nobody
+        self.was_bad, self.since = np.array([share]), np.array([-np.inf])
+
+    def links(self, dst: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return where in the row the links to (k,) nodes are."""
+        links = self._nodes.searchsorted(dst)
+        if (self._nodes.take(links, mode="clip") != dst).any():
+            self._add(dst)
+            links = self._nodes.searchsorted(dst)
+        return links
+
+    def _add(self, dst: NDArray[np.intp]) -> None:
+        old, was_bad, since = self._nodes, self.was_bad, self.since
+        self._nodes = np.union1d(old, dst)
+        self.was_bad, self.since = np.full(len(self._nodes), self._share), np.full(len(self._nodes), -np.inf)
+        kept = self._nodes.searchsorted(old)
+        self.was_bad[kept], self.since[kept] = was_bad, since
 
 
 class ByDistance(Value):

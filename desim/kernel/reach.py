@@ -3,6 +3,7 @@
 Whatever the model, the range is the one length in it, so that a study sweeps one key.
 """
 
+from math import inf
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
@@ -15,7 +16,10 @@ Floats = NDArray[np.float64]
 
 
 class Reach(Protocol):
-    """A model of the reach: `reach(distances, range)` is the (k,) probability of reception at (k,) distances, m."""
+    """A model of the reach: `reach(distances, range)` is the (k,) probability of reception at (k,) distances, m.
+
+    It may have a method `bound(range)`: the distance beyond which nothing is ever received, m.
+    """
 
     def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
 
@@ -28,6 +32,10 @@ class Disk(Value):
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= R, else 0."""
         return (distances <= range).astype(float)
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
 
 
 class QuasiUnitDisk(Value):
@@ -42,6 +50,10 @@ class QuasiUnitDisk(Value):
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= q R, p where d <= R, else 0."""
         return np.where(distances <= self.certain * range, 1.0, np.where(distances <= range, self.p, 0.0))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
 
 
 class LogDistance(Value):
@@ -63,6 +75,17 @@ class LogDistance(Value):
         with np.errstate(divide="ignore", over="ignore"):
             margin = 10.0 * self.exponent * np.log10(range / distances)
         return np.asarray(ndtr(margin / self.shadowing))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return where P(d) = NormalCDF(-8.3) = 5e-17, less than any luck of a pair: see `desim.kernel.seeds`."""
+        ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
+        return ranges * range
+
+
+def bound(reach: Reach, range: float) -> float:  # noqa: A002
+    """Return the distance beyond which nothing is ever received, m; inf if a model does not say."""
+    ends = getattr(reach, "bound", None)
+    return inf if ends is None else float(ends(range))
 
 
 REACHES = OneOf(Disk, QuasiUnitDisk, LogDistance)

@@ -10,6 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+ROOM = 2**22
+"""How many numbers that belong to pairs of nodes are kept at most instead of being worked out again."""
+
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     """Return the generator of a name, for instance `stream(7, "pursuer", 3)`; equal arguments, equal draws."""

@@ -1,24 +1,31 @@
 """Who can hear whom: a static graph, cut down to the pairs that are within reach of each other now."""
 
+from bisect import bisect_left
+from collections.abc import Callable
+from functools import cached_property
 from math import inf
 
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.hops import Positions, distances
-from desim.kernel.reach import Disk, Reach
-from desim.kernel.seeds import pair_luck
+from desim.kernel.cells import Cells
+from desim.kernel.complete import complete_digraph, is_complete, is_worked_out
+from desim.kernel.positions import Floats, Nodes, Whereabouts, as_positions, distances
+from desim.kernel.reach import Disk, Reach, bound
+from desim.kernel.seeds import ROOM, pair_luck
 
-Nodes = NDArray[np.intp]
 Truths = NDArray[np.bool_]
+FEW = 400
+"""Up to so many nodes it is faster to take the distances to all than to find those that may be near."""
 
 
 class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
     A static graph that is not limited by range is read once; with a range, distances are taken at every question,
-    so the neighbourhoods follow the positions.
+    so the neighbourhoods follow the positions. If many nodes are all linked to each other and their reach is bounded,
+    only those are asked about that may be near: the cost does not grow with the number of nodes.
 
     Args:
         graph: who is linked to whom.
@@ -27,6 +34,7 @@ class Topology:
         reach: the probability of reception at a distance.
         frozen: whether its chance is drawn once per pair of nodes; if not, for every message.
         seed: of that chance.
+        now: the time, s; if it is known, many nodes of limited speed are not looked at before they can have moved far.
 
     Raises:
         ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or a finite range comes without positions.
@@ -36,32 +44,46 @@ class Topology:
         self,
         graph: "nx.Graph[int]",
         range: float = inf,  # noqa: A002
-        positions: Positions | None = None,
+        positions: Whereabouts | None = None,
         reach: Reach | None = None,
         *,
         frozen: bool = True,
         seed: int = 0,
+        now: Callable[[], float] | None = None,
     ):
         self.size = size = len(graph)
-        nodes = np.arange(size)
-        if set(graph) != set(nodes.tolist()):
-            raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
-        if any(node in graph.adj[node] for node in graph):
-            raise ValueError(f"no node should be linked to itself, got {[n for n in graph if n in graph.adj[n]]}")
+        self._all = nodes = np.arange(size)
+        _check(graph)
         if range < inf and positions is None:
             raise ValueError(f"a range of {range} m needs positions")
-        self._lists = [sorted(graph.adj[node]) for node in nodes.tolist()]
-        self._linked: list[Nodes] = [np.array(each, dtype=np.intp) for each in self._lists]
-        self._directed = graph.is_directed()
+        self._complete = is_complete(graph)
+        self._directed = graph.is_directed() and not self._complete
+        self._lists: list[list[int]] | _Others = (
+            _Others(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
+        )
         self._range, self._reach = range, reach or Disk()
-        self._positions = positions if range < inf else None
         self._certain = isinstance(self._reach, Disk)
         self._frozen, self._seed = frozen, seed
-        self._luck: dict[int, NDArray[np.float64]] = {}  # by sender, that of its pairs with all nodes
+        self._luck: dict[int, Floats] = {}  # by sender, that of its pairs with all; not of more than there is room for
+        self._positions = as_positions(positions) if positions is not None and range < inf else None
+        self._cells: Cells | None = None
+        self._circles: list[Nodes] = []
+        if self._positions is not None and not self._complete:
+            self._circles = [_circle(node, self._lists[node]) for node in nodes.tolist()]
+        elif self._positions is not None and size > FEW and bound(self._reach, range) < inf:
+            self._cells = Cells(self._positions, bound(self._reach, range), now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
         return self._lists[node]
+
+    def are_linked(self, src: int, dst: int) -> bool:
+        """Return whether the graph links two nodes, near or far."""
+        if self._complete:
+            return src != dst
+        linked = self._lists[src]
+        place = bisect_left(linked, dst)
+        return place < len(linked) and linked[place] == dst
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
         """Return the nodes that a message of `node` reaches now, ascending; each message has a number, for its luck."""
@@ -69,48 +91,124 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return self._lists[node]
-        near: list[int] = self._linked[node][self._received(node, self._linked[node], message)].tolist()
+        near: list[int] = self._near(node, self._circle(node), message).tolist()
         return near
 
     def reaches(self, src: int, dst: int, message: int = 0) -> bool:
         """Return whether a message of one node reaches another now."""
-        return self._positions is None or bool(self._received(src, np.array([dst]), message)[0])
+        if self._positions is None:
+            return True
+        pair = np.array([src, dst])
+        apart = distances(self._positions.of(pair), 0)
+        return bool(self._received(src, pair[1:], apart[1:], message)[0])
 
     def neighbours(self, node: int) -> Nodes:
         """Return the nodes that hear `node` now, ascending; with fading per message, those with even chance or more."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
-        linked = self._linked[node]
-        return linked if self._positions is None else linked[self._received(node, linked)]
+        if self._positions is None:
+            return np.array(self._lists[node], dtype=np.intp)
+        return self._near(node, self._circle(node))
 
     def audible(self, node: int) -> list[int]:
         """Return the nodes that `node` hears now, ascending; see `neighbours`."""
+        heard: list[int]
         if not self._directed:
-            found: list[int] = self.neighbours(node).tolist()  # reach is the same both ways
-            return found
-        return [other for other in range(self.size) if node in self.neighbours(other)]
+            heard = self.neighbours(node).tolist()
+        elif self._positions is None:
+            heard = self._speakers[node]
+        else:  # reach is the same both ways
+            heard = self._near(node, _circle(node, self._speakers[node])).tolist()
+        return heard
+
+    @property
+    def mean_degree(self) -> float:
+        """How many nodes hear a node now, averaged over all."""
+        nodes = range(self.size)
+        if self._positions is not None:
+            return sum(len(self.neighbours(node)) for node in nodes) / self.size
+        return self.size - 1.0 if self._complete else sum(len(self._lists[node]) for node in nodes) / self.size
 
     def graph(self) -> "nx.DiGraph[int]":
         """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""
+        if self._complete and self._positions is None:
+            return complete_digraph(self.size)
         now: nx.DiGraph[int] = nx.DiGraph()
-        now.add_nodes_from(np.arange(self.size).tolist())
+        now.add_nodes_from(self._all.tolist())
         now.add_edges_from((node, other) for node in now.nodes for other in self.neighbours(node).tolist())
         return now
 
-    def _received(self, src: int, dst: Nodes, message: int | None = None) -> Truths:
-        """Return which of the nodes `dst` are within reach of a message, or with even chance or more of any."""
+    @cached_property
+    def _speakers(self) -> list[list[int]]:
+        """Who is linked to each node, ascending."""
+        speakers: list[list[int]] = [[] for _ in range(self.size)]
+        for node in range(self.size):
+            for other in self._lists[node]:
+                speakers[other].append(node)
+        return speakers
+
+    def _circle(self, node: int) -> Nodes:
+        """Return all that may hear `node` now, and itself, ascending."""
+        if self._cells is not None:
+            return self._cells.around(node)
+        return self._all if self._complete else self._circles[node]
+
+    def _near(self, node: int, circle: Nodes, message: int | None = None) -> Nodes:
+        """Return those of a circle around a node that are within reach of it."""
         assert self._positions is not None
-        apart = distances(self._positions(), src, dst)
+        own = int(circle.searchsorted(node))
+        apart = distances(self._positions.of(circle), own)
+        apart[own] = self._range  # nobody is asked about itself
+        received = self._received(node, circle, apart, message)
+        received[own] = False
+        return circle[received]
+
+    def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Truths:
+        """Return which of the nodes `dst` are within reach of a message, or with even chance or more of any."""
         if self._certain:
             return apart <= self._range
         probability = self._reach(apart, self._range)
-        if self._frozen:
-            if src not in self._luck:
-                self._luck[src] = pair_luck(self._seed, "fading", src, np.arange(self.size))
-            luck = self._luck[src][dst]
-        elif message is None:
-            luck = np.full(len(dst), 0.5)
-        else:
-            luck = pair_luck(self._seed, "fading", src, dst, message, symmetric=False)
-        received: Truths = luck <= probability
-        return received & (probability > 0.0)
+        received: Truths = self._lucks(src, dst, message) <= probability
+        return received
+
+    def _lucks(self, src: int, dst: Nodes, message: int | None) -> Floats:
+        """Return the (k,) luck that pairs of nodes have, in (0, 1)."""
+        if not self._frozen:
+            if message is None:
+                return np.full(len(dst), 0.5)
+            return pair_luck(self._seed, "fading", src, dst, message, symmetric=False)
+        if src not in self._luck and (len(self._luck) + 1) * self.size <= ROOM:
+            self._luck[src] = pair_luck(self._seed, "fading", src, self._all)
+        kept = self._luck.get(src)
+        return pair_luck(self._seed, "fading", src, dst) if kept is None else kept[dst]
+
+
+class _Others(dict[int, list[int]]):
+    """The lists of all nodes but one, by that one; they are kept while there is room."""
+
+    def __init__(self, size: int):
+        super().__init__()
+        self._all = list(range(size))
+
+    def __missing__(self, node: int) -> list[int]:
+        if not 0 <= node < len(self._all):
+            raise IndexError(f"there is no node {node}")
+        others = self._all[:node] + self._all[node + 1 :]
+        if (len(self) + 1) * len(self._all) <= ROOM:
+            self[node] = others
+        return others
+
+
+def _check(graph: "nx.Graph[int]") -> None:
+    """Raise ValueError if the nodes are not 0 .. n - 1, or one is linked to itself."""
+    if is_worked_out(graph):
+        return
+    if set(graph) != set(range(len(graph))):
+        raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {sorted(graph, key=str)}")
+    if loops := [node for node in graph if graph.has_edge(node, node)]:
+        raise ValueError(f"no node should be linked to itself, got {loops}")
+
+
+def _circle(node: int, linked: list[int]) -> Nodes:
+    """Return a node and those that it is linked to, ascending."""
+    return np.array(sorted([*linked, node]), dtype=np.intp)

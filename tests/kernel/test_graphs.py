@@ -30,6 +30,10 @@ def test_complete_ring_and_star_are_those_of_networkx(size):
     assert same(Star()(size), nx.star_graph(size - 1))
 
 
+def test_a_complete_graph_is_not_listed():
+    assert Complete()(10**9).degree(7) == 10**9 - 1
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_every_graph_makes_a_topology(size):
     for model in (Complete(), Ring(), Star(), Grid(), Edges()):

@@ -271,14 +271,17 @@ def test_the_jitter_is_added_to_every_message_anew():
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric):
-    """Draw by draw, whoever speaks first and to whom; the control is another seed."""
+@pytest.mark.parametrize("room", [2**22, 60, 0])
+def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monkeypatch):
+    """Draw by draw, whoever speaks first and to whom, and however many are remembered; the control is another seed."""
+    monkeypatch.setattr("desim.kernel.latency.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.begin(30), np.random.default_rng(2), np.random.default_rng(2)
     hops = [
         Hops(src, np.array(dst), seed=9) for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
     ]
     assert [run(hop, ours).tolist() for hop in hops] == [model(hop, theirs).tolist() for hop in hops]
+    assert len(run._own) == min(room // 30, 3)
     assert model.begin(30)(Hops(4, np.array([7]), seed=8), ours) != model(Hops(4, np.array([7]), seed=9), ours)
 
 

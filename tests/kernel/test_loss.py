@@ -1,5 +1,6 @@
 """Every loss model against its theory."""
 
+import tracemalloc
 from math import exp, sqrt
 
 import numpy as np
@@ -184,6 +185,27 @@ def test_a_link_remembers_across_broadcasts_and_single_messages():
     assert 20 < first.sum() < 80
     assert (run(Hops(0, np.arange(51, 101)), rng) == first[50:]).all()
     assert [bool(run(Hops(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
+
+
+def test_links_that_are_used_later_leave_those_before_as_they_were_and_are_links_of_their_own():
+    """With a burst of 10^6 messages: first every third of 100 nodes, then from the far end all."""
+    run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
+    first = run(Hops(0, np.arange(1, 101, 3)), rng)
+    assert 5 < first.sum() < 29
+    then = run(Hops(0, np.arange(100, 0, -1)), rng)[::-1]
+    assert (then[::3] == first).all()
+    assert (run(Hops(0, np.arange(1, 101)), rng) == then).all()
+    assert 5 < (then[1::3] & ~then[2::3]).sum() < 15
+
+
+def test_only_links_that_are_used_take_room():
+    """A hundred of a million nodes to twenty others each: three arrays of 21 numbers a sender, not of a million."""
+    tracemalloc.start()
+    run, rng = GilbertElliott().begin(10**6), np.random.default_rng(0)
+    for node in range(100):
+        run(Hops(node, np.arange(200, 220)), rng)
+    assert tracemalloc.get_traced_memory()[1] < 500_000
+    tracemalloc.stop()
 
 
 def test_every_run_begins_anew_and_the_model_stays_as_it_was():

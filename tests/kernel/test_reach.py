@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
-from desim.kernel.reach import REACHES, Disk, LogDistance, QuasiUnitDisk
+from desim.kernel.reach import REACHES, Disk, LogDistance, QuasiUnitDisk, bound
 from desim.kernel.topology import Topology
 
 SEEDS = range(5)
@@ -78,6 +78,20 @@ def test_reception_is_a_probability_that_falls_with_distance_and_knows_no_other_
 def test_values_that_make_no_sense_are_refused(model, bad):
     with pytest.raises(ValidationError):
         model(**bad)
+
+
+@pytest.mark.parametrize("model", [*MODELS, LogDistance(exponent=2.0, shadowing=1.0), LogDistance(shadowing=12.0)])
+def test_beyond_its_bound_nothing_is_received_and_a_little_nearer_something_may(model):
+    """The luck of a pair is at least 2^-53, see `desim.kernel.seeds`; a message arrives if its probability is more."""
+    far = bound(model, 10.0)
+    assert model(np.array([np.nextafter(far, inf)]), 10.0) < 2.0**-53
+    assert model(np.array([0.9 * far]), 10.0) > 2.0**-53
+    assert far == pytest.approx(10.0 * bound(model, 1.0))
+
+
+def test_a_model_that_does_not_say_has_no_bound():
+    assert bound(lambda apart, reach: apart, 10.0) == inf
+    assert bound(LogDistance(shadowing=1e9), 1.0) >= 1e300
 
 
 def test_every_model_is_tested_here():

@@ -1,10 +1,21 @@
 """Who can hear whom."""
 
+from contextlib import contextmanager
+from math import inf
+from unittest.mock import patch
+
 import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from desim.kernel.reach import LogDistance
+from desim.kernel import topology as topology_module
+from desim.kernel.clock import SECOND, Clock
+from desim.kernel.graphs import Complete
+from desim.kernel.links import Links
+from desim.kernel.network import Network
+from desim.kernel.reach import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 
 
@@ -109,3 +120,191 @@ def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
     assert heard(1) == heard(1)
     assert heard(1) != heard(2)
     assert len(set(map(tuple, heard(1)))) == 5
+
+
+# Many nodes: who may be near is looked up, and the answers are those of all distances.
+
+
+@contextmanager
+def many(few=0):
+    """Let more nodes than so few be many."""
+    with patch.object(topology_module, "FEW", few):
+        yield
+
+
+class Flying:
+    """Everybody flies straight at 3 m/s, nobody faster; counts who is asked for."""
+
+    fastest = 3.0
+
+    def __init__(self, at, seed=0):
+        angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(at))
+        self.at, self.velocities = at, 3.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+        self.now, self.asked = 0.0, []
+
+    def __call__(self):
+        self.asked.append(len(self.at))
+        return self.at + self.velocities * self.now
+
+    def of(self, nodes):
+        self.asked.append(len(nodes))
+        return self.at[nodes] + self.velocities[nodes] * self.now
+
+
+def scattered(size, seed=0, side=40.0):
+    return np.random.default_rng(seed).uniform(-side / 2, side / 2, (size, 2))
+
+
+def answers(topology, message):
+    """Return all that a topology tells."""
+    nodes = range(topology.size)
+    return (
+        [topology.hearers(node, message) for node in nodes],
+        [topology.neighbours(node).tolist() for node in nodes],
+        [topology.audible(node) for node in nodes],
+        [topology.reaches(0, node, message) for node in nodes],
+        topology.mean_degree,
+        sorted(topology.graph().edges),
+    )
+
+
+@pytest.mark.parametrize("frozen", [True, False])
+@pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
+@pytest.mark.parametrize("knows", ["speed", "all", "in place"])
+def test_the_answers_about_many_nodes_are_those_about_few(model, frozen, knows):
+    flying, shown = Flying(scattered(60)), scattered(60)
+    tell = {"speed": flying, "all": flying.__call__, "in place": lambda: shown}[knows]
+    given = {"frozen": frozen, "seed": 3, "now": lambda: flying.now}
+    few = Topology(nx.complete_graph(60), 6.0, tell, model, **given)
+    with many():
+        lots = Topology(Complete()(60), 6.0, tell, model, **given)
+    for message, flying.now in enumerate([0.0, 0.2, 0.3, 2.0, 2.0, 9.0]):
+        shown[:] = flying()
+        assert answers(lots, message) == answers(few, message)
+    assert answers(few, 0) != answers(Topology(nx.complete_graph(60), 6.5, tell, model, **given), 0)
+
+
+@settings(max_examples=50)
+@given(st.data(), st.integers(1, 7), st.sampled_from([0.0, 1e-9, 1.0, 5.0, 1e9]))
+def test_a_disk_holds_just_those_whose_distance_is_at_most_the_range(data, size, reach):
+    """On a grid of the range, on both sides of its lines, at one place, 1e9 m away; the graph is complete or not."""
+    unit = reach if 0.0 < reach < 1e9 else 1.0
+    near = st.integers(-3, 3).map(lambda k: k * unit)
+    anywhere = st.one_of(near, near.map(lambda x: np.nextafter(x, 9.0)), st.floats(-3.0, 3.0), st.just(-1e9))
+    at = np.zeros((size, 2))
+    graph = nx.gnp_random_graph(size, data.draw(st.sampled_from([0.5, 1.0])), seed=1)
+    with many():
+        topology = Topology(graph, reach, lambda: at)
+    for _ in range(3):
+        at[:] = np.array(data.draw(st.lists(anywhere, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
+        for node in range(size):
+            apart = np.hypot(*(at - at[node]).T)
+            theory = [other for other in range(size) if other in graph.adj[node] and apart[other] <= reach]
+            assert topology.hearers(node) == topology.audible(node) == theory
+
+
+@pytest.mark.parametrize("size", [1000, 4000])
+def test_a_question_costs_the_same_whatever_the_number_of_nodes(size):
+    """At one density, with 20 in reach: all are looked at once, at the start, then those in nine cells, 90 or so."""
+    flying = Flying(scattered(size, side=10.0 * (np.pi * size / 20) ** 0.5))
+    topology = Topology(Complete()(size), 10.0, flying, now=lambda: flying.now)
+    assert flying.asked == [size]
+    for node in range(size):
+        topology.hearers(node)
+    assert max(flying.asked[1:]) < 200
+
+
+def test_a_model_whose_reach_has_no_bound_is_asked_about_everybody():
+    flying = Flying(scattered(60))
+    with many():
+        topology = Topology(Complete()(60), 1.0, flying, lambda d, r: np.ones_like(d), now=lambda: flying.now)
+    assert topology.hearers(7) == [node for node in range(60) if node != 7]
+    assert flying.asked == [60]
+
+
+def test_no_model_is_asked_about_a_node_and_itself():
+    """A probability of (R / d)^2 has no value at d = 0."""
+    at = np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0]])
+    topology = Topology(nx.complete_graph(3), 2.0, lambda: at, lambda d, r: np.minimum((r / d) ** 2, 1.0), frozen=False)
+    assert topology.neighbours(0).tolist() == [1]
+
+
+# Graphs without a range.
+
+
+def test_everybody_else_is_linked_in_a_complete_graph_of_any_size():
+    for graph in (nx.complete_graph(5), Complete()(5), nx.complete_graph(5, nx.DiGraph)):
+        topology = Topology(graph)
+        for node in range(5):
+            others = [other for other in range(5) if other != node]
+            assert topology.linked(node) == topology.hearers(node) == topology.audible(node) == others
+            assert topology.neighbours(node).tolist() == others
+        assert set(topology.graph().edges) == set(nx.complete_graph(5, nx.DiGraph).edges)
+        assert topology.mean_degree == 4.0
+
+
+def test_the_lists_of_few_nodes_are_kept_and_those_of_many_only_while_there_is_room():
+    few = Topology(Complete()(5))
+    assert all(few.linked(node) is few.linked(node) for node in range(5))
+    with patch.object(topology_module, "ROOM", 12):
+        many = Topology(Complete()(5))
+        assert [many.linked(node) is many.linked(node) for node in range(5)] == [True, True, False, False, False]
+        assert many.linked(3) == [0, 1, 2, 4]
+
+
+def test_the_luck_of_pairs_is_the_same_whether_or_not_it_is_kept():
+    at = scattered(40)
+    kept = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
+    with patch.object(topology_module, "ROOM", 100):
+        scarce = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
+        assert [scarce.hearers(node) for node in range(40)] == [kept.hearers(node) for node in range(40)]
+        assert len(scarce._luck) == 2
+
+
+@pytest.mark.parametrize(
+    "graph", [nx.complete_graph(6), nx.path_graph(6), nx.DiGraph([(0, 1), (1, 2), (2, 0), (0, 2)])]
+)
+def test_two_nodes_are_linked_if_the_graph_says_so(graph):
+    topology, nodes = Topology(graph), range(len(graph))
+    assert all(topology.are_linked(src, dst) == graph.has_edge(src, dst) for src in nodes for dst in nodes)
+
+
+@pytest.mark.parametrize("reach", [inf, 15.0])
+@pytest.mark.parametrize("model", [Disk(), LogDistance()])
+def test_on_a_directed_graph_those_are_heard_who_reach_one(reach, model):
+    at, graph = scattered(30), nx.gnp_random_graph(30, 0.4, seed=2, directed=True)
+    topology = Topology(graph, reach, lambda: at, model, seed=1)
+    now = topology.graph()
+    assert 0 < now.number_of_edges() < (graph.number_of_edges() if reach < inf else inf)
+    assert [topology.audible(node) for node in range(30)] == [sorted(now.pred[node]) for node in range(30)]
+    assert topology.mean_degree == now.number_of_edges() / 30
+
+
+def test_a_graph_that_somebody_changes_later_stays_as_it_was_read():
+    graph = nx.path_graph(3)
+    topology = Topology(graph)
+    graph.add_edge(0, 2)
+    assert topology.hearers(0) == [1]
+    assert not topology.are_linked(0, 2)
+
+
+def test_what_a_network_costs_at_first_does_not_grow_with_the_pairs():
+    """A hundred thousand nodes: nobody walks along the edges, or asks more nodes than one who hears them."""
+    with patch.object(nx.Graph, "edges", property(lambda graph: pytest.fail("somebody walks along all edges"))):
+        network = Network(Clock(), Complete()(10**5))
+        assert network.mean_degree == 10**5 - 1
+        assert len(network.component(5)) == 10**5
+
+
+def test_in_a_network_of_many_nodes_time_passes():
+    """Node 1 comes at 3 m/s from 30 m away and is within 6 m between 8 s and 12 s."""
+    clock, flying = Clock(), Flying(np.array([[0.0, 0.0], [30.0, 0.0]]))
+    flying.velocities = np.array([[0.0, 0.0], [-3.0, 0.0]])
+    with many():
+        network = Network(clock, Complete()(2), Links(range=6.0), positions=flying)
+    heard = []
+    for second in range(14):
+        clock.run(until=second * SECOND + 1)
+        flying.now = second
+        heard.append(network.neighbours(0) == [1])
+    assert heard == [8 <= second <= 12 for second in range(14)]

@@ -1,0 +1,81 @@
+"""Positions: of everybody or of some, from what knows both and from a plain function."""
+
+from math import inf
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from desim.kernel.conditions import Conditions
+from desim.kernel.hops import Hops
+from desim.kernel.positions import as_positions, distances
+from desim.kernel.topology import Topology
+
+AT = np.array([[0.0, 0.0], [3.0, 4.0], [-6.0, 8.0], [0.0, 1.0]])
+
+
+class OfSome:
+    """Positions that are never asked for all together, and note for how many."""
+
+    fastest = 0.0
+
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self):
+        raise AssertionError("nobody should be asked for everybody's position")
+
+    def of(self, nodes):
+        self.asked.append(len(nodes))
+        return AT[nodes]
+
+
+def test_what_knows_the_positions_of_some_is_taken_as_it_is():
+    some = OfSome()
+    assert as_positions(some) is some
+
+
+def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in_place():
+    at = AT.copy()
+    positions = as_positions(lambda: at)
+    assert positions.fastest == inf
+    assert positions.of(np.array([2, 0])).tolist() == [[-6.0, 8.0], [0.0, 0.0]]
+    at[2] = [7.0, 7.0]
+    assert positions.of(np.array([2])).tolist() == [[7.0, 7.0]]
+    assert positions().tolist() == at.tolist()
+
+
+def test_a_function_that_returns_a_list_will_do():
+    positions = as_positions(lambda: AT.tolist())
+    assert positions.of(np.array([1])).tolist() == [[3.0, 4.0]]
+
+
+def test_distances_are_those_to_one_of_them():
+    """3-4-5 and 6-8-10 triangles."""
+    assert distances(AT, 0).tolist() == [0.0, 5.0, 10.0, 1.0]
+    assert distances(AT, -1).tolist() == [1.0, np.hypot(3.0, 3.0), np.hypot(6.0, 7.0), 0.0]
+
+
+def test_the_hops_of_a_transmission_ask_for_its_own_ends_only():
+    some = OfSome()
+    assert Hops(0, np.array([1, 2]), positions=some).distances.tolist() == [5.0, 10.0]
+    assert some.asked == [3]
+
+
+def test_a_jamming_disc_asks_for_the_one_it_may_be_about():
+    some = OfSome()
+    conditions = Conditions(some)
+    conditions.jam(((3.0, 3.0), 1.0))
+    assert [conditions.jammed(node) for node in range(4)] == [False, True, False, False]
+    assert some.asked == [1] * 4
+
+
+@pytest.mark.parametrize("graph", [nx.star_graph(3), nx.DiGraph(nx.star_graph(3))])
+def test_a_sparse_graph_asks_for_who_is_linked_only(graph):
+    some = OfSome()
+    topology = Topology(graph, 5.0, some)
+    assert topology.hearers(0) == [1, 3]
+    assert topology.hearers(3) == [0]
+    assert topology.audible(1) == [0]
+    assert topology.reaches(1, 3)
+    assert some.asked == [4, 2, 2, 2]
