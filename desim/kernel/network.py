@@ -11,19 +11,20 @@ at which a transmission arrives is an event.
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from functools import cached_property, partial
 from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.kernel.air import Air
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.hops import Positions
-from desim.kernel.inbox import Inbox, Message
+from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
-from desim.kernel.records import Arrival, Record, Records, Table, each
+from desim.kernel.positions import Whereabouts
+from desim.kernel.records import Arrival, Mark, Record, Records, Table, each
 from desim.kernel.topology import Topology
 from desim.kernel.travel import Travel
 from desim.kernel.wire import size_of
@@ -31,6 +32,9 @@ from desim.kernel.wire import size_of
 if TYPE_CHECKING:
     import networkx as nx
     import simpy
+
+
+_new = tuple.__new__  # of a named tuple, in a third of the time
 
 
 class Flight(NamedTuple):
@@ -57,9 +61,10 @@ class Network:
         graph: who is linked to whom; its nodes are 0 .. n - 1, its edges may have a `latency` and a `loss`.
         links: what the links are like.
         seed: of every chance in the network.
-        positions: where the nodes are now, (n, 2) m; needed if the range is finite.
+        positions: where the nodes are now, (n, 2) m, see `desim.kernel.positions`; needed if the range is finite.
         trace: where message events go, if it wants them.
         conditions: what is broken; without it nothing ever is.
+        mark: of a body, whether it is one that `marked` looks for.
     """
 
     def __init__(
@@ -69,13 +74,22 @@ class Network:
         links: Links | None = None,
         *,
         seed: int = 0,
-        positions: Positions | None = None,
+        positions: Whereabouts | None = None,
         trace: Trace | None = None,
         conditions: Conditions | None = None,
+        mark: Mark | None = None,
     ):
         self._env = env
         links = links or Links()
-        self.topology = Topology(graph, links.range, positions, links.reach, frozen=links.fading == "frozen", seed=seed)
+        self.topology = Topology(
+            graph,
+            links.range,
+            positions,
+            links.reach,
+            frozen=links.fading == "frozen",
+            seed=seed,
+            now=lambda: env.now / SECOND,
+        )
         size = self.topology.size
         self._travel = Travel(links, graph, seed, positions)
         self._conditions = conditions
@@ -87,8 +101,8 @@ class Network:
         if not isinstance(links.medium, Unlimited):
             self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._processing)
         self._may_lose = conditions is not None or not self._travel.lossless or self._air is not None
-        self._records = Records(env, size)
-        self._inboxes: dict[tuple[int, str], Inbox] = {}
+        self._records = Records(env, size, mark)
+        self._ports: dict[str, list[Inbox]] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
         self._flights = count()
@@ -100,13 +114,7 @@ class Network:
 
     def presume(self, src: int, body: Any, sent: int | None = None) -> None:
         """Let everyone know a record of `src` from the start, without a message; `sent` as in `publish`."""
-        others = [node for node in range(self.topology.size) if node != src]
-        record = Record(src, 0, self._env.now if sent is None else sent, body)
-        if self._conditions is None:
-            self._records.note(record, others, self._env.now)
-        else:
-            for node in others:  # each may forget it
-                self._records.enter(node, record)
+        self._records.presume(Record(src, 0, self._env.now if sent is None else sent, body))
 
     def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
@@ -117,8 +125,7 @@ class Network:
             size: in bytes; counted from the body if None, see `desim.kernel.wire`.
             sent: the time by the clock of `src`, ns; the true one if None.
         """
-        record = Record(src, next(self._seq[src]), self._env.now if sent is None else sent, body)
-        self._hand_over(src, None, record, size)
+        self._hand_over(src, None, self.next_record(src, body, sent), size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
@@ -132,11 +139,11 @@ class Network:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        self._hand_over(src, dst, Message(src, self._env.now, body), size, port)
+        self._hand_over(src, dst, _new(Message, (src, self._env.now, body)), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
         """Return the next record of a node, for who spreads it by other means than `publish`."""
-        return Record(src, next(self._seq[src]), self._env.now if sent is None else sent, body)
+        return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, body))
 
     def enter(self, node: int, record: Record) -> None:
         """Let a node know a record that reached it by other means than `publish`."""
@@ -147,11 +154,19 @@ class Network:
         """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
         return self._records.heard(node)
 
+    def marked(self, node: int) -> Table:
+        """Return those records that `heard` returns whose body is marked; cost O(news + marked)."""
+        return self._records.marked(node)
+
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return an inbox of a node; each port has one of its own."""
-        if (node, port) not in self._inboxes:
-            self._inboxes[node, port] = Inbox(self._env, node)
-        return self._inboxes[node, port]
+        return self._boxes(port)[node]
+
+    def _boxes(self, port: str) -> list[Inbox]:
+        """Return the inboxes of all nodes at a port."""
+        if port not in self._ports:
+            self._ports[port] = [Inbox(self._env, node) for node in range(self.topology.size)]
+        return self._ports[port]
 
     def neighbours(self, node: int) -> list[int]:
         """Return the nodes that hear `node` now, ascending; see `Topology.neighbours`."""
@@ -165,7 +180,7 @@ class Network:
     def component(self, node: int) -> set[int]:
         """Return the nodes that `node` hears now over any number of hops, itself included; O(nodes + links)."""
         reached, ahead = {node}, [node]
-        while ahead:
+        while ahead and len(reached) < self.topology.size:
             new = set(self.audible(ahead.pop())) - reached
             reached |= new
             ahead += new
@@ -174,8 +189,7 @@ class Network:
     @cached_property
     def mean_degree(self) -> float:
         """How many nodes hear a node, averaged over all as of the first time that somebody asks."""
-        size = self.topology.size
-        return sum(len(self.topology.neighbours(node)) for node in range(size)) / size
+        return self.topology.mean_degree
 
     def airtime(self, body: Any) -> float:
         """Return how long a message with this body is on the air, s."""
@@ -204,9 +218,8 @@ class Network:
         self.conditions.repair(node)
         if not memory:
             self._records.forget(node)
-            for (owner, _), inbox in self._inboxes.items():
-                if owner == node:
-                    inbox.drain()
+            for boxes in self._ports.values():
+                boxes[node].drain()
 
     @property
     def conditions(self) -> Conditions:
@@ -218,7 +231,8 @@ class Network:
     def tally(self) -> Tally:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
         now, lost = self._env.now, self._lost.total()
-        in_flight = self._arriving + self._records.in_flight() + sum(box.in_flight() for box in self._inboxes.values())
+        in_flight = self._arriving + self._records.in_flight()
+        in_flight += sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
         busy = 0.0
         if self._air is not None:
             in_flight += sum(len(flight.receivers) for flight in self._air.waiting())
@@ -240,10 +254,10 @@ class Network:
             receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
         else:
             receivers = [dst]
-            reachable = dst in topology.linked(src) and not self._is_too_far(src, dst, number)
+            reachable = topology.are_linked(src, dst) and not self._is_too_far(src, dst, number)
         if size is None:
             size = size_of(content.body)
-        flight = Flight(number, src, self._env.now, size, receivers, content, port, reachable)
+        flight = _new(Flight, (number, src, self._env.now, size, receivers, content, port, reachable))
         self._sent += len(receivers)
         if self._air is None:
             self._leave(flight, 0)
@@ -274,9 +288,10 @@ class Network:
             reached = [node for node in receivers if node not in causes]
             if not isinstance(arrival, int):
                 arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
-        arrival = self._travel.in_order(flight.src, reached, arrival)
+        if self._travel.keeps_order:
+            arrival = self._travel.in_order(flight.src, reached, arrival)
         if self._trace is not None:
-            self._record(flight, reached, arrival)
+            self._record(flight, causes, arrival)
         for node, cause in causes.items():
             self._lose(flight, [node], cause)
         if self._settles_on_arrival:
@@ -284,8 +299,7 @@ class Network:
         elif isinstance(flight.content, Record):
             self._records.note(flight.content, reached, arrival)
         else:
-            for node, when in zip(reached, each(arrival, len(reached)), strict=True):
-                self.inbox(node, flight.port).put(flight.content, when, flight.number)
+            deliver(flight.content, self._boxes(flight.port), reached, arrival, flight.number)
 
     def _losses(self, flight: Flight) -> dict[int, Cause]:
         """Return the receivers that a transmission is lost to as it leaves, and why."""
@@ -303,8 +317,11 @@ class Network:
         """Let the fate of a transmission be settled as it arrives."""
         self._arriving += len(reached)
         landings: dict[int, list[int]] = {}
-        for node, when in zip(reached, each(arrival, len(reached)), strict=True):
-            landings.setdefault(when, []).append(node)
+        if isinstance(arrival, int):
+            landings = {arrival: reached} if reached else {}
+        else:
+            for node, when in zip(reached, arrival, strict=True):
+                landings.setdefault(when, []).append(node)
         for when, nodes in landings.items():
             Instant(self._env, when, Phase.DELIVERY).callbacks.append(
                 partial(self._land, flight, nodes, (self._env.now, self._env.now + airtime))
@@ -320,7 +337,7 @@ class Network:
             elif isinstance(flight.content, Record):
                 self._records.enter(node, flight.content)
             else:
-                self.inbox(node, flight.port).put(flight.content, self._env.now, flight.number)
+                deliver(flight.content, self._boxes(flight.port), [node], self._env.now, flight.number)
 
     def _obstacle(self, flight: Flight, node: int, spell: tuple[int, int]) -> Cause | None:
         """Return why a message cannot be received that arrives now, if so."""
@@ -343,17 +360,18 @@ class Network:
             for node in nodes:
                 self._trace.append_message(Lost(self._env.now, flight.number, flight.src, node, cause))
 
-    def _record(self, flight: Flight, reached: list[int], arrival: Arrival) -> None:
-        """Record that a transmission left."""
+    def _record(self, flight: Flight, causes: Mapping[int, Cause], arrival: Arrival) -> None:
+        """Record that a transmission left, and when it arrives at those receivers to which it is not lost."""
         assert self._trace is not None
         number, src, created, size, receivers, content = flight[:6]
-        now, when = self._env.now, dict(zip(reached, each(arrival, len(reached)), strict=True))
-        fates = [when.get(node, LOST) for node in receivers]
+        now, fates = self._env.now, arrival
+        if causes:
+            arrivals = iter(each(arrival, len(receivers)))
+            fates = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
-            alike = isinstance(arrival, int) and len(reached) == len(receivers) > 0
-            fate = tuple(fates[:1] if alike else fates)
+            fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
             event = Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
             self._trace.append_message(event)
         else:
-            for node, arrives in zip(receivers, fates, strict=True):
+            for node, arrives in zip(receivers, each(fates, len(receivers)), strict=True):
                 self._trace.append_message(Sent(now, number, src, node, arrives, created, size, content.body))

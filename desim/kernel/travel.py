@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from desim.kernel.clock import SECOND, nanoseconds
+from desim.kernel.complete import is_worked_out
 from desim.kernel.graphs import as_model
-from desim.kernel.hops import Hops, Positions
+from desim.kernel.hops import Hops
 from desim.kernel.latency import Constant, Independent
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.positions import Whereabouts
 from desim.kernel.records import Arrival, each
 from desim.kernel.seeds import stream
 from desim.value import LONGEST
@@ -47,7 +49,9 @@ class Travel:
         ValueError: if a link that is not like the rest is not in the graph.
     """
 
-    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Positions | None, purpose: str = ""):
+    def __init__(
+        self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Whereabouts | None, purpose: str = ""
+    ):
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
@@ -58,8 +62,9 @@ class Travel:
         self._latency_rng, self._loss_rng, self._own_latency_rng, self._own_loss_rng = streams
         self._delays = _stock(self._latency, self._latency_rng, _checked)
         self._lots = _stock(self._loss, self._loss_rng, np.ndarray.tolist)
-        self._own_latency, self._own_loss = _own(links, graph, "latency"), _own(links, graph, "loss")
-        self._order, self._own_order = links.order, _own(links, graph, "order")
+        own = _own(links, graph)
+        self._own_latency, self._own_loss = own["latency"], own["loss"]
+        self._order, self._own_order = links.order, own["order"]
         self._last: dict[tuple[int, int], int] = {}  # when the last message of each link that keeps its order arrives
         self._lossless = isinstance(links.loss, Bernoulli) and links.loss.p == 0.0
         self.lossless = self._lossless and not self._own_loss
@@ -68,6 +73,8 @@ class Travel:
         self._constant = None
         if isinstance(links.latency, Constant) and not self._own_latency:
             self._constant = nanoseconds(links.latency.value)
+        self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._own_order))
+        """Whether some link has messages wait for each other, see `in_order`."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Return which of the hops lose a message; None if none does."""
@@ -126,7 +133,7 @@ class Travel:
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Let no message that is not lost arrive before an earlier one of its link, if the link keeps their order."""
         own = self._own_order.get(src)
-        if self._constant is not None or (self._order == "overtaking" and not own):
+        if self._order == "overtaking" and not own:
             return arrival
         last, arrivals = self._last, list(each(arrival, len(dst)))
         for k, node in enumerate(dst):
@@ -169,21 +176,23 @@ def _begun(model: Any, size: int) -> Any:
     return model.begin(size) if hasattr(model, "begin") else model
 
 
-def _own(links: Links, graph: "nx.Graph[int]", name: str) -> Own:
+def _own(links: Links, graph: "nx.Graph[int]") -> dict[str, Own]:
     """Return the models of links that are not like the rest: of the edges of the graph, then of `links.link`."""
-    found: Own = {}
-    for src, dst, attributes in graph.edges(data=True):
-        value = attributes.get(name)
-        if value is not None:
-            for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                found.setdefault(way[0], {})[way[1]] = _begun(as_model(name, value), len(graph))
+    found: dict[str, Own] = {"latency": {}, "loss": {}, "order": {}}
+    for src, dst, attributes in () if is_worked_out(graph) else graph.edges(data=True):
+        for name in found if attributes else ():
+            value = attributes.get(name)
+            if value is not None:
+                for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
+                    found[name].setdefault(way[0], {})[way[1]] = _begun(as_model(name, value), len(graph))
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
                 raise ValueError(f"there is no link from {src} to {dst} in the graph")
-        model = getattr(link, name)
-        for src, dst in link.ways() if model is not None else ():
-            found.setdefault(src, {})[dst] = _begun(model, len(graph))
+            for name, own in found.items():
+                model = getattr(link, name)
+                if model is not None:
+                    own.setdefault(src, {})[dst] = _begun(model, len(graph))
     return found
 
 

@@ -34,7 +34,7 @@ def _size(body: Any) -> int:
     if isinstance(body, Record):
         return size_of(body.body)
     if isinstance(body, COLLECTIONS):
-        return sum(map(_size, body))
+        return NUMBER * len(body) if SCALARS.issuperset(map(type, body)) else sum(map(_size, body))
     if body is None:
         return 0
     if isinstance(body, str | bytes):

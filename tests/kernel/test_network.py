@@ -13,13 +13,16 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
 from desim.kernel.hops import Hops
+from desim.kernel.inbox import Inbox, deliver
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
+from desim.kernel.wire import size_of
 
 
 class Uniform:
@@ -62,8 +65,7 @@ class EagerNetwork:
                 self.tables[node][src] = (0, Record(src, 0, 0, body))
 
     def publish(self, src, body):
-        self.seq[src] += 1
-        record = Record(src, self.seq[src], self.clock.now, body)
+        record = self.next_record(src, body)
         hops = Hops(src, self.topology.neighbours(src))
         lost = np.broadcast_to(self.links.loss(hops, self.rng["loss"]), len(hops.dst))
         delay = np.broadcast_to(self.links.latency(hops, self.rng["latency"]), len(hops.dst))
@@ -77,6 +79,14 @@ class EagerNetwork:
         known = self.tables[node].get(record.src)
         if known is None or known[1].seq < record.seq:
             self.tables[node][record.src] = (arrival, record)
+
+    def next_record(self, src, body):
+        self.seq[src] += 1
+        return Record(src, self.seq[src], self.clock.now, body)
+
+    def enter(self, node, record):
+        if record.src != node:
+            self.deliver(node, self.clock.now, record)
 
     def heard(self, node):
         return dict(self.tables[node])
@@ -96,9 +106,35 @@ def histories(draw):
     loss = Bernoulli(p=draw(st.sampled_from([0.0, 0.3, 1.0])))
     times = st.integers(0, 40).map(lambda k: k * SECOND // 1000)
     nodes = st.integers(0, len(graph) - 1)
-    acts = draw(st.lists(st.tuples(times, nodes, st.sampled_from(["publish", "read", "both"])), max_size=60))
+    kinds = st.sampled_from(["publish", "read", "both", "publish", "read", "both", "whisper", "pass on"])
+    acts = draw(st.lists(st.tuples(times, nodes, kinds), max_size=60))
     reach = draw(st.sampled_from([inf, inf, 0.5]))
     return graph, Links(latency=latency, loss=loss, range=reach), acts, seed
+
+
+def is_even(body):
+    """Mark about half of the numbers, and not what was presumed."""
+    return isinstance(body, int) and body % 2 == 0
+
+
+class Marked(Network):
+    """A network that marks even numbers, and whose nodes look for these at every read."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, mark=is_even, **kwargs)
+
+    def heard(self, node):
+        marked, table = self.marked(node), super().heard(node)
+        assert marked == {src: heard for src, heard in table.items() if is_even(heard[1].body)}
+        return table
+
+
+class Glancer(Marked):
+    """The same, but its nodes look all the time."""
+
+    def publish(self, src, body):
+        self.heard(src)
+        super().publish(src, body)
 
 
 def observe(make, graph, links, acts, seed):
@@ -110,9 +146,15 @@ def observe(make, graph, links, acts, seed):
     seen = []
 
     def act(node, what, number):
-        if what != "read":
+        other = (node + 1) % len(graph)
+        if what in {"publish", "both"}:
             network.publish(node, number)
-        if what != "publish":
+        elif what == "whisper":
+            network.enter(other, network.next_record(node, number))
+        elif what == "pass on":
+            for _, record in network.heard(node).values():
+                network.enter(other, record)
+        if what in {"read", "both"}:
             seen.append((clock.now, node, network.heard(node)))
 
     for number, (when, node, what) in enumerate(acts):
@@ -126,10 +168,11 @@ def observe(make, graph, links, acts, seed):
 @settings(max_examples=400, deadline=None)
 @given(histories())
 def test_publish_is_observationally_equal_to_one_event_per_record(history):
-    """Every read sees the same records with the same times of arrival, and none of its own."""
+    """Every read sees the same records with the same times of arrival, and none of its own; and so with marks."""
     lazy = observe(Network, *history)
     assert lazy == observe(EagerNetwork, *history)
     assert all(node not in table for _, node, table in lazy)
+    assert lazy == observe(Marked, *history) == observe(Glancer, *history)
 
 
 def test_the_comparison_notices_a_network_that_is_a_nanosecond_late():
@@ -155,12 +198,67 @@ def test_a_presumed_record_gives_way_to_the_first_that_arrives():
     assert network.heard(1)[0] == (1, Record(0, 1, 0, "told"))
 
 
-def test_reading_does_not_lend_out_the_networks_own_table():
-    clock = Clock()
-    network = Network(clock, nx.complete_graph(2))
+@pytest.mark.parametrize("latency", [Constant(), Uniform(0.0)], ids=["alike", "per receiver"])
+def test_reading_does_not_lend_out_the_networks_own_table(latency):
+    network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), mark="a".__eq__)
+    network.presume(2, "presumed")
     network.publish(0, "a")
     network.heard(1).clear()
-    assert network.heard(1)[0][1].body == "a"
+    network.marked(1).clear()
+    assert [record.body for _, record in network.heard(1).values()] == ["presumed", "a"]
+    assert [record.body for _, record in network.marked(1).values()] == ["a"]
+
+
+def test_a_node_without_memory_has_forgotten_what_was_marked():
+    network = Network(Clock(), nx.complete_graph(3), conditions=Conditions(), mark=bool)
+    network.presume(0, "presumed")
+    network.enter(1, network.next_record(0, "told"))
+    network.enter(1, network.next_record(2, "more"))
+    assert network.marked(1).keys() == {0, 2}
+    network.break_down(1)
+    network.repair(1, memory=False)
+    assert network.heard(1) == network.marked(1) == {}
+    again = network.next_record(0, "again")
+    network.enter(1, again)
+    assert network.heard(1) == network.marked(1) == {0: (0, again)}
+    assert network.heard(2)[0][1].body == network.marked(2)[0][1].body == "presumed"
+
+
+def test_a_record_arrives_when_it_first_does():
+    """Whispered to one while it is on its way to all, and to both once more when it has arrived."""
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), mark=bool)
+    network.publish(0, "x")
+    record = Record(0, 1, 0, "x")
+    network.enter(1, record)
+    clock.run(until=2 * SECOND)
+    for node in (1, 2):
+        network.enter(node, record)
+    assert [network.heard(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
+    assert [network.marked(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
+
+
+def test_who_has_forgotten_what_was_presumed_may_hear_of_it_again():
+    network = Network(Clock(), nx.complete_graph(3), conditions=Conditions())
+    network.presume(0, "presumed")
+    network.break_down(1)
+    network.repair(1, memory=False)
+    assert network.heard(1) == {}
+    network.enter(1, network.heard(2)[0][1])
+    assert network.heard(1) == network.heard(2)
+
+
+def test_a_record_that_waits_for_its_transmitter_does_not_replace_what_was_whispered_meanwhile():
+    """The second record leaves and arrives after the third was passed on by word of mouth."""
+    clock = Clock()
+    network = Network(clock, nx.path_graph(3), Links(medium=Bitrate(bitrate=8 * size_of("slow"))))
+    network.publish(0, "slow")
+    network.publish(0, "slow")
+    whispered = network.next_record(0, "whispered")
+    network.enter(1, whispered)
+    clock.run(until=3 * SECOND)
+    assert network.tally().delivered == 2
+    assert network.heard(1) == {0: (0, whispered)}
 
 
 def run_process(clock, process):
@@ -364,6 +462,60 @@ def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_w
     Instant(clock, SECOND, Phase.SAMPLE)
     clock.run()
     assert [message.body for message in network.inbox(2).drain()] == ["first", "second"]
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.lists(st.integers(0, 9), max_size=5)), max_size=20))
+def test_mail_is_read_as_it_arrives_whenever_it_is_read(steps):
+    """In each step so many ns pass, the box is emptied, and messages leave that arrive so many ns later."""
+    clock = Clock()
+    boxes, number, waiting = [Inbox(clock, 0)], 0, []
+    for pause, delays in [*steps, (20, [])]:
+        clock.run(until=clock.now + pause + 1)
+        arrived = sorted(letter for letter in waiting if letter[0] <= clock.now)
+        assert boxes[0].drain() == [body for _, body in arrived]
+        waiting = [letter for letter in waiting if letter not in arrived]
+        assert boxes[0].in_flight() == len(waiting)
+        for delay in delays:
+            deliver(number, boxes, [0], clock.now + delay, number)
+            waiting.append((clock.now + delay, number))
+            number += 1
+    assert not waiting
+
+
+def test_mail_that_arrives_before_what_was_sent_before_it_wakes_its_receiver_first():
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(3), Links(latency=lambda hops, rng: (0.0, 3.0, 1.0)[hops.src]))
+    seen = []
+
+    def listen():
+        for _ in range(2):
+            yield network.inbox(0).arrival()
+            seen.append((clock.now, [message.src for message in network.inbox(0).drain()]))
+
+    clock.process(listen())
+    Instant(clock, 5, Phase.SAMPLE).callbacks.append(lambda _: network.send(1, 0, "slow"))
+    Instant(clock, 6, Phase.SAMPLE).callbacks.append(lambda _: network.send(2, None, "fast"))
+    clock.run()
+    assert seen == [(SECOND + 6, [2]), (3 * SECOND + 5, [1])]
+
+
+@pytest.mark.parametrize("latency", [Constant(value=1.0), Uniform(1.0)], ids=["alike", "per receiver"])
+def test_a_message_to_all_wakes_all_who_wait_and_lies_in_every_box(latency):
+    clock = Clock()
+    network = Network(clock, nx.complete_graph(4), Links(latency=latency))
+    woken = []
+
+    def listen(node):
+        yield network.inbox(node, "port").arrival()
+        woken.append(node)
+
+    for node in (1, 3):
+        clock.process(listen(node))
+    Instant(clock, 1, Phase.SAMPLE).callbacks.append(lambda _: network.send(0, None, "all", port="port"))
+    clock.run(until=3 * SECOND)
+    assert sorted(woken) == [1, 3]
+    assert [len(network.inbox(node, "port").drain()) for node in range(4)] == [0, 1, 1, 1]
+    assert not any(network.inbox(node).drain() for node in range(4))
 
 
 @pytest.mark.parametrize("dst", [-1, 3])
