@@ -3,11 +3,10 @@
 from collections import defaultdict
 from dataclasses import dataclass
 from html import escape
+from operator import attrgetter
 from typing import TYPE_CHECKING, Literal, cast
 
-import numpy as np
 import simpy
-from numpy.typing import NDArray
 
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.conditions import Conditions
@@ -15,11 +14,12 @@ from desim.kernel.events import Trace, Watcher
 from desim.kernel.faults import Crash, clock_errors, drawn
 from desim.kernel.injection import inject
 from desim.kernel.network import Network
+from desim.kernel.positions import Nodes
 from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.perception import Eavesdropper
 from desim.pursuit.sensing import Watch, reports
-from desim.pursuit.state import coordinates
+from desim.pursuit.state import Floats, coordinates
 from desim.scenario import Scenario
 from desim.world import World
 
@@ -45,14 +45,14 @@ class Result:
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__),
-            "ended": _told(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
+            "ended": _ended(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
             "events": f"{len(self.trace):,}",
         }
         lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
         return f"<table>{lines}</table>"
 
 
-def _told(end: Ended, captures: int, evaders: int) -> str:
+def _ended(end: Ended, captures: int, evaders: int) -> str:
     """Return how a run ended, in words."""
     several = f"{captures} of {evaders} captured" if evaders > 1 else ""
     if end.reason == "captured":
@@ -74,13 +74,11 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     env = Clock()
     radio = Eavesdropper() if any(evader.listens for evader in scenario.evaders) else None
     watchers = watchers if radio is None else (radio, *watchers)
-    trace = Trace(watchers, messages=scenario.record.messages, stop=lambda: world.stop())
+    trace = Trace(watchers, messages=scenario.record.messages is True, stop=lambda: world.stop())
     world = World(env, scenario, seed, trace, radio)
     faults = drawn(scenario.fault, world.size, scenario.horizon, seed)
 
-    def positions() -> NDArray[np.float64]:
-        return coordinates(world.state().pursuers)
-
+    positions = _Places(world, 0.0 if scenario.motion.frozen else max(scenario.team.all_speeds()))
     network = Network(
         env,
         scenario.network.graph(world.size),
@@ -89,6 +87,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         positions=positions,
         trace=trace,
         conditions=Conditions(positions) if faults else None,
+        mark=attrgetter("active"),
     )
     crew = _Crew(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
@@ -100,6 +99,19 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     assert world.end is not None
     trace.append(world.end)
     return Result(scenario, seed, trace)
+
+
+class _Places:
+    """Where the pursuers are, as the network asks for it: see `desim.kernel.positions.Positions`."""
+
+    def __init__(self, world: World, fastest: float):
+        self._world, self.fastest = world, fastest
+
+    def __call__(self) -> Floats:
+        return coordinates(self._world.places())
+
+    def of(self, nodes: Nodes) -> Floats:
+        return coordinates(self._world.players.places_of(nodes))
 
 
 class _Crew:
@@ -116,7 +128,7 @@ class _Crew:
             world.look_through(self._watch)
         views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
         self._agents = [
-            Agent(pursuer, env, view, network, seed, scenario.announce, clock=clock, omniscient=world)
+            Agent(pursuer, env, view, world, network, seed, scenario.announce, clock=clock)
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)

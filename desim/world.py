@@ -1,6 +1,6 @@
 """The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from itertools import count
 from typing import Literal
 
@@ -12,16 +12,15 @@ from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
-from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.motion import first_contact, within
+from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.perception import Eavesdropper
 from desim.pursuit.reckoning import Sightings, nearer
 from desim.pursuit.sensing import Watch
-from desim.pursuit.state import Floats, Points, State, complex_points, coordinates
+from desim.pursuit.state import Floats, Points, State, complex_points, coordinates, lengths
+from desim.pursuit.steering import Actions, Steering
 from desim.pursuit.surroundings import Surroundings
 from desim.pursuit.target import Target
 from desim.scenario import Scenario
-from desim.value import FARTHEST
 
 
 class World:
@@ -39,54 +38,61 @@ class World:
         seed: of its random streams.
         trace: where its events go.
         radio: what evaders that listen hear; nothing if None.
+
+    Attributes:
+        size: how many pursuers there are, N.
+        players: where everyone is: the pursuers, then the evaders.
+        over: happens when the pursuit ends.
+        end: how it ended; None as long as it has not.
     """
 
     def __init__(self, env: Clock, scenario: Scenario, seed: int, trace: Trace, radio: Eavesdropper | None = None):
         self._env, self._trace, self._radio = env, trace, radio
-        self._capture, self._motion = scenario.capture, scenario.motion
-        self._horizon = nanoseconds(scenario.horizon)
-        self._speeds = np.array(scenario.team.all_speeds())
-        self._guidance = scenario.team.guidance
-        self._targets = [
-            Target(
-                number,
-                evader.speed,
-                evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, scenario.capture.radius),
-                Sightings(scenario.team.guidance, remembers=_reckons(scenario)),
-                speeds=self._speeds,
-                radius=scenario.capture.radius,
-            )
-            for number, evader in enumerate(scenario.evaders, start=1)
-        ]
-        self._at_large = list(self._targets)
-        self._free: Sequence[int] = range(1, len(self._targets) + 1)
-        self._options: dict[int, tuple[int, ...]] = {}
-        self._lone = len(self._targets) == 1
-        self._needed = scenario.capture.needed or len(self._targets)
-        self._prune = scenario.prune
+        self._capture, self._motion, self._prune = scenario.capture, scenario.motion, scenario.prune
         self._sampling = scenario.record.trajectory
+        self._horizon = nanoseconds(scenario.horizon)
         self.size = scenario.team.count
         self.over = env.event()
         self.end: Ended | None = None
 
         evaders = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]
-        self._origins = complex_points(np.vstack([scenario.team.start(seed), *evaders]))
-        self._since = 0
-        self._velocities = np.zeros_like(self._origins)
+        start = complex_points(np.vstack([scenario.team.start(seed), *evaders]))
+        self.players = Kinematics(env, start, frozen=scenario.motion.frozen)
+        self._speeds = np.array(scenario.team.all_speeds())
+        radius = scenario.capture.radius
+        self._targets = [
+            Target(
+                number,
+                evader.speed,
+                evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, radius),
+                Sightings(scenario.team.guidance, remembers=_reckons(scenario)),
+                players=self.players,
+                speeds=self._speeds,
+                radius=radius,
+            )
+            for number, evader in enumerate(scenario.evaders, start=1)
+        ]
+        first = scenario.motion.order == "evader_first"
+        self._steering = Steering(self.players, self._targets, scenario.team.guidance, self._speeds, evader_first=first)
+        self._at_large = list(self._targets)
+        self._free: Sequence[int] = range(1, len(self._targets) + 1)
+        self._options: dict[int, tuple[int, ...]] = {}
+        self._lone = len(self._targets) == 1
+        self._choices = range(len(self._targets) + 1)
+        self._needed = scenario.capture.needed or len(self._targets)
         self._step_end = 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._enter(0, self._origins)
         self._watch: Watch | None = None
-        start: NDArray[np.int64] | NDArray[np.bool_] = scenario.team.start_profile(seed)
+        chased: Actions = scenario.team.start_profile(seed)
         if not self._lone:
-            start = start * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
-        self._act(start)
+            chased = chased * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
+        self._act(chased)
         self._prune_actions()
 
     def look_through(self, watch: Watch) -> None:
         """Let pursuers see no more than they do, and chase the evaders where they believe them to be."""
-        self._watch = watch
+        self._watch = self._steering.watch = watch
         watch.look(self._env.now)
         self._prune_actions()
 
@@ -99,7 +105,7 @@ class World:
         """Record the start and set motion, record and horizon going."""
         evader, others = self._evaders()
         speeds = tuple(self._speeds.tolist())
-        self._trace.append(Started(0, evader, _points(self.places()), speeds, self.profile(), others))
+        self._trace.append(Started(0, evader, _points(self.places()), speeds, tuple(self._profile), others))
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
         if not self._motion.frozen:
@@ -111,17 +117,15 @@ class World:
 
     def state(self, evader: int = 1) -> State:
         """Return where everyone and an evader are now, and who chases it."""
-        players, target = self._players_now(), self._targets[evader - 1]
-        if target.state is None:
-            chasers = self._chasers[evader - 1]
-            target.state = State(self._time, players[: self.size], players.item(self.size + evader - 1), chasers)
-        return target.state
+        return self._targets[evader - 1].state(self._env.now)
 
     def capture_times(self, evader: int = 1) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
-        self.state(evader)
-        target = self._targets[evader - 1]
-        return target.times or target.capture_times()
+        return self._targets[evader - 1].capture_times(self._env.now)
+
+    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+        """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
+        return self._targets[evader - 1].capture_times_of(pursuers, self._env.now)
 
     def time_left(self, now: int) -> float:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
@@ -136,7 +140,8 @@ class World:
         if target.captured is not None:
             return False
         if self._prune == "infeasible":
-            return (view or self).capture_times(evader)[pursuer] < self.time_left(self._env.now)
+            (time,) = (view or self).capture_times_of([pursuer], evader)
+            return time < self.time_left(self._env.now)
         return self._prune == "none" or not target.slow[pursuer]
 
     def options(self, pursuer: int) -> Sequence[int]:
@@ -159,12 +164,11 @@ class World:
 
     def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
-        distances = np.abs(place - self.places()) + slack
-        return tuple(self._targets[evader - 1].radial_time(distances).tolist())
+        return self._targets[evader - 1].capture_times_over(lengths(place - self.places()) + slack)
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
         """Return the time of capture of a pursuer over a distance (m), s."""
-        return self._targets[evader - 1].radial_time.of(pursuer, distance)
+        return self._targets[evader - 1].capture_time_over(pursuer, distance)
 
     def distances(self, evader: int) -> Floats:
         """Return the (N,) distances of the pursuers to an evader now, m."""
@@ -172,7 +176,7 @@ class World:
 
     def velocity(self, evader: int) -> complex:
         """Return how an evader moves now, m/s."""
-        return complex(self._velocities[self.size + evader - 1])
+        return self.players.velocities.item(self._targets[evader - 1].player)
 
     def evader_speed(self, evader: int) -> float:
         """Return how fast an evader can move, m/s."""
@@ -185,15 +189,15 @@ class World:
 
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
-        return self._players_now().item(pursuer)
+        return self.players.place(pursuer)
 
     def places(self) -> Points:
         """Return the (N,) positions of the pursuers, m."""
-        return self._players_now()[: self.size]
+        return self.players.places()[: self.size]
 
     def evader(self, evader: int = 1) -> complex:
         """Return the position of an evader, m."""
-        return self._players_now().item(self.size + evader - 1)
+        return self._targets[evader - 1].place
 
     @property
     def evader_count(self) -> int:
@@ -227,17 +231,17 @@ class World:
             return nearer(position, self.evader(evader), speed * seconds(end - now + age))
         return target.seen.place(position, speed, now - age, end)
 
-    def obeys(self, pursuer: int) -> bool:
-        """Return whether a pursuer would follow an order: it is not broken."""
-        return not self._broken[pursuer]
+    def broken(self) -> NDArray[np.bool_]:
+        """Return (N,) who is broken, and so follows no order."""
+        return self._broken
 
     def action(self, pursuer: int) -> int:
         """Return which evader a pursuer chases, or 0."""
         return self._profile[pursuer]
 
-    def profile(self) -> tuple[int, ...]:
+    def profile(self) -> list[int]:
         """Return what everybody does."""
-        return tuple(self._profile)
+        return self._profile.copy()
 
     # What changes it.
 
@@ -249,7 +253,7 @@ class World:
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
-        if action not in range(len(self._targets) + 1):
+        if action not in self._choices:
             raise ValueError(f"an action should be 0 or an evader, 1 .. {len(self._targets)}, got {action}")
         able = action and not self._broken[pursuer] and self._may(pursuer, action)
         action = int(action) if able else 0
@@ -258,7 +262,6 @@ class World:
 
     def halt(self, pursuer: int) -> None:
         """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
-        self._broken = self._broken.copy()
         self._broken[pursuer] = True
         if self._profile[pursuer]:
             self._trace.append(Halted(self._env.now, pursuer))
@@ -267,7 +270,6 @@ class World:
 
     def repair(self, pursuer: int) -> None:
         """Let a pursuer that broke down obey again; it stays until it is ordered to chase."""
-        self._broken = self._broken.copy()
         self._broken[pursuer] = False
         self._foresee_capture()
 
@@ -280,25 +282,16 @@ class World:
         self._act(actions)
         now = self._env.now
         if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
-            velocities = self._velocities.copy()
-            if self._watch is not None and action and not self._watch.sights[pursuer].sees(action):
-                velocities[[pursuer]] = self._course_blind(pursuer, self._watch)
-            else:
-                sight, place = self._targets[max(action, 1) - 1].seen.last, self._players_now()[[pursuer]]
-                velocities[[pursuer]] = self._courses(
-                    sight.at(now) - place, sight.aim - place, sight.flight, self._paces[[pursuer]]
-                )
-            self._break(velocities)
+            self._steering.turn(pursuer, now, self._step_end)
+            self._foresee_capture()
 
-    def _act(self, actions: NDArray[np.int64] | NDArray[np.bool_]) -> None:
-        """Let everybody do something, as far as paces and states are concerned."""
-        self._actions: NDArray[np.int64] | NDArray[np.bool_] = actions
+    def _act(self, actions: Actions) -> None:
+        """Let everybody do something, as far as others ask for it."""
+        self._actions = actions
         self._profile: list[int] = actions.tolist()
-        self._chasers = [np.equal(actions, target.number) for target in self._targets]
-        for chasers in self._chasers:
-            chasers.setflags(write=False)
-        self._paces = self._speeds * (actions > 0)
-        self._enter(self._env.now, self._players_now())
+        self._steering.let_act(actions)
+        for target in self._targets:
+            target.let_chase(np.equal(actions, target.number))
 
     def sample(self) -> None:
         """Record where everyone is, if positions are wanted."""
@@ -320,92 +313,32 @@ class World:
         """Give everyone a new heading at every motion step."""
         for end in count(step, step):
             yield Instant(self._env, self._step_end, Phase.MOTION)
-            players, now = self._players_now(), self._env.now
+            now = self._env.now
             self._step_end = min(end, self._horizon)
-            first, duration = self._motion.order == "evader_first", seconds(self._step_end - now)
             handover = self._radio is not None and self._radio.hands_over(now)
-            velocities = np.empty_like(players)
-            for row, target in enumerate(self._targets, start=self.size):
-                state, flight = self.state(target.number), target.flight(handover=handover)
-                way = flight * duration if first else 0j
-                seen = flight if first else complex(self._velocities[row])
-                target.seen.see(now, state.evader, state.evader + way, seen)
-                velocities[row] = flight
-            if self._lone:
-                velocities[:-1] = self._courses(state.offsets, state.offsets + way, seen, self._paces)
-            else:
-                velocities[: self.size] = self._courses_to_chased(players[: self.size])
-            if self._watch is not None:
-                for pursuer in self._watch.blind(self._actions):
-                    velocities[[pursuer]] = self._course_blind(pursuer, self._watch)
-            self._break(velocities)
+            self._steering.step(now, self._step_end, handover=handover)
+            self._foresee_capture()
             if self._watch is not None:
                 self._watch.look(now)
-
-    def _course_blind(self, pursuer: int, watch: Watch) -> Points:
-        """Return the (1,) velocity of a pursuer that chases an evader which it does not see, m/s.
-
-        It does not go beyond where the evader is believed to be at the end of the step.
-        """
-        estimate = watch.sights[pursuer].estimate(int(self._actions[pursuer]))
-        if estimate is None:
-            return np.zeros(1, dtype=complex)
-        duration = seconds(self._step_end - self._env.now)
-        gap = np.array([estimate.place - self._players_now()[pursuer]])
-        aim = gap + (estimate.velocity * duration if self._motion.order == "evader_first" else 0j)
-        return self._courses(gap, aim, estimate.velocity, np.minimum(self._paces[[pursuer]], np.abs(aim) / duration))
-
-    def _courses_to_chased(self, pursuers: Points) -> Points:
-        """Return the (N,) velocities of the pursuers, m/s, where each chases an evader of its own."""
-        sights = [target.seen.last for target in self._targets]
-        chased = np.maximum(self._actions, 1) - 1
-        places, aims, flights = (np.array([sight[k] for sight in sights])[chased] for k in (1, 2, 3))
-        return self._courses(places - pursuers, aims - pursuers, flights, self._paces)
-
-    def _courses(self, gaps: Points, aims: Points, flight: complex | Points, speeds: Floats) -> Points:
-        """Return the velocities that the law of guidance gives, m/s; see `desim.pursuit.guidance.Guidance`."""
-        law = self._guidance
-        velocities = law(gaps, aims, flight, speeds)
-        if not isinstance(law, PurePursuit | ConstantBearing) and not (abs(velocities) <= speeds * (1.0 + 1e-9)).all():
-            raise ValueError(f"nobody should be led faster than at {speeds} m/s, got {velocities} from {law!r}")
-        return velocities
-
-    def _break(self, velocities: Points) -> None:
-        """Begin new straight pieces here and now."""
-        self._origins, self._since = self._players_now(), self._env.now
-        self._velocities = velocities
-        self._foresee_capture()
 
     def _foresee_capture(self) -> None:
         """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""
         self._capture_ahead = None
         if self._motion.frozen:
             return
+        now, end = self._env.now, self._step_end
         first: tuple[float, int] | None = None
         for target in self._at_large:
-            contact = self._contact(target)
+            contact = target.contact(now, end, self._broken, self._capture.test)
             if contact is not None and (first is None or contact[0] < first[0]):
                 first, captured = contact, target
         if first is not None:
             after, capturer = first
             self._capture_ahead = self._at(
-                min(self._env.now + nanoseconds(after), self._step_end),
+                min(now + nanoseconds(after), end),
                 Phase.CAPTURE,
                 lambda event: self._seize(event, captured, capturer),
             )
-
-    def _contact(self, target: Target) -> tuple[float, int] | None:
-        """Return in how many s, and by whom, an evader is captured before the step ends; None if it is not."""
-        state, radius = self.state(target.number), self._capture.radius
-        duration = seconds(self._step_end - state.t)
-        if state.distances[state.nearest] - radius > target.closing_bound * duration:
-            return None
-        approach = self._velocities[self.size + target.number - 1] - self._velocities[: self.size]
-        offsets = np.where(self._broken, FARTHEST, state.offsets) if self._broken.any() else state.offsets
-        if self._capture.test == "segment":
-            return first_contact(offsets, approach, radius, duration)
-        row = within(offsets + approach * duration, radius)
-        return None if row is None else (duration, row)
 
     def _seize(self, foreseen: simpy.Event, target: Target, capturer: int) -> None:
         if foreseen is not self._capture_ahead:
@@ -422,11 +355,12 @@ class World:
         self._at_large.remove(target)
         self._free = tuple(each.number for each in self._at_large)
         self._options.clear()
-        velocities = self._velocities.copy()
-        velocities[self.size + target.number - 1] = 0.0
+        velocities = self.players.velocities.copy()
+        velocities[target.player] = 0.0
         velocities[: self.size][self._actions == target.number] = 0.0
         self._act(np.where(self._actions == target.number, 0, self._actions))
-        self._break(velocities)
+        self.players.go(velocities)
+        self._foresee_capture()
 
     def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
         """Record positions at every multiple of a period."""
@@ -439,23 +373,9 @@ class World:
         event.callbacks.append(act)
         return event
 
-    def _players_now(self) -> Points:
-        """Return where the pursuers, and after them the evaders, are now."""
-        now = self._env.now
-        if self._time != now and not self._motion.frozen:
-            self._enter(now, self._origins + self._velocities * seconds(now - self._since))
-        return self._players
-
-    def _enter(self, t: int, players: Points) -> None:
-        """Take note of where everyone is at an instant (ns), and that what was known of the one before is not of it."""
-        players.setflags(write=False)
-        self._time, self._players = t, players
-        for target in self._targets:
-            target.state = target.times = None
-
     def _evaders(self) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
         """Return the positions of the first evader and of the others as [x, y]."""
-        first, *others = _points(self._players_now()[self.size :])
+        first, *others = _points(self.players.places()[self.size :])
         return first, tuple(others)
 
 

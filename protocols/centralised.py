@@ -39,15 +39,21 @@ class Centralised(Value):
         """Assign to each evader one pursuer at most, which can be in time."""
         if me.id != 0:
             return
-        everyone, everything = range(me.team_size), range(1, me.evader_count + 1)
         for k in count():
             yield me.at(k * self.slot)
-            obeys = [me.obeys(pursuer) for pursuer in everyone]
-            phi = [[t if obeys[j] else inf for j, t in enumerate(me.capture_times(evader))] for evader in everything]
+            phi = [list(me.capture_times(evader)) for evader in range(1, me.evader_count + 1)]
+            for pursuer in me.broken():
+                for times in phi:
+                    times[pursuer] = inf
             sent = assignment(phi, me.time_left())
-            for pursuer in everyone:
-                if me.acts(pursuer) != sent.get(pursuer, 0):
-                    me.command(pursuer, sent.get(pursuer, 0))
+            profile = me.profile()
+            wanted = [0] * len(profile)
+            for pursuer, action in sent.items():
+                wanted[pursuer] = action
+            if profile != wanted:
+                for pursuer, action in enumerate(wanted):
+                    if profile[pursuer] != action:
+                        me.command(pursuer, action)
 
 
 def assignment(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:

@@ -28,7 +28,7 @@ from pydantic import Field
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.belief import Whereabouts
 from desim.pursuit.capture import intercept_time
-from desim.pursuit.state import Floats, coordinates
+from desim.pursuit.state import Floats, coordinates, lengths
 from desim.value import Period, Time, Value
 from protocols.schedules import ticks
 
@@ -87,7 +87,7 @@ class Voronoi(Geometric):
 
     def measure(self, me: Agent, evader: int) -> Measure:
         """Return the measure of distance, m."""
-        return lambda known: np.abs(me.evader(evader) - known.places)
+        return lambda known: lengths(me.evader(evader) - known.places)
 
 
 class Argmin(Geometric):

@@ -64,7 +64,10 @@ class LearningRule(Rule):
 
         That of who can never capture is cut off at -30 years, so that averages remain numbers.
         """
-        return {0: 0.0} | {evader: max(me.gain(self.utility, evader), -LONGEST) for evader in me.options()[1:]}
+        worth = {0: 0.0}
+        for evader in me.options()[1:]:
+            worth[evader] = max(me.gain(self.utility, evader), -LONGEST)
+        return worth
 
 
 def present(me: Agent, actions: Collection[int]) -> int:

@@ -42,8 +42,8 @@ class SpatialAdaptivePlay(LogLinear):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield a draw from the logit at each turn."""
         for inverse_tau in self.inverse_temperatures(me):
-            options, worth = zip(*self.utilities(me).items(), strict=True)
-            yield options[drawn(logit(worth, inverse_tau), me.rng)]
+            utilities = self.utilities(me)
+            yield list(utilities)[drawn(logit([*utilities.values()], inverse_tau), me.rng)]
 
 
 def drawn(chances: list[float], rng: np.random.Generator) -> int:

@@ -12,17 +12,26 @@ OURS = ("desim", "protocols", "scenarios", "tests")
 
 # What each module or package may import of ours; the most specific entry counts, and `desim` is its __init__ alone.
 ALLOWED = {
-    "desim.value": set(),
+    "desim.field_docs": set(),
+    "desim.value": {"desim.field_docs"},
     "desim.kernel.clock": set(),
     "desim.kernel.seeds": set(),
     "desim.kernel.events": {"desim.kernel.clock"},
-    "desim.kernel.hops": {"desim.kernel.seeds"},
-    "desim.kernel.latency": {"desim.kernel.hops", "desim.value"},
+    "desim.kernel.positions": set(),
+    "desim.kernel.cells": {"desim.kernel.positions", "desim.value"},
+    "desim.kernel.complete": set(),
+    "desim.kernel.hops": {"desim.kernel.positions", "desim.kernel.seeds"},
+    "desim.kernel.latency": {"desim.kernel.hops", "desim.kernel.seeds", "desim.value"},
     "desim.kernel.loss": {"desim.kernel.hops", "desim.value"},
     "desim.kernel.reach": {"desim.value"},
     "desim.kernel.medium": {"desim.value"},
     "desim.kernel.wire": {"desim.kernel.records"},
-    "desim.kernel.graphs": {"desim.kernel.latency", "desim.kernel.loss", "desim.value"},
+    "desim.kernel.graphs": {
+        "desim.kernel.complete",
+        "desim.kernel.latency",
+        "desim.kernel.loss",
+        "desim.value",
+    },
     "desim.kernel.links": {
         "desim.kernel.graphs",
         "desim.kernel.latency",
@@ -32,7 +41,13 @@ ALLOWED = {
         "desim.kernel.reach",
         "desim.value",
     },
-    "desim.kernel.topology": {"desim.kernel.hops", "desim.kernel.reach", "desim.kernel.seeds"},
+    "desim.kernel.topology": {
+        "desim.kernel.cells",
+        "desim.kernel.complete",
+        "desim.kernel.positions",
+        "desim.kernel.reach",
+        "desim.kernel.seeds",
+    },
     "desim.kernel": {"desim.kernel", "desim.value"},
     "desim.pursuit.capture": {"desim.pursuit.state"},
     "desim.pursuit.game": {"desim.pursuit.state"},
@@ -58,11 +73,24 @@ ALLOWED = {
         "desim.pursuit.state",
         "desim.pursuit.word",
     },
+    "desim.pursuit.kinematics": {"desim.kernel.clock", "desim.pursuit.state"},
     "desim.pursuit.target": {
+        "desim.kernel.clock",
         "desim.pursuit.capture",
+        "desim.pursuit.kinematics",
+        "desim.pursuit.motion",
         "desim.pursuit.perception",
         "desim.pursuit.reckoning",
         "desim.pursuit.state",
+        "desim.value",
+    },
+    "desim.pursuit.steering": {
+        "desim.kernel.clock",
+        "desim.pursuit.guidance",
+        "desim.pursuit.kinematics",
+        "desim.pursuit.sensing",
+        "desim.pursuit.state",
+        "desim.pursuit.target",
     },
     "desim.pursuit.sensing": {
         "desim.kernel",
@@ -165,6 +193,9 @@ ALLOWED = {
 }
 FORBIDDEN = {
     "desim.kernel.events": {"simpy", "networkx"},
+    "desim.kernel.positions": {"simpy", "networkx"},
+    "desim.kernel.cells": {"simpy", "networkx"},
+    "desim.kernel.complete": {"simpy"},
     "desim.kernel.hops": {"simpy", "networkx"},
     "desim.kernel.latency": {"simpy", "networkx"},
     "desim.kernel.loss": {"simpy", "networkx"},
@@ -249,3 +280,39 @@ def test_the_kernel_stands_alone():
         "sys.exit(any(name.startswith(('desim.pursuit', 'desim.scenario', 'protocols')) for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+SLOW_TO_IMPORT = {
+    *(
+        "cloudpickle",
+        "concurrent.futures",
+        "loky",
+        "matplotlib",
+        "multiprocessing",
+        "pandas",
+        "scipy",
+        "sqlite3",
+        "tqdm",
+    ),
+    *("desim.provenance", "desim.study", "desim.view", "protocols.cbba", "protocols.server"),
+}
+"""What one run of a small scenario has no use for."""
+COMPUTES = {"networkx", "numpy", "pydantic", "simpy"}
+RELAY = "scenarios/relay.toml"
+PROGRAMS = {
+    "import": ("import desim; desim.__all__", SLOW_TO_IMPORT | COMPUTES | {"click", "desim.scenario"}),
+    "load": (f"import desim; desim.load('{RELAY}')", SLOW_TO_IMPORT | {"desim.analysis", "desim.simulation"}),
+    "check": (f"from desim.cli import main; main(['check', '{RELAY}'])", SLOW_TO_IMPORT | {"desim.simulation"}),
+    "run": (f"from desim.cli import main; main(['run', '{RELAY}', '--set', 'horizon=0.1'])", SLOW_TO_IMPORT),
+}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_nothing_is_loaded_that_is_not_needed(name):
+    """What is slow to import is imported by whatever needs it: the start of a short run is most of its time."""
+    program, absent = PROGRAMS[name]
+    told = f"import sys\ntry:\n    {program}\nexcept SystemExit:\n    pass\nprint(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", told], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(done.stderr.split())
+    assert {"desim"} <= loaded
+    assert not absent & loaded

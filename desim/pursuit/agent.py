@@ -14,13 +14,13 @@ from typing import Any, Self
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase
 from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
 from desim.pursuit.belief import Belief, Beliefs, Whereabouts
-from desim.pursuit.surroundings import Surroundings
+from desim.pursuit.surroundings import Surroundings, Whole
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
 
@@ -52,11 +52,11 @@ class Agent:
         pursuer: its id.
         env: the clock of the simulation.
         world: what it senses and acts on.
+        whole: the same as it is, for omniscient benchmarks.
         network: by which it talks.
         seed: of its random streams.
         announcements: what it tells the others, and when.
         clock: its own; a right one if None.
-        omniscient: the world for who knows everything; the same if None.
     """
 
     def __init__(
@@ -64,17 +64,16 @@ class Agent:
         pursuer: int,
         env: Clock,
         world: Surroundings,
+        whole: Whole,
         network: Network,
         seed: int,
         announcements: Announcements | None = None,
         *,
         clock: NodeClock | None = None,
-        omniscient: Surroundings | None = None,
     ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
-        self._env, self._world, self._network, self._seed = env, world, network, seed
-        self._omniscient = omniscient or world
+        self._env, self._world, self._whole, self._network, self._seed = env, world, whole, network, seed
         self._announcements = announcements or Announcements()
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._clock = clock or NodeClock(env)
@@ -136,11 +135,12 @@ class Agent:
 
     def capture_time(self, evader: int = 1) -> float:
         """Return its own time of capture phi_i of an evader, s."""
-        return self._world.capture_times(evader)[self.id]
+        (time,) = self._world.capture_times_of([self.id], evader)
+        return time
 
     def time_left(self) -> float:
         """Return the time left to the horizon by its own clock, r, s."""
-        return self._world.time_left(self._stamp())
+        return self._world.time_left(self._clock.stamp)
 
     def may_chase(self, evader: int = 1) -> bool:
         """Return whether it has the choice to chase an evader (`Scenario.prune`)."""
@@ -173,11 +173,11 @@ class Agent:
 
         Whose last word arrived longer ago than `forget_after` is not believed active. Times in s; nan if not told.
         """
-        return self._beliefs.chasing(evader)
+        return self._beliefs.rivals(evader)[1]
 
     def believed_active(self, evader: int = 1) -> list[int]:
         """Return the teammates that it believes to chase an evader; see `believed`."""
-        return list(self._beliefs.chasing(evader))
+        return list(self._beliefs.rivals(evader)[1])
 
     def beliefs(self, period: float | None = None, evader: int = 1) -> dict[int, Belief]:
         """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
@@ -207,12 +207,11 @@ class Agent:
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return what it gains by chasing an evader, given who it believes does, s; see `desim.pursuit.game.gain`."""
-        believed = self.believed(evader)
+        own, rivals = self._beliefs.rivals(evader)
         if utility.scope != "heard":
             circle = self.circle(utility.scope)
-            believed = {j: phi for j, phi in believed.items() if j in circle}
-        others = [phi for phi in believed.values() if phi < inf]
-        return utility(self.capture_time(evader), others, self.time_left())
+            rivals = {j: phi for j, phi in rivals.items() if j in circle}
+        return utility(own, [phi for phi in rivals.values() if phi < inf], self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return who hears it now, or who hears a teammate, as its radio would find out."""
@@ -262,19 +261,20 @@ class Agent:
 
     def capture_times(self, evader: int = 1) -> tuple[float, ...]:
         """Return everyone's time of capture as it is, past the network: for omniscient benchmarks only, s."""
-        return self._omniscient.capture_times(evader)
+        return self._whole.capture_times(evader)
 
     def command(self, pursuer: int, action: int) -> None:
         """Let another pursuer do something, at once and past the network: for omniscient benchmarks only."""
-        self._world.order(pursuer, action)
+        self._whole.order(pursuer, action)
 
-    def acts(self, pursuer: int) -> int:
-        """Return what another pursuer does, past the network: for omniscient benchmarks only."""
-        return self._world.action(pursuer)
+    def profile(self) -> Sequence[int]:
+        """Return what everybody does, past the network: for omniscient benchmarks only."""
+        return self._whole.profile()
 
-    def obeys(self, pursuer: int) -> bool:
-        """Return whether another pursuer is not broken, past the network: for omniscient benchmarks only."""
-        return self._world.obeys(pursuer)
+    def broken(self) -> Sequence[int]:
+        """Return who is broken, past the network: for omniscient benchmarks only."""
+        found: list[int] = self._whole.broken().nonzero()[0].tolist()
+        return found
 
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
@@ -296,7 +296,7 @@ class Agent:
 
     def presume(self) -> None:
         """Let everyone know its action from the start."""
-        self._network.presume(self.id, self.assignment(), self._stamp())
+        self._network.presume(self.id, self.assignment(), self._clock.stamp)
 
     def assignment(self) -> Any:
         """Return what it would announce now."""
@@ -313,11 +313,11 @@ class Agent:
 
     def record(self, body: Any) -> Record:
         """Return the next record of its own, for who spreads it by other means than `publish`."""
-        return self._network.next_record(self.id, body, self._stamp())
+        return self._network.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
         """Announce something to the neighbours, as state: they read it when they next look."""
-        self._network.publish(self.id, body, sent=self._stamp())
+        self._network.publish(self.id, body, sent=self._clock.stamp)
 
     def learn(self, records: Iterable[Record]) -> None:
         """Take note of records that reached it inside a message; older ones never replace newer ones."""
@@ -365,10 +365,6 @@ class Agent:
         return self._network.inbox(self.id, port).arrival(self._turn)
 
     # How it speaks.
-
-    def _stamp(self) -> int:
-        """Return the time on its own clock, ns."""
-        return nanoseconds(self.now)
 
     def _news(self) -> Any:
         """Return what must change for an announcement to be made at once."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim.kernel.clock import NodeClock, nanoseconds
+from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.pursuit.state import Floats, Points
@@ -75,14 +75,16 @@ class Beliefs:
         oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
         return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
 
-    def chasing(self, evader: int) -> dict[int, float]:
-        """Return the trusted teammates that are believed to chase an evader, and their times of capture, s."""
+    def rivals(self, evader: int) -> tuple[float, dict[int, float]]:
+        """Return its own time of capture of an evader, and those of the trusted teammates believed to chase it, s."""
         oldest = self._clock.true - self._memory
-        heard = self.heard().items()
+        words = self._network.marked(self._id)  # of those that chase any
+        chasing = {j: words[j][1] for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest}
         if self.senses_others:
-            phi = self._world.capture_times(evader)
-            return {j: phi[j] for j, (t, word) in heard if word.body.active == evader and t >= oldest}
-        return {j: self._time(word, evader) for j, (t, word) in heard if word.body.active == evader and t >= oldest}
+            own, *times = self._world.capture_times_of([self._id, *chasing], evader)
+            return own, dict(zip(chasing, times, strict=True))
+        (own,) = self._world.capture_times_of([self._id], evader)
+        return own, {j: self._time(word, evader) for j, word in chasing.items()}
 
     def all(self, period: float | None, evader: int) -> dict[int, Belief]:
         """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""
@@ -136,7 +138,7 @@ class Beliefs:
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
         if not isinstance(body, LocatedAssignment):
-            return self._world.capture_times(evader)[record.src] if self.senses_others else nan
+            return self._world.capture_times_of([record.src], evader)[0] if self.senses_others else nan
         return self._world.capture_time_from(record.src, self._place(record), evader)
 
     def _place(self, record: Record) -> complex:
@@ -147,6 +149,6 @@ class Beliefs:
         place = complex(body.x, body.y)
         if not body.active:
             return place
-        age = max(nanoseconds(self._clock.now) - record.sent, 0)
+        age = max(self._clock.stamp - record.sent, 0)
         exact = self._announcements.reckoning == "exact"
         return self._world.reckoned(place, body.speed, age, int(body.active), exact=exact)

@@ -47,6 +47,7 @@ class RadialTime:
         self.slow = closing <= NO_SPEED  # (N,) who can never capture
         self._some_slow = bool(self.slow.any())
         self._closing = np.where(self.slow, 1.0, closing)
+        self._each: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
 
     def __call__(self, distances: Floats) -> Floats:
         """Return the times of capture, s, given distances, m."""
@@ -58,8 +59,9 @@ class RadialTime:
 
     def of(self, pursuer: int, distance: float) -> float:
         """Return the time of capture of one pursuer, s, given its distance, m."""
-        gap = max(distance - self._radius, 0.0)
-        return inf if gap and self.slow[pursuer] else float(gap / self._closing[pursuer])
+        slow, closing = self._each[pursuer]
+        gap = distance - self._radius
+        return 0.0 if gap <= 0.0 else inf if slow else gap / closing
 
 
 def intercept_time(

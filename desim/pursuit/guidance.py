@@ -10,7 +10,7 @@ import numpy as np
 
 from desim.pursuit.capture import NO_SPEED
 from desim.pursuit.motion import SMALLEST, toward
-from desim.pursuit.state import Floats, Points
+from desim.pursuit.state import Floats, Points, lengths
 from desim.value import Value
 
 Flight = complex | Points
@@ -55,7 +55,7 @@ class ConstantBearing(Value):
 
     def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
-        distances = np.abs(gaps)
+        distances = lengths(gaps)
         bearings = gaps / np.maximum(distances, SMALLEST)
         seen = flight * bearings.conj()  # along the line of sight, and across it
         rest = speeds**2 - seen.imag**2
@@ -64,11 +64,23 @@ class ConstantBearing(Value):
         return np.where(meets, bearings * (along + 1j * seen.imag), toward(aims, speeds))
 
 
-def way(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float, duration: float) -> complex:
-    """Return how far a law leads one pursuer in a time (s) in which nothing changes, m; the rest as in `Guidance`."""
+def courses(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
+    """Return the velocities that a law gives, m/s; the arguments as in `Guidance`.
+
+    Raises:
+        ValueError: if it leads anybody faster than at its speed.
+    """
+    velocities = law(gaps, aims, flight, speeds)
+    if not isinstance(law, PurePursuit | ConstantBearing) and not (abs(velocities) <= speeds * (1.0 + 1e-9)).all():
+        raise ValueError(f"nobody should be led faster than at {speeds} m/s, got {velocities} from {law!r}")
+    return velocities
+
+
+def course(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float) -> complex:
+    """Return the velocity that a law gives one pursuer, m/s; as `courses`."""
     if isinstance(law, PurePursuit):  # the same, several times faster
-        return aim * (speed * duration / max(abs(aim), SMALLEST))
-    return complex(law(np.array([gap]), np.array([aim]), flight, np.array([speed]))[0]) * duration
+        return aim * (speed / max(abs(aim), SMALLEST))
+    return complex(courses(law, np.array([gap]), np.array([aim]), flight, np.array([speed]))[0])
 
 
 def apollonius_circle(pursuer: complex, evader: complex, ratio: float) -> tuple[complex, float]:

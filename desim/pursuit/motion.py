@@ -8,7 +8,7 @@ from math import inf
 
 import numpy as np
 
-from desim.pursuit.state import Floats, Points
+from desim.pursuit.state import Floats, Points, lengths
 
 SMALLEST = 1e-290
 """Stands in for a distance of 0, so that 0 / 0 is 0, m."""
@@ -21,7 +21,7 @@ def toward(gaps: Points, speeds: Floats) -> Points:
         gaps: (N,) from each pursuer to its target, m.
         speeds: (N,) m/s, 0 for who stays.
     """
-    return gaps * (speeds / np.maximum(np.abs(gaps), SMALLEST))
+    return gaps * (speeds / np.maximum(lengths(gaps), SMALLEST))
 
 
 def first_contact(offsets: Points, velocities: Points, radius: float, duration: float) -> tuple[float, int] | None:
@@ -39,9 +39,9 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
     Returns:
         (s, row), or None if nobody comes so near.
     """
-    a = np.abs(velocities) ** 2
+    a = lengths(velocities) ** 2
     b = (offsets * velocities.conj()).real
-    c = np.abs(offsets) ** 2 - radius**2
+    c = lengths(offsets) ** 2 - radius**2
     discriminant = b**2 - a * c
     times = np.full(len(a), inf)
     # Approaching, and near enough: the smaller root, in the form that does not cancel.
@@ -54,6 +54,6 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
 
 def within(offsets: Points, radius: float) -> int | None:
     """Return the row of the (N,) offsets (m) that is nearest to the origin, if it is within a radius (m)."""
-    distances = np.abs(offsets)
+    distances = lengths(offsets)
     row = int(distances.argmin())
     return row if distances[row] <= radius else None

@@ -12,7 +12,7 @@ from desim.pursuit.evasion import PureEvasion, Strategy, away
 from desim.pursuit.events import Started
 from desim.pursuit.outlook import Outlook
 from desim.pursuit.state import Floats, State
-from desim.pursuit.word import told
+from desim.pursuit.word import records_in
 
 
 class Mind:
@@ -84,7 +84,7 @@ class Eavesdropper:
         if isinstance(event, Started):
             self._actions = dict(enumerate(event.active))
         elif isinstance(event, Broadcast | Sent):
-            for record in told(event):
+            for record in records_in(event):
                 self._hear(record, event)
 
     def hands_over(self, now: int) -> bool:

@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.clock import seconds
-from desim.pursuit.guidance import Guidance, way
+from desim.pursuit.guidance import Guidance, course
 from desim.pursuit.motion import SMALLEST
 
 MOST_RETRACINGS = 10_000
@@ -69,7 +69,8 @@ class Sightings:
         ends = [sight.begun for sight in self._sights[first + 1 : last]] + [now]
         for sight, end in zip(self._sights[first:], ends, strict=False):  # none yet at the start
             began, origin = t, place
-            place += way(self._law, sight.at(t) - place, sight.aim - place, sight.flight, speed, seconds(end - t))
+            velocity = course(self._law, sight.at(t) - place, sight.aim - place, sight.flight, speed)
+            place += velocity * seconds(end - t)
             t = end
         self._retracings[known] = (began, origin)
         if len(self._retracings) > MOST_RETRACINGS:

@@ -6,7 +6,7 @@ estimate, and it is the estimate that it chases. Teammates are sensed, or say wh
 knows which evaders have been captured.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from itertools import count
 from math import inf, pi, sqrt
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -114,7 +114,7 @@ class Watch:
 
     def look(self, now: int) -> None:
         """Let everybody that is not broken remember the evaders that it sees at an instant, ns."""
-        able = np.array([self._world.obeys(pursuer) for pursuer in range(self._world.size)])
+        able = ~self._world.broken()
         for evader in self._world.evaders():
             seeing = able & (self._world.distances(evader) <= self.sensing.radius)
             row = evader - 1
@@ -156,7 +156,7 @@ class Sight:
         self._world, self._network, self._clock = world, network, clock
         self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
         self.speed, self.place, self.places = world.speed, world.place, world.places
-        self.action, self.obeys, self.order = world.action, world.obeys, world.order
+        self.action, self.order = world.action, world.order
         self.evaders, self.time_left = world.evaders, world.time_left
         self._heard: dict[int, Sighting] = {}
 
@@ -236,6 +236,11 @@ class Sight:
         if estimate is None:
             return (inf,) * self.size
         return self._world.capture_times_at(estimate.place, estimate.slack, evader)
+
+    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+        """Return the times of capture of some pursuers, s; as `capture_times`."""
+        times = self.capture_times(evader)
+        return [times[pursuer] for pursuer in pursuers]
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""

@@ -32,10 +32,16 @@ class State:
         self.evader = evader
         self.active = active
         self.offsets: Points = evader - pursuers
-        self.distances: Floats = np.abs(self.offsets)
+        self.distances = lengths(self.offsets)
         self.nearest = int(self.distances.argmin()) if len(pursuers) else -1
         self.offsets.setflags(write=False)
         self.distances.setflags(write=False)
+
+
+def lengths(vectors: Points) -> Floats:
+    """Return the (k,) absolute values, exactly those that `abs` gives of each; `np.abs` rounds by processor."""
+    found: Floats = np.hypot(vectors.real, vectors.imag)
+    return found
 
 
 def complex_points(points: Sequence[Sequence[float]] | Floats) -> Points:

@@ -1,7 +1,10 @@
 """The part of the world that agents sense and act on."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from desim.pursuit.state import Floats, Points
 
@@ -29,6 +32,10 @@ class Surroundings(Protocol):
 
     def capture_times(self, evader: int = 1) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
+        ...
+
+    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+        """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
         ...
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
@@ -60,10 +67,6 @@ class Surroundings(Protocol):
         """The distance at which an evader is captured, m."""
         ...
 
-    def obeys(self, pursuer: int) -> bool:
-        """Return whether a pursuer would follow an order."""
-        ...
-
     def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m."""
         ...
@@ -87,6 +90,14 @@ class Whole(Surroundings, Protocol):
     @property
     def frozen(self) -> bool:
         """Whether nobody moves."""
+        ...
+
+    def profile(self) -> Sequence[int]:
+        """Return what everybody does."""
+        ...
+
+    def broken(self) -> NDArray[np.bool_]:
+        """Return (N,) who is broken, and so follows no order."""
         ...
 
     def distances(self, evader: int) -> Floats:

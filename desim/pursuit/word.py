@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import ConfigDict, Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag
 
 from desim.kernel.events import Broadcast, Sent
 from desim.kernel.records import Record
@@ -45,7 +45,7 @@ class Relayed(NamedTuple):
     """How many more hops it may take, this one included."""
 
 
-def told(event: Broadcast | Sent) -> tuple[Record, ...]:
+def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
     """Return the records that a transmission carries: those it relays, or its own if it is an announcement."""
     relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
     if relayed is not None:
@@ -59,7 +59,8 @@ DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("tell",))
 
 def one_hop() -> Any:
     """Return the dissemination that is the default."""
-    return DISSEMINATIONS.choices()["one_hop"]()
+    made: Any = DISSEMINATIONS.choice("one_hop")
+    return made()
 
 
 def _form(value: Any) -> str:
@@ -68,8 +69,6 @@ def _form(value: Any) -> str:
 
 class Announcements(Value):
     """What pursuers announce, when, and how long it is believed."""
-
-    model_config = ConfigDict(defer_build=True)  # disseminations import the agent, which imports this module
 
     payload: Literal["action", "time", "state"] = "action"
     """action: positions are sensed, the action is heard (the paper); time: the action and the time of capture as of

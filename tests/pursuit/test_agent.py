@@ -8,9 +8,11 @@ import pytest
 
 from desim import Scenario, run
 from desim.kernel.events import Broadcast
-from desim.kernel.graphs import Edges
-from desim.kernel.latency import Constant
+from desim.kernel.faults import Crash
+from desim.kernel.graphs import Edges, Ring
+from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
@@ -18,6 +20,7 @@ from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.best_response import BestResponse
+from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.schedules import Poisson
 
 
@@ -268,12 +271,13 @@ def test_who_hears_a_faster_one_that_does_not_hear_it_leaves_the_chase_to_that_o
     assert last == {0: True, 1: False}
 
 
+class Claim(NamedTuple):
+    active: bool
+    news: int = 0
+
+
 def test_of_a_claim_nobody_learns_where_its_speaker_is():
     """Unless positions are sensed."""
-
-    class Claim(NamedTuple):
-        active: bool
-        news: int = 0
 
     for payload in ("action", "time", "state"):
         seen = []
@@ -292,3 +296,70 @@ def test_of_a_claim_nobody_learns_where_its_speaker_is():
         else:
             assert np.isnan(times).all()
             assert np.isnan(places).all()
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_what_was_to_be_done_later_is_not_done_in_another_life(memory):
+    """To be done at 0.2 s and at 1 s; the robot is down from 0.3 to 0.5 s."""
+    done = []
+
+    def protocol(me):
+        for time in (0.2, 1.0) if me.id == 0 and not me.restarts else ():
+            me.after(time, lambda time=time: done.append(time))
+        yield me.at(2.0)
+
+    play(protocol, fault=(Crash(node=0, at=0.3, until=0.5, memory=memory),))
+    assert done == ([0.2, 1.0] if memory else [0.2])
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
+    """A heartbeat every 0.1 s tells the claim until 0.3 s, and from 0.5 s on that or, without memory, the payload."""
+
+    def protocol(me):
+        if me.id == 0 and not me.restarts:
+            me.claim(Claim(False, 7))
+        yield me.at(9.0)
+
+    fault = Crash(node=0, at=0.3, until=0.5, memory=memory)
+    record = Recording(trajectory=0.0, messages=True)
+    result = play(protocol, announce=Announcements(heartbeat=0.1), fault=(fault,), record=record, horizon=1.0)
+    said = [(event.t > 0.4e9, event.body) for event in result.trace.of(Broadcast) if event.src == 0]
+    assert set(said) == {(False, Claim(False, 7)), (True, Claim(False, 7) if memory else Assignment(False))}
+
+
+@pytest.mark.parametrize("payload", ["action", "state", "time"])
+@pytest.mark.parametrize("spread", [OneHop(), Flooding(hops=2), Gossip()])
+@pytest.mark.parametrize("scope", ["radio", "robot"])
+@pytest.mark.parametrize("warm", [True, False])
+def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, spread, scope, warm):
+    """The beliefs, kept by the news, against all that has been heard; pursuer 1 forgets everything at 2 s."""
+    checked, chased = [], set()
+
+    def protocol(me):
+        rng = me.stream("test")
+        while True:
+            yield me.sleep(rng.exponential(0.05))
+            for evader in (1, 2):
+                words = me.trusted()
+                expected = sorted(j for j in words if words[j].body.active == evader)
+                assert me.believed_active(evader) == list(me.believed(evader)) == expected
+                chased.add((evader, tuple(expected)))
+            checked.append(me.id)
+            me.assign(int(rng.integers(3)))
+            me.announce()
+
+    team = Team(count=4, positions=[(k, 0.0) for k in range(4)], speeds=0.95, active_at_start=0.5)
+    run(
+        Scenario(
+            horizon=4.0,
+            team=team,
+            evader=(Evader(position=(90.0, 0.0)), Evader(position=(0.0, 90.0))),
+            protocol=protocol,
+            network=Links(graph=Ring(), latency=Lognormal(mean=0.03, cv=1.0), loss=Bernoulli(p=0.3)),
+            announce=Announcements(payload=payload, spread=spread, forget_after=0.2, warm_start=warm),
+            fault=(Crash(node=1, at=1.0, until=2.0, memory=False, scope=scope),),
+        )
+    )
+    assert len(checked) > 200
+    assert len(chased) > 10

@@ -165,6 +165,17 @@ def test_the_search_goes_round_where_the_evader_was_lost():
     assert gone == pytest.approx(lengths[-1] - lengths[100], rel=0.01)
 
 
+def test_of_two_that_search_each_goes_another_way():
+    """Both were told of 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
+    rig = Rig(Sensing(radius=3.0, estimate="hold", lost_after=0.5), evader=HIDDEN)
+    rig.tell(sighting(7.0, 0.0), src=0)
+    rig.tell(sighting(7.0, 0.0), src=1)
+    rig.until(6.0)
+    one, other = (sight.estimate(1).place - 7.0 for sight in (rig.one, rig.other))
+    assert abs(one) > 1.0
+    assert one == pytest.approx(-other)
+
+
 def on_a_line(count, *, pass_on):
     """Return when each of a team on a line first had an estimate; only pursuer 0 sees the evader, which stands."""
     behaviour, found = looks(lambda me: me.may_chase(), period=0.01)

@@ -1,0 +1,71 @@
+"""Where players are: everyone moves in straight pieces, which all began at one instant.
+
+The position of anyone at any instant is a closed form, origin + velocity * (t - since): it is read, not integrated, so
+reading that of one player costs nothing for the others.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.kernel.clock import Clock, seconds
+from desim.pursuit.state import Points
+
+
+class Kinematics:
+    """The positions and velocities of K players.
+
+    Args:
+        env: the clock of the simulation.
+        start: (K,) positions as it begins, m.
+        frozen: whether nobody ever moves.
+
+    Attributes:
+        velocities: (K,) of the present pieces, m/s; not to be written to.
+    """
+
+    def __init__(self, env: Clock, start: Points, *, frozen: bool = False):
+        self._env, self._frozen = env, frozen
+        self.velocities: Points = np.zeros_like(start)
+        self._origins, self._since = start, env.now
+        self._places, self._read = start, env.now
+        start.setflags(write=False)
+
+    def places(self) -> Points:
+        """Return the (K,) positions now, m; not to be written to."""
+        now = self._env.now
+        if self._read != now and not self._frozen:
+            self._places = self._origins + self.velocities * seconds(now - self._since)
+            self._places.setflags(write=False)
+            self._read = now
+        return self._places
+
+    def place(self, player: int) -> complex:
+        """Return the position of one player now, m."""
+        now = self._env.now
+        if self._read == now or self._frozen:
+            return self._places.item(player)
+        return self._origins.item(player) + self.velocities.item(player) * seconds(now - self._since)
+
+    def distances(self, player: int, others: Iterable[int]) -> list[float]:
+        """Return how far some players are from another now, m."""
+        now, start, velocity = self._env.now, self._origins.item, self.velocities.item
+        if self._read == now or self._frozen:
+            place = self._places.item
+            here = place(player)
+            return [abs(here - place(other)) for other in others]
+        passed = seconds(now - self._since)
+        here = start(player) + velocity(player) * passed
+        return [abs(here - (start(other) + velocity(other) * passed)) for other in others]
+
+    def places_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
+        """Return the (k,) positions of some players now, m."""
+        if self._read == self._env.now or self._frozen:
+            return self._places[players]
+        return self._origins[players] + self.velocities[players] * seconds(self._env.now - self._since)
+
+    def go(self, velocities: Points) -> None:
+        """Begin new pieces here and now, (K,) m/s."""
+        self._origins, self._since = self.places(), self._env.now
+        self.velocities = velocities

@@ -1,0 +1,122 @@
+"""Steering: which velocity everybody takes, at each motion step and when an order comes inside one."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.kernel.clock import seconds
+from desim.pursuit.guidance import Guidance, course, courses
+from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.state import Floats, Points
+from desim.pursuit.target import FEW, Target
+
+if TYPE_CHECKING:
+    from desim.pursuit.sensing import Watch
+
+Actions = NDArray[np.int64] | NDArray[np.bool_]
+"""(N,) which evader each pursuer chases, 1 .. M, or 0."""
+
+
+class Steering:
+    """Leads the pursuers by a law of guidance, and lets the evaders flee.
+
+    Args:
+        players: whom it leads: the N pursuers, then the evaders.
+        targets: the evaders.
+        law: of guidance.
+        speeds: (N,) of the pursuers, m/s.
+        evader_first: whether pursuers head for where the evader will be at the end of the step, or for where it was.
+
+    Attributes:
+        watch: what pursuers see, if they do not see everything.
+    """
+
+    def __init__(
+        self, players: Kinematics, targets: Sequence[Target], law: Guidance, speeds: Floats, *, evader_first: bool
+    ):
+        self._players, self._targets, self._law = players, targets, law
+        self._speeds, self._speed = speeds, speeds.tolist()
+        self._evader_first = evader_first
+        self._stillness: Points = np.zeros(len(speeds) + len(targets), dtype=complex)
+        self.watch: Watch | None = None
+
+    def let_act(self, actions: Actions) -> None:
+        """Take note of what everybody does from now on."""
+        self._actions, self._paces = actions, self._speeds * (actions > 0)
+        moving = actions.nonzero()[0]
+        self._chases: list[tuple[int, Target]] | None = None  # who chases whom, if they are few
+        if len(moving) <= FEW:
+            self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
+
+    def step(self, now: int, until: int, *, handover: bool) -> None:
+        """Give everyone the velocity that it keeps for a motion step.
+
+        Args:
+            now: when the step begins, ns.
+            until: when it ends, ns.
+            handover: whether word of a change of action is in flight.
+        """
+        duration, players, law = seconds(until - now), self._players, self._law
+        velocities = self._stillness.copy()
+        for target in self._targets:
+            flight, place = target.flight(now, handover=handover), target.state(now).evader
+            if self._evader_first:
+                target.seen.see(now, place, place + flight * duration, flight)
+            else:
+                target.seen.see(now, place, place, players.velocities.item(target.player))
+            velocities[target.player] = flight
+        if self._chases is None:
+            velocities[: len(self._actions)] = self._courses()
+        else:
+            where, speed = players.places().item, self._speed
+            for pursuer, target in self._chases:
+                here, (_, place, aim, flight) = where(pursuer), target.seen.last
+                velocities[pursuer] = course(law, place - here, aim - here, flight, speed[pursuer])
+        for pursuer in self.watch.blind(self._actions) if self.watch is not None else ():
+            velocities[pursuer] = self._course_blind(pursuer, duration)
+        players.go(velocities)
+
+    def turn(self, pursuer: int, now: int, until: int) -> None:
+        """Give one pursuer another velocity inside a step, for it does something else from now on.
+
+        Args:
+            pursuer: who.
+            now: ns.
+            until: when the step ends, ns.
+        """
+        velocities, evader = self._players.velocities.copy(), self._actions.item(pursuer)
+        if not evader:
+            velocities[pursuer] = 0j
+        elif self.watch is not None and not self.watch.sights[pursuer].sees(evader):
+            velocities[pursuer] = self._course_blind(pursuer, seconds(until - now))
+        else:
+            here, sight = self._players.place(pursuer), self._targets[evader - 1].seen.last
+            gap, speed = sight.at(now) - here, self._speed[pursuer]
+            velocities[pursuer] = course(self._law, gap, sight.aim - here, sight.flight, speed)
+        self._players.go(velocities)
+
+    def _courses(self) -> Points:
+        """Return the (N,) velocities of the pursuers at the beginning of a step, each chasing what it sees, m/s."""
+        actions, sights = self._actions, [target.seen.last for target in self._targets]
+        pursuers, paces = self._players.places()[: len(actions)], self._paces
+        if len(sights) == 1:
+            _, place, aim, flight = sights[0]
+            return courses(self._law, place - pursuers, aim - pursuers, flight, paces)
+        chased = np.maximum(actions, 1) - 1
+        places, aims, flights = (np.array([sight[k] for sight in sights])[chased] for k in (1, 2, 3))
+        return courses(self._law, places - pursuers, aims - pursuers, flights, paces)
+
+    def _course_blind(self, pursuer: int, duration: float) -> complex:
+        """Return the velocity of a pursuer that chases an evader which it does not see, m/s.
+
+        It does not go beyond where the evader is believed to be at the end of the step, in so many s.
+        """
+        assert self.watch is not None
+        estimate = self.watch.sights[pursuer].estimate(self._actions.item(pursuer))
+        if estimate is None:
+            return 0j
+        gap = estimate.place - self._players.place(pursuer)
+        aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
+        return course(self._law, gap, aim, estimate.velocity, min(self._speed[pursuer], abs(aim) / duration))

@@ -1,0 +1,101 @@
+"""Where players are, and how soon they capture: asked for one, some or all, the answer is the same to the last bit."""
+
+from functools import partial
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from desim import Scenario, run
+from desim.kernel.clock import SECOND, Clock
+from desim.kernel.events import Trace
+from desim.pursuit import steering, target
+from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.state import lengths
+from desim.scenario import Evader, Motion, Team
+from desim.world import World
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import SharedSeed
+
+numbers = st.floats(-10.0, 10.0)
+plane = st.builds(complex, numbers, numbers)
+teams = st.lists(plane, min_size=4, max_size=4).map(np.array)
+
+
+@given(st.lists(st.builds(complex, st.floats(-1e9, 1e9), st.floats(-1e9, 1e9)), max_size=20))
+def test_the_lengths_of_many_are_those_of_each(vectors):
+    assert lengths(np.array(vectors, dtype=complex)).tolist() == [abs(vector) for vector in vectors]
+
+
+@given(teams, st.lists(st.tuples(st.integers(0, 3 * SECOND), st.none() | teams), max_size=6), st.data())
+def test_one_some_and_all_are_at_the_same_places(start, moments, data):
+    """At each moment some of the players are asked for first, in any way; then all; new pieces may begin."""
+    env = Clock()
+    players, now = Kinematics(env, start), 0
+    places, since, velocities = start, 0, np.zeros(4)
+    for later, heading in moments:
+        now += later + 1
+        env.run(until=now)
+        expected = places + velocities * ((now - since) / SECOND)
+        if data.draw(st.booleans()):
+            assert [players.place(k) for k in range(4)] == expected.tolist()
+            assert players.places_of([2, 0]).tolist() == expected[[2, 0]].tolist()
+            assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
+        assert players.places().tolist() == expected.tolist()
+        assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
+        assert [players.place(k) for k in range(4)] == players.places_of(range(4)).tolist() == expected.tolist()
+        if heading is not None:
+            players.go(heading)
+            places, since, velocities = expected, now, heading
+
+
+def test_frozen_players_stay_and_places_are_not_to_be_written_to():
+    env, places = Clock(), np.array([1j, 2j])
+    players = Kinematics(env, places, frozen=True)
+    players.go(np.array([1.0 + 0j, 1.0 + 0j]))
+    env.run(until=SECOND)
+    assert players.places().tolist() == [players.place(0), players.place(1)] == [1j, 2j]
+    moving = Kinematics(env, np.array([1j, 2j]))
+    moving.go(np.array([1.0 + 0j, 1.0 + 0j]))
+    env.run(until=2 * SECOND)
+    for read_only in (players.places(), moving.places()):
+        with pytest.raises(ValueError, match="read-only"):
+            read_only[0] = 0j
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["state known", "state unknown"])
+@pytest.mark.parametrize("count", [1, target.FEW, target.FEW + 1])
+def test_times_of_capture_of_some_are_those_of_all(known, count):
+    """One of the pursuers is too slow; the evader runs, so that nobody is where it was."""
+    speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
+    world = World(env := Clock(), Scenario(team=Team(count=20, speeds=speeds), horizon=3.0), 4, Trace())
+    world.begin()
+    env.run(until=1_234_567_891)
+    some = list(range(count))
+    if known:
+        world.capture_times()
+    few = world.capture_times_of(some)
+    assert few == list(world.capture_times()[:count])
+    assert few[0] == inf
+    assert all(0.0 < each < inf for each in few[1:])
+
+
+@pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing()])
+@pytest.mark.parametrize("evaders", [1, 3])
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, evaders, order):
+    """The same trace, whatever number of pursuers counts as few."""
+    team = Team(count=12, guidance=law, active_at_start=0.7)
+    base = Scenario(team=team, evader=Evader(count=evaders), motion=Motion(order=order), horizon=2.0)
+    schedule = SharedSeed(slot=0.003)
+    play = partial(run, base.model_copy(update={"protocol": SpatialAdaptivePlay(schedule=schedule)}))
+    traces = []
+    for few in (0, 5, 99):
+        monkeypatch.setattr(steering, "FEW", few)
+        monkeypatch.setattr(target, "FEW", few)
+        traces.append(list(play().trace))
+    assert traces[0] == traces[1] == traces[2]
+    assert len(traces[0]) > 600
