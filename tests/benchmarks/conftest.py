@@ -1,4 +1,4 @@
-"""What is printed after the benchmarks: laps pooled, and ratios beside their targets, which are not asserted."""
+"""What is printed after the benchmarks: the laps of each way pooled, and what it does in a second."""
 
 from collections import defaultdict
 from statistics import median
@@ -7,16 +7,8 @@ import pytest
 
 from desim.analysis.tables import aligned
 
-TARGETS = [
-    ("publish", "documented", {"W1": 30.0, "W2": 30.0, "W3": 30.0}),
-    ("publish", "by hand, drawn at once", {"W1": 4.0, "W2": 4.0, "W3": 4.0, "W4": 15.0}),
-    ("send", "by hand, drawn at once", {"W1": 1.0, "W2": 1.0, "W3": 1.0, "W4": 1.0}),
-]
-"""How many times the deliveries per second of the other way the first should make at least, by workload."""
 BY_MODEL = "publish by model"
 """The group in which models of links are compared with each other."""
-MOST = 1.3
-"""How many times the time per slot of the bare loop desim should take at most."""
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -40,25 +32,19 @@ def pytest_sessionfinish(session):
 
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter, config):
-    """Print what each way does in a second, medians of the laps, and the ratios."""
-    deliveries, slots = defaultdict(dict), {}
+    """Print what each way does in a second, medians of the laps."""
+    deliveries = defaultdict(dict)
     for each in config._benchmarksession.benchmarks:
         if "deliveries_per_second" in each.extra_info:
             deliveries[each.group][each.name] = each.extra_info["deliveries_per_second"]
-        elif "slots_per_second" in each.extra_info:
-            slots[each.name] = each.extra_info["slots_per_second"]
     by_model = deliveries.pop(BY_MODEL, {})
     if deliveries:
-        terminalreporter.section("deliveries per second, and their ratios")
-        terminalreporter.write_line(f"{_rates(deliveries)}\n\n{_ratios(deliveries)}")
+        terminalreporter.section("deliveries per second")
+        terminalreporter.write_line(_rates(deliveries))
     if by_model:
         terminalreporter.section(f"{BY_MODEL}: deliveries per second, and share of the ideal")
         rows = [(model, f"{rate:,.0f}", f"{rate / by_model['ideal']:.2f}") for model, rate in by_model.items()]
         terminalreporter.write_line(aligned(rows))
-    if len(slots) == 2:
-        terminalreporter.section("time per slot, desim / bare loop")
-        ratio = slots["bare loop"] / slots["desim"]
-        terminalreporter.write_line(f"{ratio:.2f} ({'target' if ratio <= MOST else 'MISSED'} <= {MOST})")
 
 
 def _rates(deliveries):
@@ -67,19 +53,3 @@ def _rates(deliveries):
     for workload, found in deliveries.items():
         rows.append((workload, *(f"{found[way]:,.0f}" if way in found else "-" for way in ways)))
     return aligned(rows)
-
-
-def _ratios(deliveries):
-    rows = [("", *(f"{way} / {other}" for way, other, _ in TARGETS))]
-    for workload, found in deliveries.items():
-        rows.append((workload, *(_ratio(found, way, other, aims.get(workload[:2])) for way, other, aims in TARGETS)))
-    return aligned(rows)
-
-
-def _ratio(found, way, other, least):
-    if way not in found or other not in found:
-        return "-"
-    ratio = found[way] / found[other]
-    if least is None:
-        return f"{ratio:.2f}"
-    return f"{ratio:.2f} ({'target' if ratio >= least else 'MISSED'} >= {least:g})"

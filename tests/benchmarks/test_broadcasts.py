@@ -1,6 +1,7 @@
-"""Deliveries per second of five ways to deliver the same broadcasts; they must all deliver the same.
+"""Deliveries per second of several ways to deliver the same broadcasts; they must all deliver the same.
 
-The ways take turns, lap after lap, so that a machine whose speed drifts does not favour one of them.
+The ways take turns, lap after lap, so that a machine whose speed drifts does not favour one of them. The same beside
+other simulators: `python -m scenarios.benchmarks`.
 """
 
 import gc
@@ -8,16 +9,17 @@ from functools import cache
 
 import pytest
 
-from tests.benchmarks.broadcasts import WAYS, Outcome, workloads
+from scenarios.peers.ways import WAYS
+from scenarios.peers.workloads import Outcome, workloads
 
 LAPS = 5
 WORKLOADS = {workload.name: workload for workload in workloads()}
 
 
 @cache
-def by_hand(workload: str) -> Outcome:
+def outcome(workload: str) -> Outcome:
     """Return what a workload should come to."""
-    way = WAYS["by hand"](WORKLOADS[workload])
+    way = WAYS["simpy-message"](WORKLOADS[workload])
     way.run()
     return way.outcome()
 
@@ -28,7 +30,7 @@ def by_hand(workload: str) -> Outcome:
 def test_every_way_delivers_the_same(benchmark, workload, lap, way):
     benchmark.group = workload
     ready = WAYS[way](WORKLOADS[workload])
-    expected = by_hand(workload)
+    expected = outcome(workload)
     gc.collect()
     benchmark.pedantic(ready.run)
     assert ready.outcome() == expected

@@ -1,0 +1,264 @@
+"""What else costs time or memory, each beside what it may be at most: large teams, whole runs, recording, the start.
+
+What needs a memory of its own is measured in a process of its own.
+"""
+
+import os
+import time
+from collections.abc import Callable, Generator, Mapping
+from functools import partial
+from math import pi, sqrt
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import simpy
+from numpy.typing import NDArray
+
+from desim import Result, Scenario, run
+from desim.analysis.reading import messages
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
+from desim.kernel.events import TraceFile
+from desim.kernel.graphs import Complete
+from desim.kernel.links import Links
+from desim.kernel.network import Network
+from desim.pursuit.events import Ended
+from desim.pursuit.word import Announcements
+from desim.scenario import Evader, Motion, Recording, Team
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import SharedSeed
+from scenarios.measuring import Cost, apart, command, memory, per_unit
+from scenarios.peers.bare_loop import bare_loop
+from scenarios.peers.workloads import LOGNORMAL
+from scenarios.study import SCENARIOS, Options
+from scenarios.table1 import configuration, decentralised
+
+SIZES = (100, 1_000, 10_000, 100_000)
+"""Nodes of a disk graph; what the largest costs is compared with what the second does."""
+DEGREE = 20
+"""Mean number of neighbours on the disk graph."""
+DURATION = 2.0
+"""Of a run of the disk graph, s of simulated time."""
+CROWD, HORIZON = 1_000, 10.0
+"""Pursuers on the complete graph, and how long they are simulated, s."""
+SLOT = 0.001
+"""delta, s."""
+TABLE1_RUNS = 100
+STREAMED = (100_000, 1_000_000)
+"""Messages streamed to disk, few and many."""
+STARTS = 9
+"""How often a command is started."""
+MEGABYTE = 1e6
+Floats = NDArray[np.float64]
+
+
+# Large teams.
+
+
+class Drifting:
+    """Nodes that move straight on in a square and are thrown back at its sides."""
+
+    def __init__(self, env: Clock, size: int, side: float, seed: int):
+        rng = np.random.default_rng(seed)
+        self._env, self._side = env, side
+        self._from, self._velocity = rng.uniform(0.0, side, (size, 2)), rng.uniform(-0.05, 0.05, (size, 2))
+        self.fastest = 0.05 * sqrt(2.0)
+
+    def __call__(self) -> Floats:
+        """Return everybody's position, (n, 2) m."""
+        return self._thrown_back(self._from + self._velocity * seconds(self._env.now))
+
+    def of(self, nodes: NDArray[np.intp]) -> Floats:
+        """Return the positions of some, (k, 2) m."""
+        there = self._from.take(nodes, axis=0), self._velocity.take(nodes, axis=0)
+        return self._thrown_back(there[0] + there[1] * seconds(self._env.now))
+
+    def _thrown_back(self, at: Floats) -> Floats:
+        return self._side - np.abs(at % (2.0 * self._side) - self._side)
+
+
+def disk(size: int, seed: int) -> tuple[float, float]:
+    """Let nodes on a disk graph broadcast once a second; return the time per delivery (s) and memory per node (B)."""
+    before, env = memory("VmRSS"), Clock()
+    places = Drifting(env, size, sqrt(pi * size / DEGREE), seed)
+    network = Network(env, Complete()(size), Links(latency=LOGNORMAL, range=1.0), seed=seed, positions=places)
+    phases = np.random.default_rng(seed).integers(SECOND, size=size).tolist()
+
+    def node(me: int) -> Generator[simpy.Event, Any, None]:
+        turn = int(Phase.DECISION) + me
+        for when in range(phases[me], round(DURATION * SECOND), SECOND):
+            yield Instant(env, when, turn)
+            network.heard(me)
+            network.publish(me, when)
+
+    for me in range(size):
+        env.process(node(me))
+    begin = time.process_time()
+    env.run()
+    return (time.process_time() - begin) / network.tally().sent, (memory("VmHWM") - before) / size
+
+
+def flat(options: Options) -> list[Cost]:
+    """Measure what a delivery costs and a node takes on disk graphs of equal density, by the number of nodes."""
+    found = {}
+    for size in SIZES:
+        laps = [apart(disk, size, options.seed) for _ in range(options.runs if size < max(SIZES) else 1)]
+        found[size] = tuple(map(median, zip(*laps, strict=True)))
+    base, largest = SIZES[1], SIZES[-1]
+    ratio = found[largest][0] / found[base][0]
+    return [
+        *(Cost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us") for size, (per_delivery, _) in found.items()),
+        Cost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
+        Cost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
+    ]
+
+
+def crowd(count: int, horizon: float) -> Scenario:
+    """Return a pursuit on a complete graph in which there is no capture before the end."""
+    return Scenario(
+        name="crowd",
+        horizon=horizon,
+        team=Team(count=count, box=(0.0, 1_000.0)),
+        evader=Evader(box=(400.0, 600.0)),
+        protocol=SpatialAdaptivePlay(schedule=SharedSeed(slot=SLOT)),
+    )
+
+
+def whole_crowd(count: int, horizon: float, seed: int) -> tuple[float, float]:
+    """Return the time (s) and the peak memory (B) of a run of the crowd."""
+    begin = time.perf_counter()
+    result = run(crowd(count, horizon), seed)
+    took = time.perf_counter() - begin
+    assert end(result) == horizon
+    return took, memory("VmHWM")
+
+
+def complete(options: Options) -> list[Cost]:
+    """Measure Spatial Adaptive Play on a large complete graph."""
+    took, peak = apart(whole_crowd, CROWD, HORIZON, options.seed)
+    what = f"N = {CROWD:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
+    return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
+
+
+# Whole runs.
+
+
+def table_1(_: Options) -> list[Cost]:
+    """Measure the study of Table I, as its command on two cores."""
+    with TemporaryDirectory() as folder:
+        words = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
+        before = os.times()
+        took = command("-m", "scenarios.table1", *words)
+        after = os.times()
+    cores = sum(after[2:4]) - sum(before[2:4])
+    return [
+        Cost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
+        Cost("time of both cores", cores, "s"),
+    ]
+
+
+def loop(options: Options) -> list[Cost]:
+    """Measure a run of Table I with all its messages against a loop of Algorithm 2 without any, by slot of delta."""
+    fine = decentralised(configuration(40), SLOT)
+    ways: dict[str, Callable[[int], int]] = {
+        "h = delta": lambda seed: round(end(run(fine, seed)) / SLOT),
+        "h = 10 delta": lambda seed: round(end(run(coarse, seed)) / SLOT),
+        "bare": lambda seed: bare_loop(fine, seed, SLOT),
+    }
+    coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
+    found = per_unit(ways, range(options.seed, options.seed + 2 * options.runs))
+    return [
+        Cost("a slot of the bare loop", found["bare"] * 1e6, "us"),
+        Cost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
+        Cost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
+    ]
+
+
+# Recording.
+
+
+def talk(count: int) -> Scenario:
+    """Return a run in which about so many messages are sent."""
+    heartbeat, team = 0.01, 40
+    return Scenario(
+        name="talk",
+        horizon=count * heartbeat / (team * (team - 1)),
+        team=Team(count=team, box=(0.0, 1_000.0)),
+        evader=Evader(box=(400.0, 600.0)),
+        protocol=SpatialAdaptivePlay(schedule=SharedSeed(slot=heartbeat)),
+        announce=Announcements(heartbeat=heartbeat, trigger="heartbeat"),
+        network=Links(latency=LOGNORMAL),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def kept(scenario: Scenario, seed: int) -> int:
+    """Run and keep all messages in the trace; return how many there were."""
+    return sent(run(scenario.model_copy(update={"record": Recording(trajectory=0.0, messages=True)}), seed))
+
+
+def streamed(scenario: Scenario, seed: int) -> int:
+    """Run and write all messages to disk as they are sent; return how many there were."""
+    with TemporaryDirectory() as folder, TraceFile(Path(folder) / "trace.jsonl") as file:
+        return sent(run(scenario, seed, file))
+
+
+def peak_of_stream(count: int, seed: int) -> float:
+    """Return the peak memory of a run whose messages go to disk, B."""
+    streamed(talk(count), seed)
+    return memory("VmHWM")
+
+
+def recording(options: Options) -> list[Cost]:
+    """Measure what it costs to record all messages, in memory and on disk."""
+    scenario = talk(STREAMED[0])
+    ways: dict[str, Callable[[int], int]] = {
+        "off": lambda seed: sent(run(scenario, seed)),
+        "kept": partial(kept, scenario),
+        "streamed": partial(streamed, scenario),
+    }
+    found = per_unit(ways, range(options.seed, options.seed + options.runs))
+    few, many = (apart(peak_of_stream, count, options.seed) for count in STREAMED)
+    return [
+        Cost("a message, none recorded", found["off"] * 1e6, "us"),
+        Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
+        Cost("all on disk / none", found["streamed"] / found["off"], ""),
+        Cost(f"memory more for {STREAMED[1]:,} on disk than for {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0),
+    ]
+
+
+# The start.
+
+
+def start(_: Options) -> list[Cost]:
+    """Measure how long it takes to start, beside Python and numpy alone."""
+    commands: dict[str, tuple[tuple[str, ...], float | None]] = {
+        "python -c pass": (("-c", "pass"), None),
+        'python -c "import numpy"': (("-c", "import numpy"), None),
+        "desim --help": (("-m", "desim", "--help"), 0.15),
+        "desim run relay.toml": (("-m", "desim", "run", str(SCENARIOS / "relay.toml")), 1.0),
+    }
+    laps = [{name: command(*words) for name, (words, _) in commands.items()} for _ in range(STARTS)]
+    return [Cost(name, median(lap[name] for lap in laps), "s", most) for name, (_, most) in commands.items()]
+
+
+PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
+    {"flat": flat, "complete": complete, "table1": table_1, "loop": loop, "recording": recording, "start": start}
+)
+
+
+# What was measured.
+
+
+def end(result: Result) -> float:
+    """Return when a run was over, s."""
+    (ended,) = result.trace.of(Ended)
+    return seconds(ended.t)
+
+
+def sent(result: Result) -> int:
+    """Return how many messages a run sent."""
+    return messages(result).sent

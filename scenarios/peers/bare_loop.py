@@ -1,0 +1,41 @@
+"""Algorithm 2 of Lee & Bakolas as a bare loop in which everyone knows everything: no messages, no simulator."""
+
+import numpy as np
+from scipy.special import expit
+
+from desim import Scenario
+
+
+def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
+    """Run a pursuit and return the number of slots until capture.
+
+    Args:
+        scenario: whose team, evader, capture radius and horizon count.
+        seed: of the start, of the order of revisions, and of the decisions.
+        slot: delta = h, s.
+    """
+    rng = np.random.default_rng(seed)
+    (evader,) = scenario.evaders
+    x, x_e = scenario.team.start(seed), evader.start(seed)
+    v, v_e, eps = np.array(scenario.team.all_speeds()), evader.speed, scenario.capture.radius
+    n = len(x)
+    active = np.ones(n, dtype=bool)
+    active_time = 0.0
+    k = 0
+    for k in range(round(scenario.horizon / slot)):
+        distances = np.linalg.norm(x_e - x, axis=1)
+        nearest = distances.argmin()
+        if distances[nearest] <= eps:
+            break
+        phi = (distances - eps) / (v - v_e)
+        i = rng.integers(n)
+        active[i] = False
+        others = phi[active]
+        gain = (others.mean() - phi[i]) / (len(others) + 1) if len(others) else scenario.horizon - k * slot - phi[i]
+        active[i] = rng.random() < expit(gain * k**2 / 10)
+        away = x_e - x[nearest]
+        x_e = x_e + v_e * slot * away / np.linalg.norm(away)
+        ahead = x_e - x[active]
+        x[active] += v[active, np.newaxis] * slot * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        active_time += active.sum() * slot
+    return k

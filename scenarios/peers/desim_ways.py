@@ -1,0 +1,83 @@
+"""The broadcasts of a workload in desim, as records and as messages."""
+
+import numpy as np
+
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.links import Links
+from desim.kernel.network import Network
+from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, note
+
+
+class Desim:
+    """What both ways of desim share."""
+
+    def __init__(self, workload: Workload):
+        self.work = workload
+        self.env = Clock()
+        links = workload.links or Links(latency=workload.latency)
+        places = np.random.default_rng(workload.seed).random((workload.size, 2))
+        self.network = Network(self.env, workload.graph, links, seed=workload.seed, positions=lambda: places)
+        self.env.process(self.turns())
+
+    def run(self) -> None:
+        """Run to the end; this is what is timed."""
+        self.env.run(until=round(self.work.end * SECOND))
+
+    def turns(self) -> Turns:
+        """Let one node after the other read and broadcast."""
+        size, tick, first = self.work.size, round(TICK * SECOND), int(Phase.DECISION)
+        for number in range(self.work.turns):
+            node = number % size
+            yield Instant(self.env, number * tick, first + node)
+            self.read(node)
+            self.broadcast(node, number)
+
+    def outcome(self) -> Outcome:
+        """Return what the run came to."""
+        return Outcome(self.network.tally().delivered, [self.table(node) for node in range(self.work.size)])
+
+    def read(self, node: int) -> object:
+        """Let a node read what it has heard."""
+        raise NotImplementedError
+
+    def broadcast(self, src: int, number: int) -> None:
+        """Tell the neighbours of a node a number."""
+        raise NotImplementedError
+
+    def table(self, node: int) -> Table:
+        """Return the newest numbers that a node has heard."""
+        raise NotImplementedError
+
+
+class Publish(Desim):
+    """Records: `Network.publish` and `Network.heard`."""
+
+    def read(self, node: int) -> object:
+        return self.network.heard(node)
+
+    def broadcast(self, src: int, number: int) -> None:
+        self.network.publish(src, number)
+
+    def table(self, node: int) -> Table:
+        return {src: record.body for src, (_, record) in self.network.heard(node).items()}
+
+
+class Send(Desim):
+    """Messages: `Network.send` to all neighbours, and inboxes that their owners drain into tables of their own."""
+
+    def __init__(self, workload: Workload):
+        super().__init__(workload)
+        self.tables: list[Table] = [{} for _ in range(workload.size)]
+
+    def read(self, node: int) -> object:
+        table = self.tables[node]
+        for src, _, number in self.network.inbox(node).drain():
+            note(table, src, number)
+        return table
+
+    def broadcast(self, src: int, number: int) -> None:
+        self.network.send(src, None, number)
+
+    def table(self, node: int) -> Table:
+        self.read(node)
+        return self.tables[node]

@@ -1,0 +1,130 @@
+"""The broadcasts of a workload in other simulators, each in an environment made for it and thrown away.
+
+Their programs stand alone. They are told a workload as text on stdin: turns, time between two (s), mean latency (s),
+its coefficient of variation (0: constant) and a seed, then a line per node with its neighbours. They draw latencies of
+their own, go on until everything has been delivered, and print how many deliveries that were in how many seconds of a
+core.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from desim.kernel.latency import Constant
+from scenarios.peers.workloads import TICK, Workload
+
+PROGRAMS = Path(__file__).parent
+PATIENCE = 600.0
+"""How long a command may take, s."""
+
+
+class UnavailableError(Exception):
+    """A simulator cannot be had here, or does not do what it should; says why."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Another simulator."""
+
+    program: str
+    packages: tuple[str, ...]
+    """Of the Python index, exact versions; for a program in C++ of Debian."""
+    libraries: tuple[str, ...] = ()
+    """To link with."""
+    share: float = 1.0
+    """Of the turns of a workload that it takes: fewer if it is slow."""
+
+    def make(self, folder: Path) -> list[str]:
+        """Make an environment in a new folder and return the command that runs the program.
+
+        Raises:
+            UnavailableError: if that fails.
+        """
+        folder.mkdir()
+        return self._build(folder) if self.program.endswith(".cpp") else self._install(folder)
+
+    def _install(self, folder: Path) -> list[str]:
+        _done([sys.executable, "-m", "venv", str(folder)])
+        python = str(folder / ("Scripts" if sys.platform == "win32" else "bin") / "python")
+        _done([python, "-m", "pip", "install", "-q", *self.packages])
+        return [python, str(PROGRAMS / self.program)]
+
+    def _build(self, folder: Path) -> list[str]:
+        _done(["apt-get", "download", *self.packages], folder)
+        for package in sorted(folder.glob("*.deb")):
+            _done(["dpkg", "-x", str(package), "."], folder)
+        found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
+        where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
+        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # also for what libraries need
+        what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
+        _done(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
+        return [str(folder / "program")]
+
+    def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:
+        """Run the program; return the number of deliveries and the time, s of a core.
+
+        Raises:
+            UnavailableError: if it fails, or delivers another number of messages than it should.
+        """
+        work = replace(work, turns=max(1, round(self.share * work.turns)))
+        said = json.loads(_done(command, told=text(work)).splitlines()[-1])
+        neighbours = work.neighbours()
+        due = sum(len(neighbours[number % work.size]) for number in range(work.turns))
+        if said["deliveries"] != due:
+            raise UnavailableError(f"{said['deliveries']} deliveries instead of {due}")
+        return due, said["seconds"]
+
+
+PEERS: Mapping[str, Peer] = MappingProxyType(
+    {
+        "ns-3": Peer(
+            "peer_ns3.cpp",
+            ("libns3-dev", "libns3.37", "libgsl27", "libgslcblas0", "libsqlite3-0"),
+            ("ns3-network", "ns3-core"),
+        ),
+        "simgrid": Peer(
+            "peer_simgrid.cpp",
+            (
+                *("libsimgrid-dev", "libsimgrid3.32", "libboost1.74-dev", "libboost-context1.74.0"),
+                *("libboost-stacktrace1.74.0", "libns3.37", "libgsl27", "libgslcblas0", "libsqlite3-0"),
+                *("libgfortran5", "libquadmath0"),
+            ),
+            ("simgrid",),
+        ),
+        "mesa": Peer("peer_mesa.py", ("mesa==3.3.1",)),
+        "gradysim": Peer("peer_gradysim.py", ("gradysim==0.8.2",)),
+        "mango": Peer("peer_mango.py", ("mango-agents==2.4.0",), share=0.1),
+    }
+)
+
+
+def text(work: Workload) -> str:
+    """Return a workload as the programs are told it."""
+    latency = work.latency
+    mean, cv = (latency.value, 0.0) if isinstance(latency, Constant) else (latency.mean, latency.cv)
+    lines = [f"{work.turns} {TICK} {mean} {cv} {work.seed}", *(" ".join(map(str, each)) for each in work.neighbours())]
+    return "\n".join(lines) + "\n"
+
+
+def _done(command: Sequence[str], folder: Path | None = None, told: str = "") -> str:
+    """Run a command and return what it prints.
+
+    Raises:
+        UnavailableError: if there is none, or it fails or takes too long.
+    """
+    try:
+        ended = subprocess.run(
+            command, cwd=folder, input=told, capture_output=True, text=True, check=True, timeout=PATIENCE
+        )
+    except FileNotFoundError as error:
+        raise UnavailableError(f"there is no {command[0]}") from error
+    except subprocess.TimeoutExpired as error:
+        raise UnavailableError(f"{command[0]} takes more than {PATIENCE:g} s") from error
+    except subprocess.CalledProcessError as error:
+        complaint = (error.stderr.strip() or error.stdout.strip()).splitlines() or [f"exit code {error.returncode}"]
+        raise UnavailableError(f"{Path(command[0]).name}: {complaint[-1].strip()}") from error
+    return ended.stdout

@@ -1,0 +1,65 @@
+"""The broadcasts of a workload in mango's simulation world: a message each. It stands alone; see `elsewhere`.
+
+The world goes from turn to turn; what has arrived by then is delivered, which is faster than to stop at each arrival.
+"""
+
+import asyncio
+import json
+import random
+import sys
+import time
+from math import log, log1p, sqrt
+from typing import Any
+
+from mango import Agent
+from mango.simulation import DelayProviderCommunicationSimulation, create_world
+
+head, *lines = sys.stdin.read().splitlines()
+turns, tick, mean, cv, seed = map(float, head.split())
+neighbours = [list(map(int, line.split())) for line in lines]
+size, variance = len(neighbours), log1p(cv**2)
+rng = random.Random(int(seed))
+delivered = 0
+
+
+def latency() -> float:
+    """Return how long a message takes, s."""
+    return rng.lognormvariate(log(mean) - variance / 2, sqrt(variance)) if cv else mean
+
+
+class Talker(Agent):  # type: ignore[misc]
+    """A node."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table: dict[int, int] = {}
+
+    def handle_message(self, content: Any, meta: dict[str, Any]) -> None:
+        global delivered
+        src = content % size
+        if self.table.get(src, -1) < content:
+            self.table[src] = content
+        delivered += 1
+
+
+async def main() -> None:
+    """Let one node after the other broadcast, then wait for what is under way."""
+    world = create_world(
+        start_time=0.0,
+        communication_sim=DelayProviderCommunicationSimulation(latency),
+        record_messages=False,
+    )
+    agents = [world.register(Talker()) for _ in neighbours]
+    async with world:
+        for number in range(int(turns)):
+            src = number % size
+            for node in neighbours[src]:
+                await world.send_message(number, agents[node].addr, agents[src].aid)
+            await world.step(tick)
+        while world.container._pending_messages:
+            await world.step(tick)
+
+
+begin = time.process_time()
+asyncio.run(main())
+print(json.dumps({"deliveries": delivered, "seconds": time.process_time() - begin}))

@@ -1,0 +1,195 @@
+"""The broadcasts of a workload in plain SimPy: as documented, an event per message, an event per broadcast."""
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from math import log, log1p, sqrt
+from typing import Any
+
+import numpy as np
+import simpy
+
+from desim.kernel.hops import Hops
+from desim.kernel.latency import Constant
+from desim.kernel.seeds import stream
+from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
+
+
+class PlainSimPy:
+    """What these ways share: time in seconds, and a latency drawn for each message."""
+
+    def __init__(self, workload: Workload):
+        self.work = workload
+        self.env = simpy.Environment()
+        self.neighbours = [np.array(each, dtype=np.intp) for each in workload.neighbours()]
+        self.tables: list[Table] = [{} for _ in range(workload.size)]
+        self.rng = stream(workload.seed, "latency")
+        self.sent = 0
+        self.env.process(self.turns())
+
+    def run(self) -> None:
+        """Run to the end; this is what is timed."""
+        self.env.run(until=self.work.end)
+
+    def turns(self) -> Turns:
+        """Let one node after the other read and broadcast."""
+        for number in range(self.work.turns):
+            node = number % self.work.size
+            yield from self.read(node)
+            self.broadcast(node, number)
+            yield self.env.timeout(TICK)
+
+    def hops(self, src: int) -> Iterable[tuple[int, float]]:
+        """Yield each neighbour of a node and the latency of a message to it, s."""
+        dst, model, rng = self.neighbours[src], self.work.latency, self.rng
+        self.sent += len(dst)
+        if isinstance(model, Constant):
+            for node in dst.tolist():
+                yield node, model.value
+            return
+        variance = log1p(model.cv**2)
+        mean, deviation = log(model.mean) - variance / 2, sqrt(variance)
+        for node in dst.tolist():
+            yield node, rng.lognormal(mean, deviation)
+
+    def outcome(self) -> Outcome:
+        """Return what the run came to; beside the next turn, every timeout ahead is a message in flight."""
+        ahead = sum(isinstance(event, simpy.Timeout) for *_, event in self.env._queue)
+        return Outcome(self.sent - (ahead - 1), self.tables)
+
+    def read(self, node: int) -> Turns:
+        """Bring the table of a node up to date."""
+        yield from ()
+
+    def broadcast(self, src: int, number: int) -> None:
+        """Tell the neighbours of a node a number."""
+        raise NotImplementedError
+
+
+class Documented(PlainSimPy):
+    """SimPy as its documentation writes it (example "Event Latency"): a store per node, a process per message."""
+
+    def __init__(self, workload: Workload):
+        super().__init__(workload)
+        self.stores = [simpy.Store(self.env) for _ in range(workload.size)]
+
+    def read(self, node: int) -> Turns:
+        store, table = self.stores[node], self.tables[node]
+        while store.items:
+            src, number = yield store.get()
+            note(table, src, number)
+
+    def broadcast(self, src: int, number: int) -> None:
+        for dst, delay in self.hops(src):
+            self.env.process(self.latency(self.stores[dst], delay, (src, number)))
+
+    def latency(self, store: simpy.Store, delay: float, message: tuple[int, int]) -> Turns:
+        """Put a message in a store after a while."""
+        yield self.env.timeout(delay)
+        yield store.put(message)
+
+    def outcome(self) -> Outcome:
+        delivered, _ = super().outcome()
+        for store, table in zip(self.stores, self.tables, strict=True):
+            for src, number in store.items:
+                note(table, src, number)
+        return Outcome(delivered, self.tables)
+
+
+class PerMessage(PlainSimPy):
+    """One timeout per message, whose callback writes into the receiver's table."""
+
+    def broadcast(self, src: int, number: int) -> None:
+        timeout, tables = self.env.timeout, self.tables
+        for dst, delay in self.hops(src):
+            timeout(delay).callbacks.append(partial(_deliver, tables[dst], src, number))
+
+
+class PerMessageDrawnAtOnce(PerMessage):
+    """One timeout per message, with the latencies of a broadcast drawn at once."""
+
+    def hops(self, src: int) -> Iterable[tuple[int, float]]:
+        dst = self.neighbours[src]
+        delay = self.work.latency(Hops(src, dst), self.rng)
+        self.sent += len(dst)
+        delays = [delay] * len(dst) if isinstance(delay, float) else delay.tolist()
+        return zip(dst.tolist(), delays, strict=True)
+
+
+class PerBroadcast(PlainSimPy):
+    """One event per broadcast, which writes into the tables of all that it reaches."""
+
+    def __init__(self, workload: Workload):
+        super().__init__(workload)
+        self.reached = [[self.tables[node] for node in each] for each in workload.neighbours()]
+        self.delivered = 0
+        self.look = 0.0
+        """When somebody reads next, s: what arrives until then may be entered together."""
+
+    def turns(self) -> Turns:
+        return self.together() if isinstance(self.work.latency, Constant) else self.one_by_one()
+
+    def together(self) -> Turns:
+        """Let a timeout per broadcast write into all tables; nothing overtakes."""
+        env, deliver, latency = self.env, self.deliver, self.work.latency
+        assert isinstance(latency, Constant)
+        for number in range(self.work.turns):
+            env.timeout(latency.value, number).callbacks.append(deliver)
+            yield env.timeout(TICK)
+
+    def deliver(self, event: simpy.Event) -> None:
+        """Write a number that reaches all neighbours together into their tables."""
+        number: int = event.value  # type: ignore[assignment]
+        src = number % self.work.size
+        tables = self.reached[src]
+        for table in tables:
+            table[src] = number
+        self.delivered += len(tables)
+
+    def one_by_one(self) -> Turns:
+        """Let an event per broadcast visit its receivers in the order of arrival."""
+        env, end, size, arrivals = self.env, self.work.end, self.work.size, Arrivals(self.work)
+        for number in range(self.work.turns):
+            now = env.now
+            self.look = min(now + TICK, end)
+            _Visits(self, number, arrivals(number % size, now))
+            yield env.timeout(TICK)
+
+    def outcome(self) -> Outcome:
+        return Outcome(self.delivered, self.tables)
+
+
+class _Visits(simpy.Event):
+    """A broadcast on its way: it happens at its next arrival, over and over."""
+
+    def __init__(self, way: PerBroadcast, number: int, arrivals: Iterator[tuple[float, int]]):
+        self.env, self._ok, self._value = way.env, True, None
+        self.way, self.number, self.src, self.arrivals = way, number, number % way.work.size, arrivals
+        self.always: list[Callable[[Any], None]] = [self.visit]
+        self.wait(*next(arrivals))
+
+    def wait(self, when: float, node: int) -> None:
+        """Happen again as the next receiver is reached."""
+        self.node, self.callbacks = node, self.always
+        self.env.schedule(self, delay=when - self.env.now)
+
+    def visit(self, _: simpy.Event) -> None:
+        """Write into the tables of all that are reached before anybody looks."""
+        way, src, number, tables, visited = self.way, self.src, self.number, self.way.tables, 1
+        table = tables[self.node]
+        if table.get(src, -1) < number:
+            table[src] = number
+        for when, node in self.arrivals:
+            if when > way.look:
+                self.wait(when, node)
+                break
+            table = tables[node]
+            if table.get(src, -1) < number:
+                table[src] = number
+            visited += 1
+        way.delivered += visited
+
+
+def _deliver(table: Table, src: int, number: int, _: simpy.Event) -> None:
+    """Write a message that arrives into a table."""
+    if table.get(src, -1) < number:
+        table[src] = number

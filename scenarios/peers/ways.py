@@ -1,0 +1,22 @@
+"""The ways to deliver the broadcasts of a workload that need nothing but desim and SimPy."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from scenarios.peers.bare_heap import BareHeap
+from scenarios.peers.desim_ways import Desim, Publish, Send
+from scenarios.peers.simpy_ways import Documented, PerBroadcast, PerMessage, PerMessageDrawnAtOnce, PlainSimPy
+from scenarios.peers.workloads import Workload
+
+Way = Desim | PlainSimPy | BareHeap
+WAYS: Mapping[str, Callable[[Workload], Way]] = MappingProxyType(
+    {
+        "publish": Publish,
+        "send": Send,
+        "heapq": BareHeap,
+        "simpy-broadcast": PerBroadcast,
+        "simpy-message": PerMessage,
+        "simpy-drawn-at-once": PerMessageDrawnAtOnce,
+        "simpy-documented": Documented,
+    }
+)

@@ -1,0 +1,246 @@
+"""The benchmarks: every way delivers what it should, what fails is said, and costs are those of what they say."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+
+import networkx as nx
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from desim import run
+from desim.kernel.clock import SECOND, Clock
+from desim.kernel.latency import Constant
+from desim.kernel.seeds import stream
+from scenarios import benchmarks, costs, measuring
+from scenarios.peers import elsewhere, ways
+from scenarios.peers.bare_loop import bare_loop
+from scenarios.peers.elsewhere import PROGRAMS, Peer, UnavailableError
+from scenarios.peers.simpy_ways import PerMessage
+from scenarios.peers.workloads import LOGNORMAL, TICK, Outcome, Workload
+from scenarios.table1 import configuration, decentralised
+
+TINY = [
+    Workload("T1: complete, constant", nx.complete_graph(5), 60, Constant(value=0.0151)),
+    Workload("T2: star, constant", nx.star_graph(4), 60, Constant(value=0.0033)),
+    Workload("T3: complete, lognormal", nx.complete_graph(6), 100, LOGNORMAL),
+    Workload("T4: ladder, lognormal", nx.ladder_graph(4), 100, LOGNORMAL, seed=1),
+]
+SAYS = "import sys; head, *lines = sys.stdin.read().splitlines(); print('noise'); print({!r})"
+"""A program that reads what it is told and prints a line."""
+
+
+def truth(work):
+    """Return what a workload comes to, worked out message by message without any order of events."""
+    rng, tables, delivered = stream(work.seed, "latency"), [{} for _ in work.graph], 0
+    for number in range(work.turns):
+        src = number % work.size
+        for node in sorted(work.graph.adj[src]):
+            constant = isinstance(work.latency, Constant)
+            latency = work.latency.value if constant else float(work.latency.draw(1, rng)[0])
+            if number * TICK + latency < work.end:
+                delivered += 1
+                tables[node][src] = max(number, tables[node].get(src, -1))
+    return Outcome(delivered, tables)
+
+
+@pytest.mark.parametrize("name", ways.WAYS)
+@pytest.mark.parametrize("work", TINY, ids=lambda work: work.name[:2])
+def test_every_way_has_delivered_at_any_time_what_has_arrived_by_then(work, name):
+    for turns in range(1, work.turns + 1, 3):
+        part = replace(work, turns=turns)
+        way = ways.WAYS[name](part)
+        way.run()
+        assert way.outcome() == truth(part), turns
+
+
+@pytest.fixture
+def few(monkeypatch, tmp_path):
+    """Run the study with tiny workloads and return its document."""
+    monkeypatch.setattr(benchmarks, "workloads", lambda: [replace(work, name="W" + work.name[1:]) for work in TINY])
+
+    def study(*words):
+        done = CliRunner().invoke(benchmarks.main, ["--runs", "1", "--out", str(tmp_path), "--json", *words])
+        assert done.exit_code == 0, done.output
+        return json.loads(done.stdout)
+
+    return study
+
+
+@pytest.mark.slow
+def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
+    document = few("--parts", "broadcasts", "--no-peers", "--workloads", "W1,W4")
+    rates = document["broadcasts"]
+    assert [(each["workload"][:2], each["way"]) for each in rates] == [
+        (work, way) for work in ("W1", "W4") for way in ways.WAYS
+    ]
+    assert document["missing"] == {}
+    for each in rates:
+        work = next(work for work in TINY if work.name[1:] == each["workload"][1:])
+        assert each["deliveries"] == truth(replace(work, seed=0)).delivered
+    text = (tmp_path / "benchmarks.txt").read_text()
+    found = {(each["workload"][:2], each["way"]): each["per_second"] for each in rates}
+    assert re.search(rf"^heapq +{found['W1', 'heapq'] / 1e3:,.0f} ", text, re.MULTILINE)
+    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks.OURS]
+    assert re.search(r"^heapq +" + " +".join(f"{ratio:,.2f}" for ratio in ratios) + "$", text, re.MULTILINE)
+    picture = (tmp_path / "benchmarks.svg").read_text()
+    assert all(picture.count(f">{way}</text>") == 2 for way in ways.WAYS)
+
+
+def test_ways_and_workloads_can_be_chosen(few):
+    rates = few("--parts", "broadcasts", "--only", "send,heapq", "--workloads", "W3")["broadcasts"]
+    assert [(each["workload"][:2], each["way"]) for each in rates] == [("W3", "send"), ("W3", "heapq")]
+    done = CliRunner().invoke(benchmarks.main, ["--only", "send,pigeon"])
+    assert done.exit_code == 2
+    assert "there is no 'pigeon'" in done.output
+
+
+@pytest.mark.slow
+def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, monkeypatch, tmp_path):
+    peer = Peer("peer_ns3.cpp", ("there-is-no-such-package",))
+    monkeypatch.setattr(elsewhere, "PEERS", {"ns-3": peer})
+    monkeypatch.setattr(benchmarks, "PEERS", {"ns-3": peer})
+    document = few("--parts", "broadcasts", "--only", "ns-3,publish", "--workloads", "W1")
+    assert [each["way"] for each in document["broadcasts"]] == ["publish"]
+    assert "apt-get" in document["missing"]["ns-3"]
+    assert f"without ns-3: {document['missing']['ns-3']}" in (tmp_path / "benchmarks.txt").read_text()
+
+
+def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
+    class Forgetful(PerMessage):
+        def outcome(self):
+            delivered, tables = super().outcome()
+            return Outcome(delivered, [{}, *tables[1:]])
+
+    monkeypatch.setattr(benchmarks, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful})
+    laps = benchmarks.Laps(TINY[0], {}, {})
+    laps.lap("simpy-message")
+    with pytest.raises(RuntimeError, match="forgetful does not end with the tables"):
+        laps.lap("forgetful")
+
+
+def test_a_long_lap_is_not_repeated(monkeypatch):
+    monkeypatch.setattr(benchmarks, "PEERS", {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())})
+    commands = {
+        name: [sys.executable, "-c", SAYS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
+        for name, seconds in (("slow", benchmarks.LONG + 1.0), ("fast", 0.5))
+    }
+    laps = benchmarks.Laps(TINY[0], commands, {})
+    laps.lap("slow")
+    laps.lap("fast")
+    commands |= {name: [sys.executable, "-c", "raise SystemExit('again')"] for name in commands}
+    laps.lap("slow")
+    laps.lap("fast")
+    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks.LONG + 1.0))]
+
+
+@pytest.mark.parametrize(
+    ("says", "reason"),
+    [
+        (SAYS.format('{"deliveries": 239, "seconds": 0.5}'), "239 deliveries instead of 240"),
+        ("raise SystemExit('no such model')", "no such model"),
+    ],
+)
+def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, says, reason):
+    """60 turns to 4 neighbours each are 240 deliveries."""
+    monkeypatch.setattr(benchmarks, "PEERS", {"other": Peer("peer_mesa.py", ())})
+    missing = {}
+    laps = benchmarks.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
+    for _ in range(2):
+        for name in ("publish", "other", "heapq"):
+            laps.lap(name)
+    assert [each.way for each in laps.rates()] == ["publish", "heapq"]
+    assert list(missing) == ["other"]
+    assert reason in missing["other"]
+
+
+def test_a_simulator_takes_its_share_of_the_turns_and_says_how_long_they_took():
+    """A star of 5: the centre, whose turn comes first, tells 4, the others 1 each; 30 turns are 6 x 8 deliveries."""
+    says = [sys.executable, "-c", SAYS.format('{"deliveries": 48, "seconds": 0.5}')]
+    assert Peer("peer_mesa.py", (), share=0.5).run(says, TINY[1]) == (48, 0.5)
+    with pytest.raises(UnavailableError, match="instead of 96"):
+        Peer("peer_mesa.py", ()).run(says, TINY[1])
+
+
+def test_simulators_are_told_the_workload():
+    assert elsewhere.text(TINY[1]) == "60 0.001 0.0033 0.0 0\n1 2 3 4\n0\n0\n0\n0\n"
+    assert elsewhere.text(TINY[3]).startswith("100 0.001 0.02 0.5 1\n1 4\n")
+
+
+def test_programs_of_other_simulators_stand_alone():
+    for peer in elsewhere.PEERS.values():
+        source = (PROGRAMS / peer.program).read_text()
+        assert not re.search(r"^\s*(from|import) (desim|scenarios|protocols|\.)", source, re.MULTILINE)
+        if peer.program.endswith(".py"):
+            compile(source, peer.program, "exec")
+
+
+@pytest.mark.slow
+def test_the_bare_loop_is_the_pursuit():
+    """Capture comes in about the same slot, whatever the draws: within 3 % for each of 20 seeds."""
+    scenario = decentralised(configuration(40), 0.001)
+    assert bare_loop(scenario, 0, 0.001) == pytest.approx(costs.end(run(scenario, 0)) / 0.001, rel=0.05)
+
+
+def test_nodes_drift_in_their_square_no_faster_than_they_say():
+    clock = Clock()
+    places = costs.Drifting(clock, 50, side=0.3, seed=0)
+    before = places()
+    path = np.zeros(50)
+    for second in range(1, 41):
+        clock.run(until=second * SECOND)
+        here = places()
+        assert (here >= 0.0).all()
+        assert (here <= 0.3).all()
+        assert np.array_equal(places.of(np.array([3, 17])), here[[3, 17]])
+        step = np.hypot(*(here - before).T)
+        assert (step <= places.fastest + 1e-12).all()
+        path += step
+        before = here
+    assert (path > 0.3).any()  # somebody has been thrown back
+
+
+def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
+    assert costs.end(run(costs.crowd(30, 0.5), 0)) == 0.5
+    scenario = costs.talk(20_000)
+    count = costs.sent(run(scenario, 0))
+    assert count == pytest.approx(20_000, rel=0.05)
+    assert costs.kept(scenario, 0) == costs.streamed(scenario, 0) == count
+
+
+def test_what_costs_too_much_is_marked():
+    found = {
+        "part": [
+            measuring.Cost("much", 2.5, "s", 2.0),
+            measuring.Cost("little", 1.5, "s", 2.0),
+            measuring.Cost("any", 9, ""),
+        ]
+    }
+    much, little, anything = measuring.table(found).splitlines()[2:]
+    assert much.split() == ["much", "2.500", "2", "s", "MISSED"]
+    assert little.split() == ["little", "1.500", "2", "s"]
+    assert anything.split() == ["any", "9.000"]
+
+
+@pytest.mark.slow
+def test_the_study_measures_other_costs(few, monkeypatch):
+    monkeypatch.setattr(costs, "SIZES", (20, 30, 50))
+    monkeypatch.setattr(costs, "CROWD", 20)
+    monkeypatch.setattr(costs, "HORIZON", 0.2)
+    monkeypatch.setattr(costs, "STREAMED", (2_000, 20_000))
+    monkeypatch.setattr(costs, "apart", lambda function, *given: function(*given))
+    found = few("--parts", "flat,complete,recording")["costs"]
+    measured = {part: {each["what"]: each["measured"] for each in each_part} for part, each_part in found.items()}
+    flat = measured["flat"]
+    assert flat["N = 50 / N = 30"] == pytest.approx(flat["a delivery, N = 50"] / flat["a delivery, N = 30"])
+    assert 0.0 < measured["complete"]["peak memory"] < 1_000.0
+    assert 0.5 < measured["recording"]["all kept / none"] < 10.0
+
+
+@pytest.mark.slow
+def test_a_process_of_its_own_has_memory_and_time_of_its_own():
+    held = bytearray(200_000_000)
+    assert 0.0 < measuring.apart(measuring.memory, "VmHWM") < measuring.memory("VmRSS") - 0.5 * len(held)
+    assert 0.0 < measuring.command("-c", "pass") < measuring.command("-c", "import time; time.sleep(0.5)")
