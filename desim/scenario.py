@@ -219,8 +219,9 @@ class Recording(Value):
 
     trajectory: Annotated[Time, AfterValidator(_never_or_period)] = 0.05
     """Time between samples of all positions, s; 0 = none."""
-    messages: Truth = False
-    """Whether every message is recorded, or only their number."""
+    messages: Literal[False, True, "file"] = False
+    """Whether every message is recorded, or only their number; file: in the trace of an output folder alone, as it
+    happens, for more than fit in memory; ages and beliefs are not measured then."""
 
 
 def _flat(grid: Any, above: str = "") -> Any:
@@ -291,10 +292,10 @@ class Sweep(Value):
 
 
 def _default_protocol() -> Any:
-    installed = PROTOCOLS.choices()
-    if "sap" not in installed:
+    sap = PROTOCOLS.choice("sap")
+    if sap is None:
         raise ValueError("no protocols are installed: pip install -e . in the folder of desim")
-    return installed["sap"]()
+    return sap()
 
 
 class Scenario(Value):

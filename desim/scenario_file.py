@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 from desim.scenario import Scenario
 from desim.source import ScenarioError, Source, holds
 from desim.toml_lines import Place, key_lines
-from desim.value import OneOf, choices_of, markers_of, models_in
+from desim.value import OneOf, choices_of, fields_of, markers_of, models_in
 
 
 def load(file: str | Path, overrides: Sequence[str] = ()) -> Scenario:
@@ -117,7 +117,7 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
         place += (part,)
         node = node[part] if holds(node, part) else None
         if isinstance(part, str):
-            owner, info = inner, inner.model_fields.get(part) if inner else None
+            owner, info = inner, fields_of(inner).get(part) if inner else None
         inner = _model_of(info, node) if info else None
         if info is not None and path and path[0] in _tags(info):
             path.pop(0)

@@ -149,7 +149,7 @@ def _table(value: Any, info: FieldInfo) -> Any:
     if isinstance(value, tuple):
         return [_table(each, info) for each in value]
     choices = choices_of(info)
-    known = not choices or any(type(value) in choice.choices().values() for choice in choices)
+    known = not choices or any(choice.holds(value) for choice in choices)
     return _tables(value) if isinstance(value, Value) and known else value
 
 

@@ -8,9 +8,9 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from math import inf
 from pathlib import Path
@@ -23,11 +23,15 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     ValidationError,
     ValidationInfo,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, core_schema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, SchemaValidator, core_schema
+
+from desim.field_docs import docs_of
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -68,7 +72,21 @@ Truth = Annotated[bool, Field(strict=True)]
 class Value(BaseModel):
     """A frozen value whose unknown keys are errors and whose fields are described by the string below them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="strings")
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        ser_json_inf_nan="strings",
+        defer_build=True,  # most are never used in a run, and to build all takes longer than a short one
+    )
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        found = handler(schema)
+        properties = handler.resolve_ref_schema(found).get("properties", {})
+        for name in properties:
+            if text := fields_of(cls)[name].description:
+                properties[name]["description"] = text
+        return found
 
     def plain(self) -> dict[str, Any]:
         """Return it as what JSON has: infinity is the string "Infinity"."""
@@ -86,6 +104,14 @@ def beside(path: Any, info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("folder", "."), path)
 
 
+def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a model by name, with their descriptions."""
+    docs = docs_of(model)
+    for name, field in model.model_fields.items():
+        field.description = field.description or docs.get(name)
+    return model.model_fields
+
+
 def kind_of(model: type[BaseModel]) -> str:
     """Return the `kind` by which a table in a file asks for this model."""
     return str(model.model_fields["kind"].default)
@@ -94,10 +120,10 @@ def kind_of(model: type[BaseModel]) -> str:
 class OneOf:
     """Annotation of a field that holds one of several models, told apart by their `kind`.
 
-    Models that other distributions install under the entry point group `group` are accepted too; they are loaded
-    when the schema is built. An object that can be called is taken as it is, so that a script may pass a function
-    or a model of its own; a file names such a one by the kind "module:name", of a module that is installed or lies
-    beside the file.
+    Models that other distributions install under the entry point group `group` are accepted too. A model is loaded and
+    built when a table asks for it; the others are not. An object that can be called is taken as it is, so that a script
+    may pass a function or a model of its own; a file names such a one by the kind "module:name", of a module that is
+    installed or lies beside the file.
 
     Args:
         models: of this distribution.
@@ -119,38 +145,56 @@ class OneOf:
         self.takes = takes
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
-        """Return the models by kind, those of this distribution first."""
-        return self._choices
+        """Return the models by kind, those of this distribution first; all of them are loaded."""
+        return MappingProxyType(self._own | {kind: point.load() for kind, point in self._installed.items()})
+
+    def choice(self, kind: str) -> type[BaseModel] | None:
+        """Return the model of a kind, if there is one."""
+        if kind not in self._installed:
+            return self._own.get(kind)
+        model: type[BaseModel] = self._installed[kind].load()
+        return model
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is of one of the models."""
+        kind = getattr(value, "kind", None)
+        return isinstance(kind, str) and type(value) is self.choice(kind)
 
     @cached_property
-    def _choices(self) -> Mapping[str, type[BaseModel]]:
-        installed = sorted(entry_points(group=self.group), key=lambda point: point.name) if self.group else []
-        own = {kind_of(model): model for model in self.models}
-        return MappingProxyType(own | {point.name: point.load() for point in installed})
+    def _own(self) -> dict[str, type[BaseModel]]:
+        return {kind_of(model): model for model in self.models}
+
+    @cached_property
+    def _installed(self) -> dict[str, EntryPoint]:
+        points = sorted(entry_points(group=self.group), key=lambda point: point.name) if self.group else []
+        return {point.name: point for point in points}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        choices = self.choices()
-        schemas: dict[Any, CoreSchema] = {kind: handler.generate_schema(model) for kind, model in choices.items()}
-        by_kind = core_schema.tagged_union_schema(schemas, discriminator="kind")
+        writes = core_schema.wrap_serializer_function_ser_schema(self._written, schema=core_schema.any_schema())
+        return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
 
-        def written(value: Any, write: Callable[[Any], Any]) -> Any:
-            if type(value) in choices.values():
-                return write(value)
-            home = value if isinstance(value, FunctionType) else type(value)
-            parameters = {}
-            if isinstance(value, BaseModel):
-                parameters = value.model_dump()
-            elif is_dataclass(value):
-                parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
-            return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(_union(self.choices()))
 
-        return core_schema.with_info_wrap_validator_function(
-            self._accept,
-            by_kind,
-            serialization=core_schema.wrap_serializer_function_ser_schema(written, schema=by_kind),
-        )
+    def _written(self, value: Any, write: Callable[[Any], Any]) -> Any:
+        if self.holds(value):
+            return write(value)
+        home = value if isinstance(value, FunctionType) else type(value)
+        parameters = {}
+        if isinstance(value, BaseModel):
+            parameters = value.model_dump()
+        elif is_dataclass(value):
+            parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+        return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
 
-    def _accept(self, value: Any, validate: Callable[[Any], Any], info: ValidationInfo) -> Any:
+    def _table(self, table: Any, info: ValidationInfo) -> Any:
+        """Return the model that a table describes; raise ValidationError if it is none of them."""
+        kind = table.get("kind") if isinstance(table, dict) else None
+        model = self.choice(kind) if isinstance(kind, str) else None
+        judge = SchemaValidator(_union(self.choices())) if model is None else _judge(kind, model)
+        return judge.validate_python(table, context=info.context)
+
+    def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
@@ -158,7 +202,7 @@ class OneOf:
             if not callable(value):
                 raise ValueError(f"{kind!r} is nothing that can be called, but {value!r}")
         if not callable(value):
-            return validate(value)
+            return self._table(value, info)
         if missing := [name for name in self.needs if not hasattr(value, name)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
         if self.takes:
@@ -167,6 +211,20 @@ class OneOf:
             except TypeError as error:
                 raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
         return value
+
+
+def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
+    """Return the schema of tables of one of several models, told apart by their `kind`."""
+    for model in models.values():
+        model.model_rebuild()
+    schemas = {kind: model.__pydantic_core_schema__ for kind, model in models.items()}
+    return core_schema.tagged_union_schema(schemas, discriminator="kind")
+
+
+@cache
+def _judge(kind: Any, model: type[BaseModel]) -> SchemaValidator:
+    """Return what validates tables of one kind."""
+    return SchemaValidator(_union({kind: model}))
 
 
 def _imported(table: dict[str, Any], folder: Path | None) -> Any:
@@ -204,7 +262,7 @@ def described(
     if model in known:
         return
     known.add(model)
-    for name, field in model.model_fields.items():
+    for name, field in fields_of(model).items():
         if name == "kind":
             continue
         inner = indent + "    "

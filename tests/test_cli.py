@@ -17,7 +17,7 @@ from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
 from desim.study import batch
 from desim.study.batch import run_many
-from desim.value import Value
+from desim.value import Value, fields_of
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 WRONG_INPUT = 2
@@ -582,7 +582,7 @@ def test_protocols_lists_each_protocol_with_each_of_its_parameters():
     sections = text.strip().split("\n\n")
     assert [section.split(":")[0] for section in sections] == [*PROTOCOLS.choices()]
     for section, protocol in zip(sections, PROTOCOLS.choices().values(), strict=True):
-        for name, field in protocol.model_fields.items():
+        for name, field in fields_of(protocol).items():
             meaning = re.escape(" ".join((field.description or "").split()))
             described = re.search(rf"^    {name} = .+: {meaning}$", section, re.MULTILINE)
             assert bool(described) == (name != "kind")
@@ -787,6 +787,27 @@ def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
     assert names(tmp_path / "both" / "seed-7") == FILES
     for name in FILES:
         assert (tmp_path / "both" / "seed-8" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes(), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_messages_that_go_to_a_file_are_in_the_folders_of_all_runs(file, tmp_path, jobs):
+    """The traces are those of runs that keep their messages; repeated from run.json, all is the same."""
+    path, out = file(LUCK), tmp_path / "file"
+    accepted("run", path, "--set", 'record.messages="file"', "-n", 2, "-j", jobs, "-o", out)
+    accepted("run", path, "--set", "record.messages=true", "-n", 2, "-o", tmp_path / "kept")
+    for seed in ("seed-7", "seed-8"):
+        assert names(out / seed) == FILES
+        assert (out / seed / "trace.jsonl").read_bytes() == (tmp_path / "kept" / seed / "trace.jsonl").read_bytes()
+    accepted("run", "--from", out / "seed-8" / "run.json", "-o", tmp_path / "again")
+    for name in FILES[1:]:
+        assert (tmp_path / "again" / name).read_bytes() == (out / "seed-8" / name).read_bytes(), name
+
+
+def test_a_trace_that_cannot_be_written_is_told(file, tmp_path):
+    (tmp_path / "out" / "trace.jsonl.part").mkdir(parents=True)
+    (said,) = refused("run", file(LUCK), "--set", 'record.messages="file"', "-o", tmp_path / "out")
+    assert said.startswith(f"--out {tmp_path / 'out' / 'trace.jsonl.part'}: cannot be written")
 
 
 def test_without_recorded_positions_there_is_no_picture(file, tmp_path):

@@ -7,7 +7,7 @@ from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from desim import Scenario, value
 from desim.value import (
@@ -25,6 +25,7 @@ from desim.value import (
     Truth,
     Value,
     described,
+    fields_of,
     kind_of,
 )
 
@@ -116,7 +117,7 @@ def test_an_unknown_key_of_a_value_is_an_error():
 
 
 def test_the_string_below_a_field_describes_it():
-    assert Circle.model_fields["radius"].description == "Radius, m."
+    assert fields_of(Circle)["radius"].description == "Radius, m."
 
 
 def test_plain_is_what_strict_json_has():
@@ -184,6 +185,84 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
     adapter = TypeAdapter(Annotated[Any, shapes])
     assert adapter.validate_python({"kind": "square"}) == Square()
     assert set(groups) == {"shapes"}
+
+
+def test_only_what_a_table_asks_for_is_loaded(monkeypatch):
+    class Point:
+        """An entry point that another distribution installs."""
+
+        def __init__(self, name: str, model: type[BaseModel]):
+            self.name, self.model = name, model
+
+        def load(self) -> type[BaseModel]:
+            loaded.append(self.name)
+            return self.model
+
+    loaded: list[str] = []
+    points = [Point("square", Square), Point("drawing", Drawing)]
+    monkeypatch.setattr(value, "entry_points", lambda **_: points)
+    shapes = OneOf(Circle, group="shapes")
+    adapter = TypeAdapter(Annotated[Any, shapes])
+    assert adapter.validate_python({"kind": "circle"}) == Circle()
+    assert adapter.dump_python(Circle()) == {"kind": "circle", "radius": 1.0}
+    assert not loaded
+    assert adapter.validate_python({"kind": "square"}) == Square()
+    assert adapter.dump_json(Square()) == b'{"kind":"square","side":2.0}'
+    assert set(loaded) == {"square"}
+    with pytest.raises(ValidationError, match="expected tags: 'circle', 'drawing', 'square'"):
+        adapter.validate_python({"kind": "cube"})
+
+
+def test_a_model_is_not_built_before_it_is_used():
+    class Oval(Value):
+        """Not quite round."""
+
+        kind: Literal["oval"] = "oval"
+        width: Positive = 1.0
+
+    adapter = TypeAdapter(Annotated[Any, OneOf(Circle, Oval)])
+    adapter.validate_python({"kind": "circle"})
+    assert not Oval.__pydantic_complete__
+    assert adapter.validate_python({"kind": "oval", "width": 2.0}) == Oval(width=2.0)
+    with pytest.raises(ValidationError, match=r"oval.width\n  Input should be greater than 0"):
+        adapter.validate_python({"kind": "oval", "width": 0.0})
+
+
+def test_the_kinds_of_one_of_several_are_told_by_the_schema():
+    found = TypeAdapter(Annotated[Any, OneOf(Circle, Square)]).json_schema()
+    assert found["discriminator"]["mapping"] == {"circle": "#/$defs/Circle", "square": "#/$defs/Square"}
+    assert found["$defs"]["Square"]["properties"]["side"]["description"] == "Length of a side, m."
+    assert "description" not in found["$defs"]["Square"]["properties"]["kind"]
+
+
+class Ring(Circle):
+    """A circle with a hole."""
+
+    radius: Positive = 3.0
+    hole: Annotated[Positive, Field(description="As it says itself.")] = 0.5
+    """Not so."""
+
+    class Bead(Value):
+        """What it is strung on."""
+
+        size: Positive = 0.1
+        """Across,
+        m."""
+
+
+def test_a_field_is_described_by_the_string_below_it_where_it_was_last_declared():
+    assert {name: field.description for name, field in fields_of(Ring).items()} == {
+        "kind": None,
+        "radius": None,
+        "hole": "As it says itself.",
+    }
+    assert fields_of(Ring.Bead)["size"].description == "Across,\nm."
+
+
+def test_a_model_without_source_has_no_descriptions():
+    namespace = {"Value": Value, "__name__": "nowhere"}
+    exec('class Blot(Value):\n    size: float = 1.0\n    """Across, m."""', namespace)
+    assert fields_of(namespace["Blot"])["size"].description is None
 
 
 def test_without_a_group_nothing_is_looked_up(monkeypatch):

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from desim.analysis.reading import ended, messages, remembered, started
 from desim.kernel.clock import SECOND
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
+from desim.kernel.events import LOST, MESSAGES, Broadcast, Lost, Sent
 from desim.kernel.faults import Crash, Over, clock_errors
 from desim.kernel.records import Record
-from desim.pursuit.word import told
+from desim.pursuit.word import records_in
 from desim.simulation import Result
 
 Integers = NDArray[np.int64]
@@ -158,9 +158,9 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
     clocks = _Clocks(result, size)
     recorded = False
     for place, event in enumerate(result.trace):
-        recorded = recorded or isinstance(event, Broadcast | Sent | Lost | Queued)
+        recorded = recorded or isinstance(event, MESSAGES)
         if isinstance(event, Broadcast | Sent):
-            said = clocks.told(event)
+            said = clocks.true_records(event)
             to = event.dst if isinstance(event, Broadcast) else (event.dst,)
             when = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
             if said and to:
@@ -187,10 +187,10 @@ class _Clocks:
         self._errors = clock_errors(result.scenario.fault, size, result.seed)
         self._right = not any(offset or drift for offset, drift in self._errors)
 
-    def told(self, event: Broadcast | Sent) -> tuple[Record, ...]:
+    def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
         """Return the records that a transmission carries, those that it relays or its own, with their true times."""
         relays = getattr(event.body, "records", None) is not None
-        return tuple(map(self._set_right, told(event))) if relays and not self._right else told(event)
+        return tuple(map(self._set_right, records_in(event))) if relays and not self._right else records_in(event)
 
     def _set_right(self, record: Record) -> Record:
         offset, drift = self._errors[record.src]
@@ -198,7 +198,7 @@ class _Clocks:
 
 
 def _columns(records: list[Record]) -> _Said:
-    active = [-1 if (told := getattr(record.body, "active", None)) is None else int(told) for record in records]
+    active = [-1 if (action := getattr(record.body, "active", None)) is None else int(action) for record in records]
     source, seq, created = ([record[k] for record in records] for k in range(3))
     return _Said(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 

@@ -26,10 +26,10 @@ from desim.analysis.activity import (
 )
 from desim.analysis.course import positions_known
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
-from desim.analysis.reading import captures, ended, has_several, messages, reading
+from desim.analysis.reading import captures, ended, has_several, messages, reading, remembered
 from desim.analysis.word import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
 from desim.kernel.clock import seconds
-from desim.kernel.events import Cause
+from desim.kernel.events import MESSAGES, Cause
 from desim.simulation import Result
 
 __all__ = [
@@ -97,9 +97,11 @@ def capturers(result: Result) -> dict[str, int]:
     return {str(each.evader): each.capturer for each in captures(result)}
 
 
+@remembered
 def messages_recorded(result: Result) -> bool:
-    """Return whether the messages of a run were to be recorded."""
-    return result.scenario.record.messages
+    """Return whether the trace of a run has its messages."""
+    asked = result.scenario.record.messages
+    return asked is True or (asked == "file" and any(isinstance(each, MESSAGES) for each in result.trace))
 
 
 @dataclass(frozen=True)

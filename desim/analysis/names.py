@@ -6,6 +6,12 @@ from pathlib import Path
 
 PICTURES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; the first two are made if nobody says which."""
+OF_A_RUN = (
+    *("trace.jsonl", "summary.json", "scenario.toml", "run.json"),
+    *("trajectory.svg", "trajectory.png", "replay.html"),
+    *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "pursuit.gif"),
+)
+"""All that `desim run`, `replay` and `draw` make in the folder of a run, if nobody names a file."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """What can name a kind of file; the ".2" of "v1.2" does not."""
 

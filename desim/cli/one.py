@@ -10,6 +10,8 @@ import click
 from desim.cli.options import JOBS, JSON, SEED, SET, make_folder, refuse, source_of, valid
 
 if TYPE_CHECKING:
+    from desim.analysis.metrics import Summary
+    from desim.provenance import Document
     from desim.scenario import Scenario
 
 
@@ -35,41 +37,71 @@ def run(
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario FILE, or repeat what a run.json recorded, and say what happened."""
-    from functools import partial
-
-    from desim import provenance
-    from desim.analysis.folder import write, write_below
-    from desim.analysis.metrics import plain, summary
+    from desim.analysis.metrics import plain
     from desim.analysis.tables import batch_table, run_table
-    from desim.simulation import run as simulate
-    from desim.study.batch import run_many, seeds_from
 
     scenario, folder, recorded = _given(file, repeated, overrides)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
-    seeds = seeds_from(scenario.seed, runs or recorded)
-    made = None
-    if out is not None:
-        make_folder(out)
-        made = provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=len(seeds), folder=folder)
+    count = runs or recorded
+    into = None if out is None else _folder(out, scenario, count, folder)
     start = time.perf_counter()
     try:
-        if len(seeds) == 1:
-            result = simulate(scenario, scenario.seed)
-            wall_time = time.perf_counter() - start
-            results = [summary(result) if out is None else write(result, out, made)]
-            table = run_table(scenario, results[0], wall_time)
+        if count == 1:
+            numbers, wall_time = _once(scenario, into)
+            results, table = [numbers], run_table(scenario, numbers, wall_time)
         else:
-            measure = summary if out is None else partial(write_below, out, made=made)
-            results = run_many([(scenario, each) for each in seeds], jobs, scenario.name, measure)
+            results = _often(scenario, count, jobs, into)
             table = batch_table(scenario, results, time.perf_counter() - start)
-            if out is not None and made is not None:
-                provenance.write(out, made)
     except OSError as error:
-        refuse(f"--out {error.filename}: cannot be written: {error.strerror}")
+        refuse(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
     click.echo(table)
+
+
+def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
+    """Return the folder that results go to, which is made, and where they come from."""
+    from desim import provenance
+
+    make_folder(out)
+    return out, provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=count, folder=folder)
+
+
+def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
+    """Return the numbers of a run and how long it took, s; write it, if there is a folder."""
+    start = time.perf_counter()
+    if into is None:
+        from desim.analysis.metrics import summary
+        from desim.simulation import run as simulate
+
+        result = simulate(scenario)
+        return summary(result), time.perf_counter() - start
+    from desim.analysis import folder
+
+    out, made = into
+    result = folder.simulate(out, scenario, scenario.seed)
+    wall_time = time.perf_counter() - start
+    return folder.write(result, out, made, simulated_there=True), wall_time
+
+
+def _often(scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None") -> "list[Summary]":
+    """Return the numbers of several runs; write them, if there is a folder."""
+    from functools import partial
+
+    from desim import provenance
+    from desim.analysis import folder
+    from desim.study.batch import run_many, seeds_from
+
+    tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
+    if into is None:
+        return run_many(tasks, jobs, scenario.name)
+    out, made = into
+    measure = partial(folder.write_below, out, made=made, simulated_there=True)
+    results = run_many(tasks, jobs, scenario.name, measure, partial(folder.simulate_below, out))
+    folder.clear(out)
+    provenance.write(out, made)
+    return results
 
 
 def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":

@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from desim.analysis.metrics import summary
-from desim.simulation import Result
-from desim.study.driver import Task, drive
+from desim.simulation import Result, run
+from desim.study.driver import Simulate, Task, drive
 from desim.study.workers import workers_for
 
 Measured = TypeVar("Measured")
@@ -24,6 +24,7 @@ def run_many(
     jobs: int = 0,
     label: str = "runs",
     measure: Callable[[Result], Measured] = summary,  # type: ignore[assignment]
+    simulate: Simulate = run,
 ) -> list[Measured]:
     """Run each task and return what was measured, in the order of the tasks, whatever the number of workers.
 
@@ -32,6 +33,7 @@ def run_many(
         jobs: worker processes; 1 = none, everything happens here; 0 = one per core.
         label: stands before the progress bar, which is drawn on a terminal only.
         measure: what to keep of a result; it runs in the worker.
+        simulate: what makes the run, there.
 
     Raises:
         Exception: whatever a run raises first.
@@ -42,7 +44,7 @@ def run_many(
     with (
         tqdm(total=len(tasks), desc=label, unit="run", disable=None) as bar,
         workers_for(jobs if len(tasks) > 1 else 1) as workers,
-        closing(drive(tasks, workers, measure)) as outcomes,
+        closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):
         for k, outcome in outcomes:
             if outcome.status != "ok":

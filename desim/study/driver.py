@@ -21,6 +21,8 @@ Task = tuple[Scenario, int]
 """A scenario and the seed to run it with."""
 Measure = Callable[[Result], Any]
 """What to keep of a result; it runs in the worker."""
+Simulate = Callable[[Scenario, int], Result]
+"""What makes a run of a scenario and a seed; it runs in the worker, too."""
 LOT_TIME = 0.25
 """How long a worker is to be busy with what it is handed at once, s: to hand over costs about a millisecond."""
 LOT_SIZE = 64
@@ -51,7 +53,7 @@ HandOut = Callable[[list[int]], Future[Any]]
 """Hands the tasks at some positions to a worker."""
 
 
-def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary) -> Outcomes:
+def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary, simulate: Simulate = run) -> Outcomes:
     """Yield what becomes of each task, as soon as it is known: its position and its outcome.
 
     Runs are handed out in lots, in the order of the tasks. When a worker dies, all that was handed out and has not
@@ -64,7 +66,7 @@ def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary) -
     waiting = deque(range(len(tasks)))
 
     def hand_out(lot: list[int]) -> Future[Any]:
-        return workers.submit(partial(perform, [tasks[k] for k in lot], measure))
+        return workers.submit(partial(perform, [tasks[k] for k in lot], measure, simulate))
 
     try:
         while waiting:
@@ -130,16 +132,16 @@ def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
     return outcome
 
 
-def perform(tasks: Sequence[Task], measure: Measure) -> tuple[list[Outcome], float]:
+def perform(tasks: Sequence[Task], measure: Measure, simulate: Simulate) -> tuple[list[Outcome], float]:
     """Do some runs, in a worker: return what became of each, and how long one took, s."""
     start = perf_counter()
-    outcomes = [_outcome(task, measure) for task in tasks]
+    outcomes = [_outcome(task, measure, simulate) for task in tasks]
     return outcomes, max((perf_counter() - start) / len(tasks), 1e-6)
 
 
-def _outcome(task: Task, measure: Measure) -> Outcome:
+def _outcome(task: Task, measure: Measure, simulate: Simulate) -> Outcome:
     try:
-        return Outcome("ok", measure(run(*task)))
+        return Outcome("ok", measure(simulate(*task)))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too

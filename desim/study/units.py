@@ -7,7 +7,7 @@ from functools import cache
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from desim.value import choices_of, models_in
+from desim.value import choices_of, fields_of, models_in
 
 UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
 """In a description: "Mean one-way latency, s."."""
@@ -21,7 +21,7 @@ def unit_of(key: str) -> str | None:
     fields: list[FieldInfo] = []
     models: list[type[BaseModel]] = [Scenario]
     for part in (each for each in key.split(".") if not each.isdigit()):
-        fields = [model.model_fields[part] for model in models if part in model.model_fields]
+        fields = [fields_of(model)[part] for model in models if part in model.model_fields]
         models = [model for field in fields for model in _models_of(field)]
     units = {found[1] if (found := UNIT.search(field.description or "")) else None for field in fields}
     return units.pop() if len(units) == 1 else None

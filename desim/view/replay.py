@@ -20,7 +20,7 @@ from desim.analysis.course import positions_known
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.reading import captures, ended, has_several, messages, reading, started
 from desim.kernel.clock import SECOND, seconds
-from desim.kernel.events import Broadcast, Lost, Queued, Sent
+from desim.kernel.events import MESSAGES
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
@@ -93,7 +93,7 @@ def _about(result: Result) -> str:
 
 
 def _has_messages(result: Result) -> bool:
-    told = any(isinstance(event, Broadcast | Sent | Lost | Queued) for event in result.trace)
+    told = any(isinstance(event, MESSAGES) for event in result.trace)
     return told or not messages(result).sent
 
 

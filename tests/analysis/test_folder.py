@@ -5,10 +5,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from desim import provenance
-from desim.analysis.folder import can_plot, read, write, write_below
+from desim.analysis.folder import can_plot, events, read, simulate, simulate_below, write, write_below
 from desim.analysis.metrics import plain, summary
+from desim.cli import main
+from desim.kernel.events import MESSAGES
 from desim.pursuit.events import Captured
 from desim.scenario import Recording, Scenario, Team
 from desim.scenario_file import dump, load
@@ -91,6 +94,20 @@ def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_o
     assert names(tmp_path) == DATA
 
 
+def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_path):
+    """Whatever `replay` and `draw` make; a folder `seed-S` has a scenario of its own."""
+    write_below(tmp_path, run(seen, 4))
+    for command in ("draw spacetime", "draw perfetto", "draw gif", "replay"):
+        write(run(seen.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})), tmp_path)
+        before = names(tmp_path)
+        assert before == DATA | PICTURES | {"seed-4"}
+        assert CliRunner().invoke(main, [*command.split(), str(tmp_path)]).exit_code == 0
+        assert names(tmp_path) > before
+    write(run(SCENARIO), tmp_path)
+    assert names(tmp_path) == DATA | {"seed-4"}
+    assert names(tmp_path / "seed-4") == DATA | PICTURES
+
+
 def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")
@@ -117,9 +134,107 @@ def test_a_run_that_was_written_is_read_again(name, evaders, tmp_path):
     assert dump(again.scenario) == (tmp_path / "scenario.toml").read_text()
 
 
+TO_FILE = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages="file")})
+WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})
+
+
+def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_that_of_the_result(tmp_path):
+    result = simulate(tmp_path / "a", TO_FILE, 5)
+    assert list(result.trace) == list(run(TO_FILE, 5).trace)
+    assert not [event for event in result.trace if isinstance(event, MESSAGES)]
+    write(result, tmp_path / "a", simulated_there=True)
+    whole = run(WITH_MESSAGES, 5).trace
+    assert (tmp_path / "a" / "trace.jsonl").read_bytes() == "".join(whole.lines()).encode()
+    assert list(events(tmp_path / "a")) == whole.events
+    assert names(tmp_path / "a") == DATA | PICTURES
+
+
+def test_what_needs_no_messages_is_measured_though_they_go_to_a_file_and_all_of_it_is_once_they_are_read(tmp_path):
+    numbers = plain(write(simulate(tmp_path, TO_FILE, 5), tmp_path, simulated_there=True))
+    whole = plain(summary(run(WITH_MESSAGES, 5)))
+    absent = {name for name in whole if whole[name] is not None and numbers[name] is None}
+    assert absent == {"age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"}
+    assert {name: each for name, each in numbers.items() if name not in absent} == {
+        name: each for name, each in whole.items() if name not in absent
+    }
+    assert plain(summary(read(tmp_path))) == whole
+
+
+def test_the_file_of_one_of_several_runs_is_below_the_folder(tmp_path):
+    write_below(tmp_path, simulate_below(tmp_path, TO_FILE, 5), simulated_there=True)
+    assert names(tmp_path) == {"seed-5"}
+    assert list(events(tmp_path / "seed-5")) == run(WITH_MESSAGES, 5).trace.events
+
+
+def test_a_run_whose_messages_go_nowhere_else_is_written_as_far_as_it_is_known(tmp_path):
+    write(run(TO_FILE, 5), tmp_path)
+    assert list(events(tmp_path)) == run(TO_FILE, 5).trace.events
+
+
+def test_nothing_is_written_before_its_time_of_a_run_that_keeps_its_messages(tmp_path):
+    assert simulate(tmp_path, WITH_MESSAGES, 5).trace.events == run(WITH_MESSAGES, 5).trace.events
+    assert names(tmp_path) == set()
+
+
 def test_half_a_trace_is_not_read(result, tmp_path):
     write(result, tmp_path)
     trace = (tmp_path / "trace.jsonl").read_text()
     (tmp_path / "trace.jsonl").write_text(trace[: trace.rindex("{")])
     with pytest.raises(ValueError, match=r"trace.jsonl: is not of a whole run"):
+        read(tmp_path)
+
+
+@pytest.fixture
+def other_file(tmp_path):
+    (tmp_path / "other.toml").write_text(dump(SCENARIO.model_copy(update={"team": Team(count=4)})))
+    return tmp_path / "other.toml"
+
+
+def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_file, tmp_path):
+    write(result, tmp_path / "out")
+    done = CliRunner().invoke(main, ["run", str(other_file), "-n", "2", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert names(tmp_path / "out") == {"run.json", "seed-1", "seed-2"}
+    done = CliRunner().invoke(main, ["replay", str(tmp_path / "out")])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr.endswith("; it holds seed-1, seed-2\n")
+
+
+OF_ANOTHER = {
+    "several runs": (lambda made: made | {"runs": 2}, "is of 2 runs, and not of that in trace.jsonl"),
+    "another seed": (lambda made: provenance.of_one(made, 6), "is not of the run in trace.jsonl"),
+    "a sweep": (lambda made: made | {"what": "sweep"}, "is of a sweep, which is not repeated"),
+}
+
+
+@pytest.mark.parametrize(("change", "why"), OF_ANOTHER.values(), ids=OF_ANOTHER)
+def test_a_trace_is_not_read_under_what_is_written_of_other_runs(result, change, why, tmp_path):
+    write(result, tmp_path)
+    provenance.write(tmp_path, change(provenance.read(tmp_path / "run.json")))
+    with pytest.raises(ValueError, match=f"run.json: {why}"):
+        read(tmp_path)
+
+
+SCENARIOS = {
+    "pursuers": {"team": Team(count=4)},
+    "speeds": {"team": Team(count=3, speeds=2.0)},
+    "box": {"team": Team(count=3, box=(0.0, 1.0))},
+    "evaders": {"evader": {"count": 2}},
+    "their place": {"evader": {"position": (1.0, 1.0)}},
+}
+
+
+@pytest.mark.parametrize("changes", SCENARIOS.values(), ids=SCENARIOS)
+def test_a_trace_is_not_read_under_another_scenario(result, changes, tmp_path):
+    write(result, tmp_path)
+    other = Scenario(**{"seed": 1, "horizon": 0.2, "team": Team(count=3)} | changes)
+    provenance.write(tmp_path, provenance.document("run", other, seed=5))
+    with pytest.raises(ValueError, match=r"run.json: is not of the run in trace.jsonl: pursuers or evaders begin else"):
+        read(tmp_path)
+
+
+def test_a_trace_without_a_beginning_is_not_read(result, tmp_path):
+    write(result, tmp_path)
+    (tmp_path / "trace.jsonl").write_text((tmp_path / "trace.jsonl").read_text().splitlines()[-1] + "\n")
+    with pytest.raises(ValueError, match="is not of the run in"):
         read(tmp_path)

@@ -170,13 +170,12 @@ def test_an_exception_is_passed_on_if_another_process_can_be_told_of_it(scenario
         assert found["stubborn"].error is None
 
 
-def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario, monkeypatch):
+def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(driver, "run", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        list(drive([(scenario, 0)], Here()))
+        list(drive([(scenario, 0)], Here(), simulate=interrupt))
 
 
 @pytest.mark.slow
