@@ -217,14 +217,16 @@ class Records:
     def _compare(self, node: int, pile: Iterable[Heard]) -> list[Any]:
         """Enter what has arrived at a node, unless something newer of its source is there; return the rest, flat."""
         late: list[Any] = []
-        now, table, marked = self._env.now, self._tables[node], self._marked[node]
+        now, table, marked, mark = self._env.now, self._tables[node], self._marked[node], self._mark
         for arrival, record in pile:
             known = table.get(record[0])
             if arrival > now:
                 late.append(arrival)
                 late.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
-                _put((arrival, record), table, marked, self._mark)
+                table[record[0]] = heard = (arrival, record)
+                if mark is not None:
+                    _put(heard, table, marked, mark)
         return late
 
     def _fold_what_nobody_reads(self) -> None:
