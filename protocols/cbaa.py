@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.pursuit.agent import Agent
-from protocols.claims import NO_BID, Auction, Bid, bids_of, chosen, current, told, unread
+from protocols.claims import NO_BID, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 from protocols.rule import Rule
 
 
@@ -59,7 +59,7 @@ class CBAA(Auction):
                 said = {j: up_to_date(claim[k]) for j, claim in claims.items()}
                 bids[k] = greatest(up_to_date(best), said | {me.id: NO_BID})
             action, bids = chosen(me, one_each(bids))
-            me.claim(Claim(*told(action, bids)))
+            me.claim(Claim(*claim_fields(action, bids)))
             yield action
 
 

@@ -22,7 +22,7 @@ from typing import ClassVar, Literal, NamedTuple
 from desim.kernel.clock import seconds
 from desim.pursuit.agent import Agent
 from desim.value import Extent
-from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, current, told, unread
+from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """Take the winner over from the sender; know of no winner any more; change nothing."""
@@ -73,7 +73,7 @@ class CBBA(Auction):
             others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
             action, bids = chosen(me, others)
             stamps[me.id] = me.now
-            me.claim(StampedClaim(*told(action, bids), tuple(stamps)))
+            me.claim(StampedClaim(*claim_fields(action, bids), tuple(stamps)))
             yield action
 
 

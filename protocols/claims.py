@@ -36,7 +36,7 @@ class Bid(NamedTuple):
 NO_BID = Bid(NOBODY, -inf)
 
 
-Told = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
+Fields = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
 """What a pursuer does, and the winner and the bid of each evader: plain numbers if there is but one."""
 
 
@@ -72,15 +72,15 @@ def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
     return action, [offers[action] if evader == action else bid for evader, bid in enumerate(others, start=1)]
 
 
-def told(action: int, bids: Sequence[Bid]) -> Told:
-    """Return how an action and the (M,) best bids are told."""
+def claim_fields(action: int, bids: Sequence[Bid]) -> Fields:
+    """Return an action and the (M,) best bids as the first fields of a claim."""
     if len(bids) == 1:
         return bool(action), *bids[0]
     return action, tuple(bid.winner for bid in bids), tuple(bid.amount for bid in bids)
 
 
 def bids_of(claim: Any) -> list[Bid]:
-    """Return the (M,) bids of a claim, which begins as `told` returns it."""
+    """Return the (M,) bids of a claim, which begins with what `claim_fields` returns."""
     _, winner, amount = claim[:3]
     return [Bid(winner, amount)] if isinstance(winner, int) else list(map(Bid, winner, amount))
 

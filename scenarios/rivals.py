@@ -205,14 +205,14 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
                 name,
                 f"{at.captured:.0%}",
                 f"{at.relayed:.0%}",
-                _told(at.time_to_relay, "s"),
+                _number(at.time_to_relay, "s"),
                 f"{at.misassigned_time:.2f} s",
                 f"{at.network_regret:.1f} s^2",
                 f"{at.handovers:.1f}",
                 f"{at.transmissions:.0f}",
                 f"{at.kilobytes:.2f}",
-                _told(at.saved_per_transmission, "s", digits=3),
-                _told(at.saved_per_kilobyte, "s"),
+                _number(at.saved_per_transmission, "s", digits=3),
+                _number(at.saved_per_kilobyte, "s"),
             )
         )
     what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
@@ -224,7 +224,7 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
     ]
 
 
-def _told(value: float | None, unit: str, digits: int = 2) -> str:
+def _number(value: float | None, unit: str, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 

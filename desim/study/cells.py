@@ -23,7 +23,7 @@ Settings = Mapping[str, Any]
 MOST_FAULTS = 20
 """How many faults of a grid are told of."""
 MOST_CELLS = 100_000
-"""How many configurations a grid may have: to validate one takes about 2 ms."""
+"""How many configurations a grid may have: to validate one takes about 1 ms."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Cell:
         return {key: each if isinstance(each, plain) else label(each) for key, each in self.settings.items()}
 
     def __str__(self) -> str:
-        return told(self.settings)
+        return in_words(self.settings)
 
 
 def cells(source: Source, grid: Grid | None = None) -> list[Cell]:
@@ -141,7 +141,7 @@ def _explained(line: str, among: Sequence[Settings], grid: Grid) -> str:
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:
         return line
-    return f"{line} (with {told(taken or among[0])})"
+    return f"{line} (with {in_words(taken or among[0])})"
 
 
 def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
@@ -153,7 +153,7 @@ def _line(fault: str) -> int:
     return int(found[1]) if found else 0
 
 
-def told(settings: Settings) -> str:
+def in_words(settings: Settings) -> str:
     """Return settings as a text of one line."""
     return ", ".join(f"{key} = {label(value)}" for key, value in settings.items())
 

@@ -38,6 +38,11 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
 def strangers(value: Any) -> Iterator[Any]:
     """Yield the functions, and the classes of models, that are called in a value and do not belong to desim."""
     for each in parts(value):
-        home = each if isinstance(each, FunctionType) else type(each)
-        if home.__module__.partition(".")[0] not in OURS:
-            yield home
+        if is_strange(each):
+            yield each if isinstance(each, FunctionType) else type(each)
+
+
+def is_strange(value: Any) -> bool:
+    """Return whether a function, or the class of an object, does not belong to desim."""
+    home = value if isinstance(value, FunctionType) else type(value)
+    return home.__module__.partition(".")[0] not in OURS

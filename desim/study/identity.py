@@ -3,35 +3,41 @@
 import hashlib
 import inspect
 import json
-import re
-from functools import partial
-from types import CodeType, FunctionType
+from collections.abc import Iterator
+from types import FunctionType
 from typing import Any
 
 from pydantic import BaseModel
 
 from desim.scenario import Scenario
-from desim.study.foreign import parts, strangers
+from desim.source import ScenarioError
+from desim.study.fingerprint import Fingerprint, UntoldError
+from desim.study.foreign import is_strange, strangers
 
 UNSWEPT = ("seed", "name", "sweep")
 """What does not tell one configuration from another."""
+ADVICE = "let it hold values, or give the class of what holds it a __getstate__ that leaves it out"
+"""What to do about what cannot be told apart."""
 
 
 def identity(scenario: Scenario) -> str:
     """Return what tells configurations apart: a hash of the scenario without its name, seed and sweep.
 
     What is not installed but comes from a script, a notebook or a file counts with its source, and with what it holds,
-    so that nobody takes the results of another version of it for those of this one. What it imports does not count, nor
-    do globals that it reads.
+    so that nobody takes the results of another version of it for those of this one: see `fingerprint`. What a module
+    imports does not count.
+
+    Raises:
+        ScenarioError: if it holds what cannot be told apart, and where.
     """
-    return _hash(json.dumps(resolved(scenario), sort_keys=True))
+    whole = {**tables(scenario), "code": code(scenario), "held": list(_held(scenario))}
+    return _hash(json.dumps(whole, sort_keys=True))
 
 
-def resolved(scenario: Scenario) -> dict[str, Any]:
-    """Return all that a run of a scenario depends on but its seed, as JSON has it."""
-    held = sorted(_hash(text) for each in parts(scenario) if (text := _held(each)))
-    tables = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
-    return {**tables, "code": code(scenario), "held": held}
+def tables(scenario: Scenario) -> dict[str, Any]:
+    """Return what a file can say of all that a run depends on but its seed, as JSON has it."""
+    found: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
+    return found
 
 
 def code(scenario: Scenario) -> dict[str, str]:
@@ -42,32 +48,38 @@ def code(scenario: Scenario) -> dict[str, str]:
     return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
 
 
-def _held(value: Any) -> str:
-    """Return what a value holds that its model does not tell: of an object or a function."""
-    if isinstance(value, BaseModel):
-        return ""
-    held: Any = vars(value) if hasattr(value, "__dict__") else value
-    if isinstance(value, FunctionType):
-        held = inspect.getclosurevars(value).nonlocals, value.__defaults__, value.__kwdefaults__
-    elif isinstance(value, partial):
-        held = value
-    return re.sub(r" at 0x\w+", "", repr(held))
+def _held(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield the dotted key and the fingerprint of each object in a scenario that is not desim's."""
+    fingerprint = Fingerprint()
+    for key, each in _own(scenario, ""):
+        try:
+            yield key, fingerprint(each)
+        except UntoldError as error:
+            raise ScenarioError(f"{key}: {error}; {ADVICE}") from error
+
+
+def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """Yield what is called in a value, or in what it is made of, and its tables do not tell, with its dotted key."""
+    inner: Any = ()
+    if isinstance(value, BaseModel) and not is_strange(value):
+        inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]
+    elif isinstance(value, tuple | list):
+        inner = enumerate(value)
+    elif isinstance(value, BaseModel) or callable(value):
+        yield key, value
+    for name, each in inner:
+        yield from _own(each, f"{key}.{name}" if key else str(name))
 
 
 def _source(home: Any) -> str:
     """Return the source of a class or function: its own if it is of a script, else that of its module."""
     functions = [home] if isinstance(home, FunctionType) else vars(home).values()
-    compiled = "".join(_compiled(each.__code__) for each in functions if isinstance(each, FunctionType))
+    compiled = "".join(Fingerprint()(each.__code__) for each in functions if isinstance(each, FunctionType))
     try:
         text = inspect.getsource(home if home.__module__ == "__main__" else inspect.getmodule(home) or home)
     except (OSError, TypeError):  # typed at a prompt
         return compiled
     return text + compiled if "<lambda>" in home.__qualname__ else text  # there may be another one in its line
-
-
-def _compiled(compiled: CodeType) -> str:
-    constants = [_compiled(each) if isinstance(each, CodeType) else repr(each) for each in compiled.co_consts]
-    return f"{compiled.co_code.hex()} {compiled.co_names} {constants}"
 
 
 def _hash(text: str) -> str:

@@ -74,11 +74,11 @@ class Row:
         """What it raised, in a line."""
         lines = self.traceback.strip().splitlines()
         last_call = max((k for k, line in enumerate(lines) if line.startswith("  ")), default=-1)
-        told = [line for line in lines[last_call + 1 :] if line] or lines[-1:] or [""]
-        return told[0]
+        ends = [line for line in lines[last_call + 1 :] if line] or lines[-1:] or [""]
+        return ends[0]
 
 
-def _told(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+def _naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
     """Let errors of SQLite name the file."""
 
     @wraps(method)
@@ -108,7 +108,7 @@ class Store:
             raise StoreError(f"{path}: there is no such store")
         self._open(path)
 
-    @_told
+    @_naming_the_file
     def _open(self, path: Path | None) -> None:
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -128,7 +128,7 @@ class Store:
         """What sweep it is of, by name."""
         return MappingProxyType(dict(self._database.execute("SELECT name, value FROM about")))
 
-    @_told
+    @_naming_the_file
     def check_same(self, about: Mapping[str, str]) -> None:
         """Raise StoreError if it is of another sweep than is written down."""
         mine = self.about
@@ -137,7 +137,7 @@ class Store:
                 why = _differs(name, mine[name], value)
                 raise StoreError(f"{self.path}: was made {why}; remove it, or choose another folder (-o)")
 
-    @_told
+    @_naming_the_file
     def tell(self, about: Mapping[str, str]) -> None:
         """Write down what sweep it is of.
 
@@ -150,7 +150,7 @@ class Store:
             with self._database:
                 self._database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", new)
 
-    @_told
+    @_naming_the_file
     def enter(self, cells: Sequence[Cell]) -> None:
         """Write down configurations, before those that are there."""
         rows = [
@@ -164,7 +164,7 @@ class Store:
                 rows,
             )
 
-    @_told
+    @_naming_the_file
     def add(self, key: str, root: int, row: Row) -> None:
         """Write down a run of a configuration and a root seed, instead of one that failed."""
         numbers = None if row.summary is None else json.dumps(plain(row.summary))
@@ -174,7 +174,7 @@ class Store:
                 f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?) {INSTEAD} runs.status != 'ok'", values
             )
 
-    @_told
+    @_naming_the_file
     def runs(self, key: str, root: int) -> list[Row]:
         """Return the runs of a configuration and a root seed, in the order of replications."""
         found = self._database.execute(
@@ -187,18 +187,18 @@ class Store:
             for replication, seed, status, numbers, trace in found
         ]
 
-    @_told
+    @_naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
         """Return the key and the settings of each configuration, in order."""
         found = self._database.execute("SELECT configuration, settings FROM configurations ORDER BY place")
         return [(key, json.loads(settings)) for key, settings in found]
 
-    @_told
+    @_naming_the_file
     def __len__(self) -> int:
         """Return the number of runs."""
         return int(self._database.execute("SELECT count(*) FROM runs").fetchone()[0])
 
-    @_told
+    @_naming_the_file
     def take(self, other: "Store") -> None:
         """Add the runs of another store of the same sweep; one that failed here and not there is replaced.
 
@@ -217,7 +217,7 @@ class Store:
         finally:
             self._database.execute("DETACH other")
 
-    @_told
+    @_naming_the_file
     def check(self) -> str:
         """Return "ok", or what SQLite finds wrong with the file."""
         return str(self._database.execute("PRAGMA integrity_check").fetchone()[0])
@@ -240,8 +240,8 @@ def _differs(name: str, one: str, other: str) -> str:
     if name == "scenario":
         old, new = flat(json.loads(one)), flat(json.loads(other))
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
-        told = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
-        return f"by another configuration: {told}"
+        texts = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
+        return f"by another configuration: {texts}"
     return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {one}, is {other}"
 
 

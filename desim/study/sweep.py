@@ -21,7 +21,7 @@ from desim.scenario_file import validate
 from desim.source import Source
 from desim.study.cells import Cell, Grid, cells
 from desim.study.driver import drive
-from desim.study.identity import code, resolved
+from desim.study.identity import code, tables
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
@@ -77,14 +77,13 @@ class Plan:
         """What it is a sweep of; a store is of one."""
         keys = list(self.cells[0].settings)
         swept = tuple(f"{key}." for key in keys)
-        given = {key: each for key, each in resolved(self.base).items() if key not in {"code", "held"}}
         codes = {name: each for cell in self.cells for name, each in code(cell.scenario).items() if "<" not in name}
         return {
             "name": self.base.name,
             "grid": keys,
             "seeds": "common" if self.common else "independent",
             "root seed": self.root,
-            "scenario": {key: each for key, each in flat(given).items() if not f"{key}.".startswith(swept)},
+            "scenario": {key: each for key, each in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)},
             "the code of desim": provenance.code(),
             **{f"the code of {name}": each for name, each in codes.items()},
         }

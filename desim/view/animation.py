@@ -218,7 +218,7 @@ class _Stage:
         self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
         self._dots.set_data(self._flown.under_way(t).T)
         self._crosses.set_data(self._flown.lost_between(before, t).T)
-        self._caption.set_text(f"{seconds(t):.2f} s: {self._told(t, chases)}")
+        self._caption.set_text(f"{seconds(t):.2f} s: {self._in_words(t, chases)}")
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
@@ -247,7 +247,7 @@ class _Stage:
     def _is_captured(self, evader: int, t: int) -> bool:
         return evader in self._captured and self._captured[evader].t <= t
 
-    def _told(self, t: int, chases: dict[int, int]) -> str:
+    def _in_words(self, t: int, chases: dict[int, int]) -> str:
         """Return what a caption says beside the time."""
         count, by = self._paths.count, ended(self._result).capturer
         captured = sum(self._is_captured(evader, t) for evader in self._captured)

@@ -219,17 +219,19 @@ def test_without_fifo_messages_overtake():
     assert (np.diff(arrivals) >= 0).all()
 
 
+@pytest.mark.parametrize("own", [None, "fifo"])
 @pytest.mark.parametrize("order", ["fifo", "overtaking"])
-def test_fifo_mail_is_read_in_the_order_in_which_it_was_sent(order):
+def test_fifo_mail_is_read_in_the_order_in_which_it_was_sent(order, own):
     clock = Clock()
-    net = Network(clock, nx.complete_graph(2), Links(latency=Uniform(high=1.0), order=order), seed=3)
+    links = Links(latency=Uniform(high=1.0), order=order, link=(Link(src=0, dst=1, order=own),) if own else ())
+    net = Network(clock, nx.complete_graph(2), links, seed=3)
     for k in range(50):
         event = Instant(clock, k * SECOND // 100, Phase.DECISION)
         event.callbacks.append(lambda _, k=k: net.send(0, 1, k))
     clock.run(until=5 * SECOND)
     read = [message.body for message in net.inbox(1).drain()]
     assert sorted(read) == list(range(50))
-    assert (read == sorted(read)) is (order == "fifo")
+    assert (read == sorted(read)) is ("fifo" in {order, own})
 
 
 def test_a_link_of_its_own_keeps_its_order_too():

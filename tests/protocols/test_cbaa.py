@@ -29,7 +29,7 @@ from desim.pursuit.word import Announcements, Assignment
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
-from protocols.claims import NO_BID, Bid, bids_of, chosen, current, offer, told, unread
+from protocols.claims import NO_BID, Bid, bids_of, chosen, claim_fields, current, offer, unread
 from protocols.dissemination import Flooding
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.token import TokenRing
@@ -353,7 +353,7 @@ def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
 
 @given(st.integers(0, 3), st.lists(BIDS, min_size=1, max_size=4))
 def test_what_is_told_is_understood(action, bids):
-    claim = Claim(*told(action, bids))
+    claim = Claim(*claim_fields(action, bids))
     assert bids_of(claim) == bids
     assert claim.active == (action if len(bids) > 1 else bool(action))
 

@@ -184,6 +184,18 @@ def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_
     assert all(believed == true for believed, true in late)
 
 
+@pytest.mark.parametrize("attempts", [1, 4])
+def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(attempts):
+    """Once it is known to be silent, each later request is made once."""
+    fault = Crash(at=2.0, node=3, scope="radio")
+    schedule = LocalMutex(attempts=attempts)
+    result = run(frozen(flips(schedule, Complete()(4)), count=4, latency=0.02, faults=(fault,)), 0)
+    for src in range(3):
+        asked = Counter(sent.body.stamp for sent in bodies(result, Request) if (sent.src, sent.dst) == (src, 3))
+        late = [number for stamp, number in asked.items() if stamp[0] > 2 * SECOND]
+        assert (late[0], set(late[1:])) == (attempts, {1})
+
+
 def test_after_a_partition_all_exclude_each_other_again():
     log = []
     fault = Partition(at=1.0, until=5.0, groups=((0, 2, 5),))

@@ -11,6 +11,7 @@ from desim.kernel.graphs import Ring, Star
 from desim.kernel.latency import Constant, Lognormal, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Halted, Started
@@ -233,6 +234,12 @@ def alone(count, **given):
 def test_a_host_waits_three_periods_and_a_round_trip_for_a_first_report_if_there_is_somebody_to_report():
     assert alone(1) == 0.0
     assert alone(3, loss=1.0) == pytest.approx(0.6)  # the first tick after 0.54 s
+
+
+def test_a_round_trip_is_longer_by_the_time_that_a_report_takes_to_be_sent_and_to_be_answered():
+    """72 bytes at 11520 bit/s take 0.05 s: the first tick after 0.3 + 2 (0.12 + 0.05) = 0.64 s."""
+    slow = Links(latency=Constant(value=0.12), loss=Bernoulli(p=1.0), medium=Bitrate(bitrate=11520.0))
+    assert alone(3, network=slow) == pytest.approx(0.7)
 
 
 def test_reports_of_one_instant_make_one_decision():

@@ -203,6 +203,17 @@ def test_who_is_first_of_any_evader_matters_and_that_one_has_been_captured():
     assert eta == [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]
 
 
+@pytest.mark.parametrize(("restarts", "eta"), [(0, 4.0), (1, 0.0)])
+def test_who_starts_anew_without_memory_counts_from_then_on(restarts, eta):
+    """Its first turn is at 2 s, in slots of 0.5 s."""
+    me = SimpleNamespace(id=0, restarts=restarts, now=2.0)
+    me.evaders, me.capture_time, me.beliefs = lambda: [1], lambda evader: 3.0, lambda evader=1: {}
+    slots = slots_seen(AdaptiveTau(), me, 0.5)
+    assert next(slots) == eta
+    me.now = 3.0
+    assert next(slots) == eta + 2.0
+
+
 def test_whom_one_has_heard_of_at_the_first_turn_is_no_surprise_even_if_it_is_first():
     def teammate(me):
         for k in range(50):

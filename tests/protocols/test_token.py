@@ -362,6 +362,24 @@ def test_a_robot_does_not_act_on_the_token_that_it_had_before_a_long_sleep():
     assert first.t - 10_000_000 in arrivals
 
 
+@pytest.mark.parametrize("memory", [True, False])
+def test_a_robot_without_memory_gives_the_token_that_it_gets_an_epoch_of_its_own(memory):
+    """It may have had this very token already. Pursuer 2 is down from 0.2 to 0.3 s, while the token is elsewhere."""
+    fault = Crash(at=0.2, until=0.3, node=2, memory=memory)
+    result = run(frozen(flips(TokenRing()), latency=0.05, horizon=3.0, faults=(fault,)), 0)
+    epochs = dict.fromkeys(sent.body.epoch[:2] for sent in bodies(result, Token))
+    assert list(epochs) == ([(1, 0)] if memory else [(1, 0), (2, 2)])
+
+
+def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
+    """Who is left alone keeps the token for 0.01 s at each hop, and greets the other at the first hop after 2.5 L."""
+    fault = Crash(at=1.0, node=1, scope="radio")
+    result = run(frozen(flips(TokenRing()), count=2, latency=0.1, horizon=7.0, faults=(fault,)), 0)
+    times = [sent.t for sent in bodies(result, Sign) if sent.src == 0 and sent.body.asks]
+    assert len(times) > 5
+    assert np.diff(times) == pytest.approx(0.25 * SECOND)
+
+
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 def test_a_partition_in_the_middle_of_a_round_has_two_tokens_and_one_when_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
@@ -416,7 +434,7 @@ def soak(seed):
     mean = 0.0 if isinstance(latency, Constant) else 0.03
     patience = 5 * count * (mean + hold) + 5 * max(2.5 * mean, hold)
     faults = [RandomPlan(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=storm)]
-    links = graph(count)
+    links = nx.Graph(graph(count))
     if rng.random() < 0.5:
         cut = sorted(rng.permutation(count)[: rng.integers(1, count)].tolist())
         faults.append(Partition(at=float(rng.uniform(0.0, storm)), groups=(tuple(cut),)))

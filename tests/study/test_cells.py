@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import threading
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -466,6 +467,11 @@ HELD = {
     "default": (lambda me, gain=1.0: iter(()), lambda me, gain=2.0: iter(())),
     "model": (Own(gain=1.0), Own(gain=2.0)),
     "model inside": (SpatialAdaptivePlay(tau=Warmth(level=1.0)), SpatialAdaptivePlay(tau=Warmth(level=2.0))),
+    "array": (made(np.array([0.1])), made(np.array([0.1 + 1e-9]))),
+    "long array": (Plain(np.arange(2000)), Plain(np.where(np.arange(2000) == 9, 0, np.arange(2000)))),
+    "object in a closure": (made(Plain(1.0)), made(Plain(2.0))),
+    "object in an object": (Plain(Plain(1.0)), Plain(Plain(2.0))),
+    "method": (Plain(1.0).__call__, Plain(2.0).__call__),
 }
 
 
@@ -479,6 +485,22 @@ def test_what_a_rule_of_a_script_holds_does_not_depend_on_where_it_lies():
     one, other = made(made(1.0)), made(made(1.0))
     assert identity(Scenario(protocol=one)) == identity(Scenario(protocol=other))
     assert identity(Scenario(protocol=Plain(1.0))) == identity(Scenario(protocol=Plain(1.0)))
+
+
+def test_it_counts_which_of_several_places_holds_what():
+    """Of two links and three, with the same two models between them."""
+
+    def of(*levels):
+        links = [{"src": 0, "dst": k + 1, "latency": made(level)} for k, level in enumerate(levels)]
+        return identity(Scenario(team=Team(count=4), network=Links(link=links)))
+
+    assert len({of(1.0, 2.0), of(2.0, 1.0), of(1.0, 2.0, 1.0), of(1.0, 2.0, 2.0)}) == 4
+
+
+def test_what_cannot_be_told_apart_is_refused_with_its_key():
+    lock = threading.Lock()
+    with pytest.raises(ScenarioError, match=r"^evader\.strategy: 'lock' objects .*__getstate__"):
+        identity(Scenario(evader={"strategy": lambda state, rng: lock}))
 
 
 def test_the_graph_in_a_file_counts(tmp_path):
@@ -538,4 +560,4 @@ def test_a_value_has_a_short_name(value, text):
 def test_a_configuration_is_told_by_its_settings():
     (cell,) = of({"horizon": [2.0], "protocol": [{"kind": "sap"}]})
     assert str(cell) == "horizon = 2, protocol = sap"
-    assert module.told(cell.settings) == str(cell)
+    assert module.in_words(cell.settings) == str(cell)

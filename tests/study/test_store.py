@@ -7,8 +7,10 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
+import numpy as np
 import pytest
 
+from desim.scenario import Scenario
 from desim.scenario_file import load, read
 from desim.study.store import Row, Store
 from desim.study.sweep import Plan, sweep
@@ -185,6 +187,22 @@ def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path
             assert statuses(store, plan) == {(0, "ok", "0.sqlite"), (1, "ok", "1.sqlite")}
 
 
+def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, file):
+    plan = Plan.of(load(file))
+    failures = [("error", "one"), ("crashed", "two")]
+    stores = [Store(tmp_path / f"{text}.sqlite") for _, text in failures]
+    for store, failure in zip(stores, failures, strict=True):
+        plan.enter(store)
+        store.add(plan.cells[0].key, 0, run_of(0, *failure))
+    for order in (1, -1):
+        with Store() as merged:
+            for store in stores[::order]:
+                merged.take(store)
+            assert statuses(merged, plan) == {(0, *failures[::order][0])}
+    for store in stores:
+        store.close()
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -243,3 +261,21 @@ def test_a_merged_store_says_what_it_was_made_of(tmp_path, file):
     assert (made["what"], made["stores"]) == ("merge", stores)
     with Store(tmp_path / "all" / "sweep.sqlite") as store:
         assert made["runs"] == len(store) > 0
+
+
+def test_a_store_does_not_return_the_results_of_another_model(tmp_path):
+    """Evaders that stand and that flee, by the same code and a table of which `repr` shows the ends only."""
+
+    def times(heading, store):
+        table = np.zeros(2000)
+        table[1000] = heading
+        scenario = Scenario(horizon=1.0, evader={"strategy": lambda outlook, rng: table[1000]})
+        (group,) = sweep(scenario, {"team.count": [4]}, reps=2, store=store).groups
+        return group.values("potential_gap")
+
+    standing, fleeing = (times(heading, None) for heading in (0.0, 1.0))
+    assert standing != fleeing
+    store = tmp_path / "one.sqlite"
+    assert [times(0.0, store), times(1.0, store), times(0.0, store)] == [standing, fleeing, standing]
+    with Store(store) as kept:
+        assert len(kept) == 4

@@ -372,6 +372,12 @@ def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
     assert max(map(len, jobs)) - min(map(len, jobs)) <= 1
 
 
+def test_a_part_has_every_nth_run_so_that_each_has_some_of_every_configuration():
+    plan = Plan.of(BASE, GRID, 3)
+    for part in (1, 2, 3):
+        assert plan.shard(part, 3) == [(cell, part - 1) for cell in plan.cells]
+
+
 @pytest.mark.parametrize("part", [0, 4])
 def test_a_part_that_there_is_not_is_refused(part):
     with pytest.raises(ValueError, match="1/3 to 3/3"):

@@ -1,0 +1,204 @@
+"""What tells one object from another: a hash of all that it is made of, however deep, code included.
+
+It takes an object apart as pickling does. What can be imported counts with its name and, unless it is desim's or
+Python's own or of a library whose version is recorded, with the text of its module; what is defined in a script, at a
+prompt or within a function counts with its compiled code, and with all that this reads.
+"""
+
+import copyreg
+import hashlib
+import inspect
+import pickle
+import sys
+from collections.abc import Iterable, Iterator
+from dis import get_instructions
+from functools import cache, cached_property
+from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from desim.provenance import NUMERICS
+from desim.study.foreign import OURS
+
+ATOMS = {NoneType, bool, int, float, complex, str, bytes}
+"""Types of which `repr` tells all."""
+KNOWN = {*OURS, *NUMERICS, *sys.stdlib_module_names}
+"""Packages that count with their names only."""
+WRAPPERS = {staticmethod: "__func__", classmethod: "__func__", cached_property: "func"}
+"""Where what is put around a method has it."""
+
+
+class UntoldError(ValueError):
+    """There is no telling an object from others of its kind."""
+
+
+class Fingerprint:
+    """The hashes of objects of one scenario: `fingerprint(value)`.
+
+    What can change and is met twice differs from two that are alike.
+
+    Raises:
+        UntoldError: if an object holds what cannot be taken apart, such as a lock, a file or a generator.
+    """
+
+    def __init__(self) -> None:
+        self._met: dict[int, tuple[int, Any]] = {}  # with the object, so that no other one gets its place
+        self._text = cache(_text)  # read once for many objects of a class, and again when a module may have changed
+
+    def __call__(self, value: Any) -> str:
+        """Return the hash of an object; O(n) in what it is made of."""
+        try:
+            return self._of(value).hex()[:16]
+        except RecursionError as error:
+            raise UntoldError(f"{type(value).__qualname__!r} objects lie too deep in each other") from error
+
+    def _of(self, value: Any) -> bytes:
+        kind = type(value)
+        if kind in ATOMS:
+            return _hash("atom", repr(value))
+        if kind is tuple:
+            return self._all("tuple", value)
+        if isinstance(value, ModuleType):
+            return _hash("module", value.__name__)
+        if isinstance(value, type | FunctionType) and _is_importable(value):
+            return _hash("name", value.__module__, value.__qualname__, self._text(value.__module__))
+        if id(value) in self._met:
+            return _hash("met", str(self._met[id(value)][0]))
+        self._met[id(value)] = len(self._met), value
+        return self._made_of(value)
+
+    def _all(self, kind: str, values: Iterable[Any]) -> bytes:
+        return _hash(kind, *map(self._of, values))
+
+    def _made_of(self, value: Any) -> bytes:
+        """Return the hash of what is no plain value and is met for the first time."""
+        kind = type(value)
+        if kind in {dict, MappingProxyType}:
+            return self._all(kind.__name__, (each for item in value.items() for each in item))
+        if kind is list:
+            return self._all("list", value)
+        if kind in {set, frozenset}:
+            return _hash(kind.__name__, *sorted(map(self._of, value)))
+        if kind is np.ndarray and not value.dtype.hasobject:
+            return _hash("array", repr(value.dtype), repr(value.shape), value.tobytes())
+        if kind in WRAPPERS:
+            return self._all(kind.__name__, [getattr(value, WRAPPERS[kind])])
+        if kind is property:
+            return self._all("property", [value.fget, value.fset, value.fdel])
+        if isinstance(value, FunctionType):
+            return self._function(value)
+        if isinstance(value, CodeType):
+            return self._code(value)
+        if isinstance(value, type):
+            return self._class(value)
+        if isinstance(value, BaseModel):
+            own = value.__pydantic_extra__, value.__pydantic_private__
+            return self._all("model", [kind, _lasting(kind, vars(value)), *own])
+        return self._object(value)
+
+    def _function(self, function: FunctionType) -> bytes:
+        """Return the hash of a function that cannot be imported."""
+        code = function.__code__
+        cells = {
+            name: held
+            for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)
+            for held in _held(cell)
+        }
+        space = function.__globals__ if function.__module__ == "__main__" else {}  # else the module's text tells
+        reads = {name: space[name] for name in sorted(_reads(code)) if name in space}
+        given = function.__defaults__, function.__kwdefaults__, vars(function)
+        return self._all(
+            "function", [function.__qualname__, self._text(function.__module__), code, cells, reads, *given]
+        )
+
+    def _code(self, code: CodeType) -> bytes:
+        return self._all("code", [code.co_code, code.co_names, code.co_freevars, code.co_consts])
+
+    def _class(self, home: type) -> bytes:
+        """Return the hash of a class that cannot be imported; what Python and pydantic make of it does not count."""
+        own = {
+            name: each
+            for name, each in vars(home).items()
+            if isinstance(each, FunctionType | staticmethod | classmethod | property)
+            or not (name.startswith("__") or name == "_abc_impl")
+        }
+        return self._all("class", [home.__qualname__, self._text(home.__module__), home.__bases__, own])
+
+    def _object(self, value: Any) -> bytes:
+        """Return the hash of an object as it would be pickled."""
+        kind = type(value)
+        reduce = copyreg.dispatch_table.get(kind)
+        try:
+            made: Any = value.__reduce_ex__(4) if reduce is None else reduce(value)
+        except Exception as error:  # whatever the object's own code raises
+            raise UntoldError(f"{kind.__qualname__!r} objects cannot be told apart ({error})") from error
+        if isinstance(made, str):
+            return self._global(value, made)
+        make, args, state, *rest = (*made, None)[:5]
+        return self._all("object", [kind, make, args, _lasting(kind, state), *(each and list(each) for each in rest)])
+
+    def _global(self, value: Any, name: str) -> bytes:
+        """Return the hash of what pickling looks up by its name."""
+        if (wrapped := getattr(value, "__wrapped__", None)) is not None:  # a function with a cache
+            return self._all("wrapped", [wrapped])
+        module: str = pickle.whichmodule(value, name)  # type: ignore[attr-defined]
+        if _found(module, name) is not value:
+            raise UntoldError(f"{type(value).__qualname__!r} objects cannot be told apart ({name!r} is in no module)")
+        return _hash("global", module, name, self._text(module))
+
+
+def _hash(*parts: str | bytes) -> bytes:
+    digest = hashlib.sha256()
+    for part in parts:
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(f"{len(content)}:".encode() + content)
+    return digest.digest()
+
+
+def _lasting(kind: type, state: Any) -> Any:
+    """Return the state of an object without what it has worked out from the rest."""
+    if not isinstance(state, dict):
+        return state
+    return {
+        name: each
+        for name, each in state.items()
+        if not (isinstance(name, str) and isinstance(getattr(kind, name, None), cached_property))
+    }
+
+
+def _held(cell: CellType) -> Iterator[Any]:
+    """Yield what a variable of an enclosing function is, if it is anything yet."""
+    try:
+        yield cell.cell_contents
+    except ValueError:
+        return
+
+
+def _reads(code: CodeType) -> set[str]:
+    """Return the names of the globals that a function reads."""
+    own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
+    return own.union(*(_reads(each) for each in code.co_consts if isinstance(each, CodeType)))
+
+
+def _found(module: str, name: str) -> Any:
+    """Return what a name means in a module, None if nothing."""
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return found
+
+
+def _is_importable(home: type | FunctionType) -> bool:
+    return home.__module__ != "__main__" and _found(home.__module__, home.__qualname__) is home
+
+
+def _text(module: str) -> str:
+    """Return the text of a module that is not known, "" if it is known, a script, or has none."""
+    if module == "__main__" or module.partition(".")[0] in KNOWN:
+        return ""
+    try:
+        return inspect.getsource(sys.modules[module])
+    except (KeyError, OSError, TypeError):
+        return ""

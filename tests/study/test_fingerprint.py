@@ -1,0 +1,360 @@
+"""The fingerprint: whatever differs has another one, what is alike has the same, and what cannot be told is refused."""
+
+import copy
+import linecache
+import random
+import re
+import subprocess
+import sys
+import threading
+from collections import Counter, OrderedDict, deque
+from collections.abc import Sized
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property, lru_cache, partial, reduce
+from importlib import import_module
+from math import inf, nan, nextafter
+from types import MappingProxyType, SimpleNamespace
+
+import networkx as nx
+import numpy as np
+import pytest
+from pydantic import BaseModel, PrivateAttr
+
+from desim.study.fingerprint import Fingerprint, UntoldError
+from desim.value import Value
+
+
+def fingerprint(value):
+    return Fingerprint()(value)
+
+
+class Plain:
+    def __init__(self, gain):
+        self.gain = gain
+
+    @cached_property
+    def twice(self):
+        return 2 * self.gain
+
+    def rule(self, me):
+        return iter((self.gain,))
+
+
+class Slotted:
+    __slots__ = ("gain",)
+
+    def __init__(self, gain):
+        self.gain = gain
+
+
+class Keen(Slotted):
+    """It says itself what it is made of."""
+
+    __slots__ = ("lock",)
+
+    def __getstate__(self):
+        return self.gain
+
+
+@dataclass(frozen=True)
+class Record:
+    gain: object
+
+
+class Model(Value):
+    gain: float = 1.0
+    _table: tuple[float, ...] = PrivateAttr(default=())
+
+    @cached_property
+    def twice(self):
+        return 2 * self.gain
+
+
+class Open(BaseModel, extra="allow"):
+    pass
+
+
+class Colour(Enum):
+    RED = 1
+    BLUE = 2
+
+
+def enclosing(gain):
+    return lambda me: gain
+
+
+def by_default(gain):
+    return lambda me, gain=gain: gain
+
+
+def with_attribute(gain):
+    def rule(me):
+        return rule.gain
+
+    rule.gain = gain
+    return rule
+
+
+def remembering(gain):
+    @lru_cache
+    def rule(me):
+        return gain
+
+    return rule
+
+
+def one_of_two(gain):
+    if gain == 1.0:
+
+        def rule(me):
+            return 1.0
+
+    else:
+
+        def rule(me):
+            return 2.0
+
+    return rule
+
+
+def with_private(gain):
+    model = Model()
+    model._table = (gain,)
+    return model
+
+
+def local(gain):
+    class Local:
+        kept = gain
+
+        def __call__(self, me):
+            return self.kept
+
+    return Local()
+
+
+def local_closure(gain):
+    class Local:
+        @property
+        def gain(self):
+            return gain
+
+    return Local
+
+
+def circle(gain):
+    first, second = Plain(gain), Plain(None)
+    first.next, second.next = second, first
+    return first
+
+
+def various(gain):
+    class Local(Sized):
+        __slots__ = ("slot",)
+
+        def __len__(self):
+            return 1
+
+        @staticmethod
+        def one(me):
+            return 1.0
+
+        @classmethod
+        def other(cls, me):
+            return gain
+
+    return Local
+
+
+def derived(gain):
+    class Local:
+        @cached_property
+        def rule(self):
+            return gain
+
+    return Local
+
+
+TABLE = np.arange(2000.0)
+MADE_OF = {
+    "object": Plain,
+    "object inside": lambda gain: Plain([{"a": Plain(gain)}]),
+    "objects in a circle": circle,
+    "slots": Slotted,
+    "dataclass": Record,
+    "state": lambda gain: Keen(gain),
+    "model": lambda gain: Model(gain=gain),
+    "what a model keeps to itself": with_private,
+    "method": lambda gain: Plain(gain).rule,
+    "closure": enclosing,
+    "closure over an object": lambda gain: enclosing(Plain(gain)),
+    "closure over a closure": lambda gain: enclosing(enclosing(gain)),
+    "default": by_default,
+    "default of a keyword": lambda gain: eval(f"lambda me, *, gain={gain}: gain"),
+    "name that is read": lambda gain: eval(f"lambda me: me.gain_{gain:.0f}"),
+    "attribute of a function": with_attribute,
+    "function with a cache": remembering,
+    "functions of one name": one_of_two,
+    "partial": lambda gain: partial(enclosing, gain),
+    "attribute of a local class": local,
+    "method of a local class": local_closure,
+    "methods of a local class": various,
+    "property that is kept": derived,
+    "what a model has beside its fields": lambda gain: Open(gain=gain),
+    "array": lambda gain: np.array([0.1, gain]),
+    "array of objects": lambda gain: np.array([Plain(gain)], dtype=object),
+    "masked array": lambda gain: np.ma.array([1.0, 2.0], mask=[False, gain > 1.0]),
+    "long array": lambda gain: np.where(TABLE == 1000.0, gain, TABLE),
+    "scalar": np.float64,
+    "tuple": lambda gain: (gain,),
+    "dict": lambda gain: {"a": gain},
+    "key": lambda gain: {gain: "a"},
+    "proxy": lambda gain: MappingProxyType({"a": gain}),
+    "set": lambda gain: {"a", gain},
+    "deque": lambda gain: deque([gain], maxlen=3),
+    "counter": lambda gain: Counter({"a": gain}),
+    "ordered": lambda gain: OrderedDict(a=gain),
+    "namespace": lambda gain: SimpleNamespace(a=gain),
+    "generator of numbers": lambda gain: np.random.default_rng(int(gain)),
+    "generator of Python": lambda gain: random.Random(int(gain)),
+    "graph": lambda gain: nx.path_graph(int(gain) + 2),
+    "enumeration": lambda gain: Colour(int(gain)),
+    "pattern": lambda gain: re.compile(f"{gain}"),
+    "slice": slice,
+}
+
+
+@pytest.mark.parametrize("make", MADE_OF.values(), ids=MADE_OF)
+def test_what_differs_somewhere_inside_has_another_fingerprint(make):
+    assert fingerprint(make(1.0)) == fingerprint(make(1.0)) != fingerprint(make(2.0))
+
+
+UNLIKE = [
+    (0.1, nextafter(0.1, 1.0)),
+    (0.0, -0.0),
+    (inf, -inf),
+    (inf, nan),
+    (1, 1.0),
+    (1, True),
+    (1, "1"),
+    ("1", b"1"),
+    (1.0, np.float64(1.0)),
+    (None, "None"),
+    ((1, 2), [1, 2]),
+    ([1, 2], [[1, 2]]),
+    (["a", "b"], ["ab"]),
+    ([], ()),
+    ({"a": 1}, [("a", 1)]),
+    ({1}, frozenset({1})),
+    (np.array([0.1]), np.array([0.1 + 1e-9])),
+    (TABLE, TABLE.reshape(40, 50)),
+    (TABLE, TABLE.astype(">f8")),
+    (np.zeros(2, np.int64), np.zeros(2)),
+    (np.sin, np.cos),
+    (len, max),
+    (Plain, Slotted),
+    (Plain(1.0), Slotted(1.0)),
+    (np, random),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), UNLIKE)
+def test_what_looks_alike_is_told_apart(one, other):
+    assert fingerprint(one) != fingerprint(other)
+
+
+def test_a_copy_has_the_fingerprint_of_what_it_is_a_copy_of():
+    held = [Plain({"a": (TABLE, Slotted(1.0))}), circle(1.0), np.random.default_rng(3), nx.path_graph(3)]
+    assert fingerprint(held) == fingerprint(copy.deepcopy(held))
+
+
+def test_what_is_shared_and_can_change_is_not_the_same_as_what_is_there_twice():
+    shared, number = Plain(1.0), (1.0, 2.0)
+    assert fingerprint([shared, shared]) != fingerprint([Plain(1.0), Plain(1.0)])
+    one, other = Plain(1.0), Plain(1.0)
+    assert fingerprint([one, other, one]) != fingerprint([one, other, other])
+    assert fingerprint([number, number]) == fingerprint([number, tuple([1.0, 2.0])])  # noqa: C409
+
+
+@pytest.mark.parametrize("make", [Plain, lambda gain: Model(gain=gain)])
+def test_what_has_been_worked_out_from_the_rest_does_not_count(make):
+    one = make(1.0)
+    before = fingerprint(one)
+    assert one.twice == 2.0
+    assert fingerprint(one) == before
+
+
+def deep(_):
+    return reduce(lambda inner, _: Plain(inner), range(5000), None)
+
+
+@pytest.mark.parametrize(
+    ("make", "why"),
+    [
+        (lambda _: threading.Lock(), "'lock' objects cannot be told apart (cannot pickle '_thread.lock' object)"),
+        (lambda _: (each for each in ()), "'generator' objects cannot be told apart"),
+        (lambda _: {}.keys(), "'dict_keys' objects cannot be told apart"),
+        (lambda _: np.frompyfunc(lambda x: x, 1, 1), "'ufunc' objects cannot be told apart"),
+        (lambda path: path.open("w"), "'TextIOWrapper' objects cannot be told apart"),
+        (deep, "'Plain' objects lie too deep in each other"),
+    ],
+)
+def test_what_cannot_be_told_apart_is_refused(make, why, tmp_path):
+    held = make(tmp_path / "file")
+    with pytest.raises(UntoldError, match=re.escape(why)):
+        fingerprint(Plain([held]))
+    getattr(held, "close", int)()
+
+
+MODULE = """
+FACTOR = {}
+class Rule:
+    pass
+def rule(me):
+    return FACTOR
+def make():
+    return lambda me: FACTOR
+"""
+
+
+@pytest.mark.parametrize("made", ["Rule()", "rule", "make()"])
+def test_the_text_of_a_module_beside_the_file_counts(tmp_path, monkeypatch, made):
+    """For what is held of it: an object of its class, its function, and one that its function makes."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    found = []
+    for factor in (1, 1, 2):
+        (tmp_path / "beside.py").write_text(MODULE.format(factor))
+        linecache.clearcache()  # it goes by size and time of a file
+        sys.modules.pop("beside", None)
+        found.append(fingerprint([eval(made, vars(import_module("beside")))]))
+    sys.modules.pop("beside")
+    assert found[0] == found[1] != found[2]
+
+
+SCRIPT = """
+from desim.study.fingerprint import Fingerprint
+FACTOR = {factor}
+OTHER = {other}
+def helper():
+    return [FACTOR for _ in range(2)]
+class Base:
+    def gain(self):
+        return helper()
+class Rule(Base):
+    def __call__(self, me):
+        return me in {{"a", "b", "c"}} and self.gain()
+print(Fingerprint()(Rule()))
+"""
+
+
+@pytest.mark.slow
+def test_in_a_script_what_a_rule_reads_counts_and_nothing_else_in_every_process(tmp_path):
+    def of(seed="1", **texts):
+        (tmp_path / "script.py").write_text(SCRIPT.format(**{"factor": 1, "other": 1} | texts))
+        environment = {"PYTHONHASHSEED": seed, "PYTHONPATH": ":".join(sys.path)}
+        call = [sys.executable, str(tmp_path / "script.py")]
+        return subprocess.run(call, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert of() == of(seed="2") == of(other=2) != of(factor=2)
