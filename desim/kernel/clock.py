@@ -102,6 +102,7 @@ class NodeClock:
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
+        self._right = offset == 0.0 and rate == 1.0
 
     @property
     def now(self) -> float:
@@ -111,7 +112,7 @@ class NodeClock:
     @property
     def stamp(self) -> int:
         """What it shows, ns."""
-        return round(self.now * SECOND)
+        return self._env.now if self._right else round(self.now * SECOND)
 
     @property
     def true(self) -> int:

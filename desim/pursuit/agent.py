@@ -173,11 +173,12 @@ class Agent:
 
         Whose last word arrived longer ago than `forget_after` is not believed active. Times in s; nan if not told.
         """
-        return self._beliefs.rivals(evader)[1]
+        _, rivals, times = self._beliefs.rivals(evader)
+        return dict(zip(rivals, times, strict=True))
 
     def believed_active(self, evader: int = 1) -> list[int]:
         """Return the teammates that it believes to chase an evader; see `believed`."""
-        return list(self._beliefs.rivals(evader)[1])
+        return self._beliefs.rivals(evader)[1]
 
     def beliefs(self, period: float | None = None, evader: int = 1) -> dict[int, Belief]:
         """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
@@ -207,11 +208,10 @@ class Agent:
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return what it gains by chasing an evader, given who it believes does, s; see `desim.pursuit.game.gain`."""
-        own, rivals = self._beliefs.rivals(evader)
-        if utility.scope != "heard":
-            circle = self.circle(utility.scope)
-            rivals = {j: phi for j, phi in rivals.items() if j in circle}
-        return utility(own, [phi for phi in rivals.values() if phi < inf], self.time_left())
+        own, rivals, times = self._beliefs.rivals(evader)
+        circle = None if utility.scope == "heard" else self.circle(utility.scope)
+        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (circle is None or j in circle)]
+        return utility(own, others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
         """Return who hears it now, or who hears a teammate, as its radio would find out."""

@@ -75,16 +75,15 @@ class Beliefs:
         oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
         return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
 
-    def rivals(self, evader: int) -> tuple[float, dict[int, float]]:
-        """Return its own time of capture of an evader, and those of the trusted teammates believed to chase it, s."""
-        oldest = self._clock.true - self._memory
-        words = self._network.marked(self._id)  # of those that chase any
-        chasing = {j: words[j][1] for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest}
+    def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
+        """Return its own time of capture of an evader, the trusted teammates believed to chase it, and theirs, s."""
+        oldest, words = self._clock.true - self._memory, self._network.marked(self._id)
+        chasing = [j for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest]
         if self.senses_others:
             own, *times = self._world.capture_times_of([self._id, *chasing], evader)
-            return own, dict(zip(chasing, times, strict=True))
+            return own, chasing, times
         (own,) = self._world.capture_times_of([self._id], evader)
-        return own, {j: self._time(word, evader) for j, word in chasing.items()}
+        return own, chasing, [self._time(words[j][1], evader) for j in chasing]
 
     def all(self, period: float | None, evader: int) -> dict[int, Belief]:
         """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""

@@ -61,7 +61,8 @@ class Steering:
         duration, players, law = seconds(until - now), self._players, self._law
         velocities = self._stillness.copy()
         for target in self._targets:
-            flight, place = target.flight(now, handover=handover), target.state(now).evader
+            state = target.state(now)
+            flight, place = target.flight(state, handover=handover), state.evader
             if self._evader_first:
                 target.seen.see(now, place, place + flight * duration, flight)
             else:

@@ -104,16 +104,16 @@ class Target:
         """Return every pursuer's time of capture over (N,) distances (m), s."""
         return tuple(self._radial_time(distances).tolist())
 
-    def flight(self, now: int, *, handover: bool) -> complex:
-        """Return the velocity it chooses now (ns), m/s; 0 once it has been captured.
+    def flight(self, state: State, *, handover: bool) -> complex:
+        """Return the velocity it chooses in the present state, m/s; 0 once it has been captured.
 
         Args:
-            now: ns.
+            state: as `state` returns it.
             handover: whether word of a change of action is in flight.
         """
         if self.captured is not None:
             return 0j
-        return self.speed * self._mind.heading(self.state(now), handover)
+        return self.speed * self._mind.heading(state, handover)
 
     def contact(
         self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]

@@ -94,6 +94,7 @@ def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_o
     assert names(tmp_path) == DATA
 
 
+@pytest.mark.slow
 def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_path):
     """Whatever `replay` and `draw` make; a folder `seed-S` has a scenario of its own."""
     write_below(tmp_path, run(seen, 4))
