@@ -310,10 +310,12 @@ class World:
         self._at(self._env.now, Phase.SAMPLE + 1, lambda _: self.finish("stopped"))
 
     def _move(self, step: int) -> Generator[simpy.Event, None, None]:
-        """Give everyone a new heading at every motion step."""
+        """Give everyone a new heading at every motion step, up to the horizon."""
         for end in count(step, step):
             yield Instant(self._env, self._step_end, Phase.MOTION)
             now = self._env.now
+            if now == self._horizon:
+                return
             self._step_end = min(end, self._horizon)
             handover = self._radio is not None and self._radio.hands_over(now)
             self._steering.step(now, self._step_end, handover=handover)

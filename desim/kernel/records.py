@@ -96,7 +96,7 @@ class Records:
         self._waiting: list[list[Any]] = [[] for _ in range(size)]
         self._late: dict[int, list[Any]] = {}
         self._tables: list[Table] = [{} for _ in range(size)]
-        self._marked: list[Table] = [{} for _ in range(size)]
+        self._marked: list[Table] = [{} for _ in range(size)] if mark is not None else [{}] * size
         self._noted, self._patience = 0, max(4096, size)
         self._entered: set[int] = set()  # readers that records reach out of order
         self._forgetful: set[int] = set()  # readers that have forgotten what was presumed

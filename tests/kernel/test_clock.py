@@ -1,8 +1,11 @@
 """The clock: whole nanoseconds, no drift, and a stated order at one instant."""
 
+import gc
+from contextlib import nullcontext
+
 import pytest
 
-from desim.kernel.clock import SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+from desim.kernel.clock import RARELY, SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
 
 
 def test_three_tenths_and_thirty_hundredths_are_the_same_instant():
@@ -66,3 +69,21 @@ def test_a_clock_that_is_wrong_shows_offset_and_drift_and_knows_the_true_time():
     assert (clock.now, clock.true) == (5.0, 2 * SECOND)
     assert clock.when(8.0) == 4 * SECOND
     assert clock.span(3.0) == 2 * SECOND
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_the_garbage_collector_looks_rarely_during_a_run_and_as_before_after_it(fails):
+    """Also after a run that fails."""
+    usual, clock, seen = gc.get_threshold(), Clock(), []
+
+    def process():
+        yield Instant(clock, SECOND, Phase.MOTION)
+        seen.append(gc.get_threshold())
+        if fails:
+            raise ArithmeticError
+
+    clock.process(process())
+    with pytest.raises(ArithmeticError) if fails else nullcontext():
+        clock.run()
+    assert seen == [RARELY]
+    assert gc.get_threshold() == usual != RARELY

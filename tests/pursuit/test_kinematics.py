@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.events import Trace
+from desim.kernel.links import Links
 from desim.pursuit import steering, target
+from desim.pursuit.evasion import Still
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import lengths
@@ -99,3 +101,43 @@ def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, eva
         traces.append(list(play().trace))
     assert traces[0] == traces[1] == traces[2]
     assert len(traces[0]) > 600
+
+
+def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():
+    """No motion step begins at the horizon, so time goes on."""
+    world = World(env := Clock(), Scenario(horizon=1.0, team=Team(count=3)), 0, Trace())
+    world.begin()
+    env.run(until=2 * SECOND)
+    assert world.end is not None
+    assert world.end.t == SECOND
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
+    """600 of them, more than are all looked at, on a line 10 m apart; one runs 95 m along it, heard all the way."""
+    seen, size = {}, 600
+    runner = size - 1
+    positions = [(10.0 * k, 0.0) for k in range(runner)] + [(0.0, 3.0)]
+
+    def protocol(me):
+        for k in range(20):
+            yield me.at(0.5 * k)
+            if me.id == runner:
+                me.assign(True)
+                seen[k] = me.neighbours()
+
+    team = Team(positions=positions, speeds=[0.0] * runner + [10.0], active_at_start=0.0)
+    run(
+        Scenario(
+            horizon=9.9,
+            team=team,
+            evader=Evader(position=(5000.0, 3.0), speed=0.0, strategy=Still()),
+            protocol=protocol,
+            network=Links(range=12.0),
+            motion=Motion(step=0.1, frozen=frozen),
+        )
+    )
+    for k, near in seen.items():
+        x = 0.0 if frozen else 5.0 * k
+        assert near == [j for j in range(runner) if (10.0 * j - x) ** 2 + 9.0 <= 144.0]
+    assert len(seen) == 20
