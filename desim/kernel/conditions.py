@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from desim.kernel.positions import Whereabouts, as_positions
+from desim.kernel.positions import Locator, as_positions
 
 Cut = Mapping[int, int]
 """The group of each node that is named; all others form one more."""
@@ -16,7 +16,7 @@ Disc = tuple[tuple[float, float], float]
 class Conditions:
     """The faults that are open; each is opened and closed by the one who knows it."""
 
-    def __init__(self, positions: Whereabouts | None = None):
+    def __init__(self, positions: Locator | None = None):
         self._positions = None if positions is None else as_positions(positions)
         self._down: Counter[int] = Counter()
         self._cuts: list[Cut] = []

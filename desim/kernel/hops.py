@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.positions import Whereabouts, as_positions, distances
+from desim.kernel.positions import Locator, as_positions, distances
 from desim.kernel.seeds import pair_luck
 
 
@@ -21,7 +21,7 @@ class Hops:
     """Bytes."""
     seed: int = 0
     """Of the run."""
-    positions: Whereabouts | None = None
+    positions: Locator | None = None
 
     @property
     def distances(self) -> NDArray[np.float64]:

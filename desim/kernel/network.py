@@ -23,7 +23,7 @@ from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tall
 from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
-from desim.kernel.positions import Whereabouts
+from desim.kernel.positions import Locator
 from desim.kernel.records import Arrival, Mark, Record, Records, Table, each
 from desim.kernel.topology import Topology
 from desim.kernel.travel import Travel
@@ -74,7 +74,7 @@ class Network:
         links: Links | None = None,
         *,
         seed: int = 0,
-        positions: Whereabouts | None = None,
+        positions: Locator | None = None,
         trace: Trace | None = None,
         conditions: Conditions | None = None,
         mark: Mark | None = None,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.intp]
-Whereabouts = Callable[[], Floats]
+Locator = Callable[[], Floats]
 """Returns everybody's position now, (n, 2) m; what more `Positions` can tell makes large networks fast."""
 
 
@@ -35,7 +35,7 @@ class _Told:
 
     fastest = inf
 
-    def __init__(self, everybody: Whereabouts):
+    def __init__(self, everybody: Locator):
         self._everybody = everybody
 
     def __call__(self) -> Floats:
@@ -45,9 +45,9 @@ class _Told:
         return self().take(nodes, axis=0)
 
 
-def as_positions(whereabouts: Whereabouts) -> Positions:
+def as_positions(locator: Locator) -> Positions:
     """Return what a function tells of positions as `Positions`, unless it is that already."""
-    return cast("Positions", whereabouts) if hasattr(whereabouts, "of") else _Told(whereabouts)
+    return cast("Positions", locator) if hasattr(locator, "of") else _Told(locator)
 
 
 def distances(at: Floats, here: int) -> Floats:

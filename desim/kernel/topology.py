@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from desim.kernel.cells import Cells
 from desim.kernel.complete import complete_digraph, is_complete, is_worked_out
-from desim.kernel.positions import Floats, Nodes, Whereabouts, as_positions, distances
+from desim.kernel.positions import Floats, Locator, Nodes, as_positions, distances
 from desim.kernel.reach import Disk, Reach, bound
 from desim.kernel.seeds import ROOM, pair_luck
 
@@ -44,7 +44,7 @@ class Topology:
         self,
         graph: "nx.Graph[int]",
         range: float = inf,  # noqa: A002
-        positions: Whereabouts | None = None,
+        positions: Locator | None = None,
         reach: Reach | None = None,
         *,
         frozen: bool = True,

@@ -15,7 +15,7 @@ from desim.kernel.hops import Hops
 from desim.kernel.latency import Constant, Independent
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.positions import Whereabouts
+from desim.kernel.positions import Locator
 from desim.kernel.records import Arrival, each
 from desim.kernel.seeds import stream
 from desim.value import LONGEST
@@ -49,9 +49,7 @@ class Travel:
         ValueError: if a link that is not like the rest is not in the graph.
     """
 
-    def __init__(
-        self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Whereabouts | None, purpose: str = ""
-    ):
+    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Locator | None, purpose: str = ""):
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
