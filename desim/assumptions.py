@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import networkx as nx
 
+from desim.kernel.complete import is_complete
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomPlan
 from desim.kernel.loss import Bernoulli
 from desim.kernel.reach import Disk
@@ -32,7 +33,8 @@ def connected(scenario: "Scenario") -> str | None:
     """Everybody is linked to everybody, over any number of hops."""
     if parted := undivided(scenario):
         return parted
-    if not nx.is_strongly_connected(_who_hears_whom(scenario)):
+    graph = _who_hears_whom(scenario)
+    if not is_complete(graph) and not nx.is_strongly_connected(graph):
         return "as it begins the network has several components"
     return None
 
@@ -52,6 +54,8 @@ def component_heard(scenario: "Scenario") -> str | None:
     graph = _who_hears_whom(scenario)
     if _is_passed_on(scenario):
         return _too_wide(scenario)
+    if is_complete(graph):
+        return None
     parts = nx.weakly_connected_components(graph)
     if any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
         return "as it begins some are linked over several hops only, and word is not passed on (`announce.spread`)"
@@ -200,7 +204,10 @@ def _too_wide(scenario: "Scenario") -> str | None:
     hops = getattr(scenario.announce.spread, "hops", inf)
     if hops == inf or _spread_by_schedule(scenario) == "all":
         return None
-    lengths = nx.all_pairs_shortest_path_length(_who_hears_whom(scenario))
+    graph = _who_hears_whom(scenario)
+    if is_complete(graph):
+        return None
+    lengths = nx.all_pairs_shortest_path_length(graph)
     widest = max(max(found.values()) for _, found in lengths)
     return f"as it begins word has {widest} hops to travel and travels {hops}" if widest > hops else None
 
