@@ -125,6 +125,8 @@ class World:
 
     def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
         """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
+        if self._env.now == self._step_end:  # everybody's position will be asked for at this instant
+            self.players.places()
         return self._targets[evader - 1].capture_times_of(pursuers, self._env.now)
 
     def time_left(self, now: int) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.clock import Clock, seconds
+from desim.kernel.clock import SECOND, Clock
 from desim.pursuit.state import Points
 
 
@@ -32,11 +32,16 @@ class Kinematics:
         self._places, self._read = start, env.now
         start.setflags(write=False)
 
+    @property
+    def are_known(self) -> bool:
+        """Whether somebody has asked for all positions at this instant."""
+        return self._read == self._env.now or self._frozen
+
     def places(self) -> Points:
         """Return the (K,) positions now, m; not to be written to."""
         now = self._env.now
         if self._read != now and not self._frozen:
-            self._places = self._origins + self.velocities * seconds(now - self._since)
+            self._places = self._origins + self.velocities * ((now - self._since) / SECOND)
             self._places.setflags(write=False)
             self._read = now
         return self._places
@@ -46,7 +51,7 @@ class Kinematics:
         now = self._env.now
         if self._read == now or self._frozen:
             return self._places.item(player)
-        return self._origins.item(player) + self.velocities.item(player) * seconds(now - self._since)
+        return self._origins.item(player) + self.velocities.item(player) * ((now - self._since) / SECOND)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return how far some players are from another now, m."""
@@ -55,7 +60,7 @@ class Kinematics:
             place = self._places.item
             here = place(player)
             return [abs(here - place(other)) for other in others]
-        passed = seconds(now - self._since)
+        passed = (now - self._since) / SECOND
         here = start(player) + velocity(player) * passed
         return [abs(here - (start(other) + velocity(other) * passed)) for other in others]
 
@@ -63,7 +68,7 @@ class Kinematics:
         """Return the (k,) positions of some players now, m."""
         if self._read == self._env.now or self._frozen:
             return self._places[players]
-        return self._origins[players] + self.velocities[players] * seconds(self._env.now - self._since)
+        return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
     def go(self, velocities: Points) -> None:
         """Begin new pieces here and now, (K,) m/s."""

@@ -1,13 +1,13 @@
 """A target: one of the evaders of a run, with all that is particular to it."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from math import inf
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.clock import seconds
+from desim.kernel.clock import SECOND, seconds
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.motion import first_contact, within
@@ -58,6 +58,7 @@ class Target:
         self._closing_bound = float(speeds.max()) + speed  # how fast a distance to it can fall at most, m/s
         self.captured: int | None = None
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
+        self._safe_until = -1  # nobody can capture it before, ns
         self._state: State | None = None
         self._read: Points | None = None  # the positions of which that is the state
         self._times: tuple[float, ...] | None = None
@@ -94,7 +95,11 @@ class Target:
         if len(pursuers) > FEW or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
-        return list(map(self._radial_time.of, pursuers, self._players.distances(self.player, pursuers)))
+        if self._players.are_known:
+            distances: Iterable[float] = map(self.state(now).distances.item, pursuers)
+        else:
+            distances = self._players.distances(self.player, pursuers)
+        return list(map(self._radial_time.of, pursuers, distances))
 
     def capture_time_over(self, pursuer: int, distance: float) -> float:
         """Return the time of capture of a pursuer over a distance (m), s."""
@@ -126,8 +131,12 @@ class Target:
             broken: (N,) who captures nobody.
             test: see `desim.scenario.Capture`.
         """
+        if until <= self._safe_until:
+            return None
         state, duration = self.state(now), seconds(until - now)
-        if state.distances.item(state.nearest) - self._radius > self._closing_bound * duration:
+        gap = state.distances.item(state.nearest) - self._radius
+        self._safe_until = now + int(0.999 * gap / self._closing_bound * SECOND)  # whatever all do; less for rounding
+        if until <= self._safe_until:
             return None
         velocities = self._players.velocities
         approach = velocities[self.player] - velocities[: self._size]
