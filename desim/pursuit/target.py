@@ -55,7 +55,7 @@ class Target:
         self._mind, self._players = mind, players
         self._radial_time = RadialTime(speeds, speed, radius)
         self.slow: list[bool] = self._radial_time.slow.tolist()
-        self._closing_bound = float(speeds.max()) + speed  # how fast a distance to it can fall at most, m/s
+        self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # at least how fast a distance to it can fall, m/s
         self.captured: int | None = None
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
         self._safe_until = -1  # nobody can capture it before, ns
@@ -135,7 +135,8 @@ class Target:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        self._safe_until = now + int(0.999 * gap / self._closing_bound * SECOND)  # whatever all do; less for rounding
+        # Whatever all do; a little less, for rounding, and nothing if there is no gap.
+        self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None
         velocities = self._players.velocities

@@ -14,6 +14,7 @@ from desim.kernel.events import Trace
 from desim.kernel.links import Links
 from desim.pursuit import steering, target
 from desim.pursuit.evasion import Still
+from desim.pursuit.events import Ended
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import lengths
@@ -141,3 +142,25 @@ def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
         x = 0.0 if frozen else 5.0 * k
         assert near == [j for j in range(runner) if (10.0 * j - x) ** 2 + 9.0 <= 144.0]
     assert len(seen) == 20
+
+
+def test_who_cannot_move_captures_nobody_that_stands_still():
+    """Nor is anything divided by how fast they come nearer."""
+    still = Team(positions=[(0.0, 0.0), (3.0, 0.0)], speeds=0.0)
+    end = run(Scenario(team=still, evader=Evader(position=(1.0, 0.0), speed=0.0), horizon=1.0, prune="none")).trace
+    assert end.of(Ended)[0].reason == "horizon"
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-17, 1e-6, 0.3])
+def test_a_capture_is_foreseen_whenever_it_can_come_first(gap):
+    """A pursuer of 1 m/s, which has the evader in reach as it begins, or reaches it after the gap (m) exactly."""
+    team = Team(positions=[(0.1 + gap, 0.0)], speeds=1.0)
+    (end,) = run(Scenario(team=team, evader=Evader(position=(0.0, 0.0), speed=0.0), protocol=chase)).trace.of(Ended)
+    assert end.reason == "captured"
+    assert end.t == pytest.approx(gap * SECOND, abs=1.0)
+
+
+def chase(me):
+    """Chase from the start on."""
+    yield me.at(0.0)
+    me.assign(True)
