@@ -1,6 +1,7 @@
 """What the README says runs."""
 
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -65,7 +66,7 @@ def test_every_study_the_readme_names_has_help(module):
 
 
 @pytest.mark.parametrize(
-    "command", [line.split("#")[0].split() for line in README.splitlines() if line.startswith("    desim ")]
+    "command", [shlex.split(line.split("#")[0]) for line in README.splitlines() if line.startswith("    desim ")]
 )
 def test_every_command_the_readme_names_runs(command, tmp_path):
     words = [str(tmp_path / word) if word.startswith("out/") else word for word in command[1:] if word != ">"]
