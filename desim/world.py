@@ -1,4 +1,4 @@
-"""The world: where everyone is and what they do, moved by a process of its own on a clock of its own."""
+"""The world: where everyone is and what they do, moved on a clock of its own."""
 
 from collections.abc import Callable, Collection, Generator, Sequence
 from itertools import count
@@ -8,7 +8,7 @@ import numpy as np
 import simpy
 from numpy.typing import NDArray
 
-from desim.kernel.clock import Clock, Instant, Phase, nanoseconds, seconds
+from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
@@ -80,7 +80,7 @@ class World:
         self._lone = len(self._targets) == 1
         self._choices = range(len(self._targets) + 1)
         self._needed = scenario.capture.needed or len(self._targets)
-        self._step_end = 0
+        self._step, self._step_end = nanoseconds(scenario.motion.step), 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
         self._watch: Watch | None = None
@@ -109,7 +109,7 @@ class World:
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
         if not self._motion.frozen:
-            self._env.process(self._move(nanoseconds(self._motion.step)))
+            self._at(0, Phase.MOTION, self._move)
         if self._sampling:
             self._env.process(self._samples(nanoseconds(self._sampling)))
 
@@ -131,7 +131,7 @@ class World:
 
     def time_left(self, now: int) -> float:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
-        return seconds(self._horizon if self._motion.frozen else self._horizon - now)
+        return (self._horizon if self._motion.frozen else self._horizon - now) / SECOND
 
     def may_chase(self, pursuer: int, evader: int = 1, view: Surroundings | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
@@ -311,19 +311,18 @@ class World:
         """End the pursuit when all that happens at this instant has happened."""
         self._at(self._env.now, Phase.SAMPLE + 1, lambda _: self.finish("stopped"))
 
-    def _move(self, step: int) -> Generator[simpy.Event, None, None]:
-        """Give everyone a new heading at every motion step, up to the horizon."""
-        for end in count(step, step):
-            yield Instant(self._env, self._step_end, Phase.MOTION)
-            now = self._env.now
-            if now == self._horizon:
-                return
-            self._step_end = min(end, self._horizon)
-            handover = self._radio is not None and self._radio.hands_over(now)
-            self._steering.step(now, self._step_end, handover=handover)
-            self._foresee_capture()
-            if self._watch is not None:
-                self._watch.look(now)
+    def _move(self, _: simpy.Event) -> None:
+        """Give everyone a new heading, and do so at every motion step up to the horizon."""
+        now = self._env.now
+        if now == self._horizon:
+            return
+        self._step_end = min(now + self._step, self._horizon)
+        handover = self._radio is not None and self._radio.hands_over(now)
+        self._steering.step(now, self._step_end, handover=handover)
+        self._foresee_capture()
+        if self._watch is not None:
+            self._watch.look(now)
+        self._at(self._step_end, Phase.MOTION, self._move)
 
     def _foresee_capture(self) -> None:
         """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""

@@ -31,6 +31,8 @@ class Outlook(State):
         handover: bool = False,
     ):
         self.__dict__.update(state.__dict__)  # the same arrays
+        for array in (self.offsets, self.distances):
+            array.setflags(write=False)
         self.speeds = speeds
         self.speed = speed
         self.radius = radius

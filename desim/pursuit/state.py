@@ -34,8 +34,6 @@ class State:
         self.offsets: Points = evader - pursuers
         self.distances = lengths(self.offsets)
         self.nearest = int(self.distances.argmin()) if len(pursuers) else -1
-        self.offsets.setflags(write=False)
-        self.distances.setflags(write=False)
 
 
 def lengths(vectors: Points) -> Floats:

@@ -317,3 +317,17 @@ def test_of_what_is_passed_on_only_the_change_counts():
     """
     assert way((1.0, 0, 1), (1.2, 1, 0), spread=Gossip()) == LATENCY
     assert way((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), spread=Gossip()) == 2 * LATENCY
+
+
+@pytest.mark.parametrize("settings", [{}, {"reaction": 0.1}])
+@pytest.mark.parametrize("name", ["offsets", "distances", "pursuers", "active"])
+def test_a_strategy_cannot_change_what_it_sees(name, settings):
+    """The world reads the same arrays."""
+
+    def meddler(state, rng):
+        getattr(state, name)[0] = 0
+        return 1 + 0j
+
+    scenario = Scenario(horizon=0.1, team=Team(count=3), evader=Evader(strategy=meddler, **settings))
+    with pytest.raises(ValueError, match="read-only"):
+        run(scenario)
