@@ -3,7 +3,6 @@
 from collections import defaultdict
 from dataclasses import dataclass
 from html import escape
-from operator import attrgetter
 from typing import TYPE_CHECKING, Literal, cast
 
 import simpy
@@ -20,6 +19,7 @@ from desim.pursuit.events import Captured, Ended
 from desim.pursuit.perception import Eavesdropper
 from desim.pursuit.sensing import Watch, reports
 from desim.pursuit.state import Floats, coordinates
+from desim.pursuit.word import chases
 from desim.scenario import Scenario
 from desim.world import World
 
@@ -87,7 +87,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         positions=positions,
         trace=trace,
         conditions=Conditions(positions) if faults else None,
-        mark=attrgetter("active"),
+        mark=chases,
     )
     crew = _Crew(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)

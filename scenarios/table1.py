@@ -14,6 +14,7 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned, number
 from desim.pursuit.agent import Behaviour
+from desim.pursuit.word import Announcements
 from desim.scenario import Motion
 from desim.study.batch import run_many, seeds_from
 from protocols.centralised import Centralised
@@ -76,7 +77,8 @@ def decentralised(base: Scenario, delta: float, active_at_start: float = 1.0) ->
 
 
 def _with(base: Scenario, protocol: Behaviour, delta: float) -> Scenario:
-    return base.model_copy(update={"protocol": protocol, "motion": Motion(step=delta)})
+    once = Announcements(trigger="change")  # nothing is lost here, and Algorithm 2 repeats nothing
+    return base.model_copy(update={"protocol": protocol, "motion": Motion(step=delta), "announce": once})
 
 
 def measure(options: Options) -> list[Cell]:

@@ -45,6 +45,11 @@ class Relayed(NamedTuple):
     """How many more hops it may take, this one included."""
 
 
+def chases(body: Any) -> bool:
+    """Return whether it is the word of one that chases; what protocols publish beside announcements is not."""
+    return bool(getattr(body, "active", False))
+
+
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
     """Return the records that a transmission carries: those it relays, or its own if it is an announcement."""
     relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
