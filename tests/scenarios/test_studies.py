@@ -80,6 +80,15 @@ def test_a_study_writes_what_it_prints(cells):
         assert f"{cell['published']:.4f}" in text
 
 
+def test_heartbeats_that_table_1_does_without_would_change_nothing_but_the_number_of_messages():
+    base = table1.configuration(20)
+    without = table1.decentralised(base, 0.01, 0.5)
+    beating = without.model_copy(update={"announce": base.announce})
+    silent, repeated = (summary(run(each, 4)) for each in (without, beating))
+    assert (silent.active_time, silent.switches) == (repeated.active_time, repeated.switches)
+    assert silent.messages_sent < repeated.messages_sent / 2
+
+
 def test_a_cell_of_table_1_is_the_mean_of_the_runs_it_names():
     scenario = table1.decentralised(table1.configuration(20), 0.1, 0.5)
     times = [summary(run(scenario, seed)).active_time for seed in (4, 5, 6)]
