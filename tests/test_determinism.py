@@ -18,6 +18,7 @@ from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed
 from scenarios.study import SCENARIOS
+from tests.digests import digests
 
 RELAY = SCENARIOS / "relay.toml"
 
@@ -26,22 +27,44 @@ def lines(result):
     return "".join(result.trace.lines())
 
 
-def test_traces_are_equal_for_any_hash_seed():
-    program = (
-        f"import sys; from desim import load, run;sys.stdout.writelines(run(load({str(RELAY)!r}), 11).trace.lines())"
-    )
-    written = [
-        subprocess.run(
-            [sys.executable, "-c", program],
-            env=os.environ | {"PYTHONHASHSEED": hash_seed},
-            capture_output=True,
-            check=True,
-            text=True,
-        ).stdout
-        for hash_seed in ("1", "2")
-    ]
-    assert written[0] == written[1] == lines(run(load(RELAY), 11))
-    assert len(written[0]) > 100_000
+@pytest.fixture(scope="module")
+def here():
+    return digests(5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "environment"),
+    [
+        ((), {"PYTHONHASHSEED": "1"}),
+        ((), {"PYTHONHASHSEED": "2", "TZ": "Asia/Kathmandu"}),
+        (("-O",), {"PYTHONHASHSEED": "3", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}),
+    ],
+    ids=["hash seed", "time zone", "-O and locale"],
+)
+def test_traces_are_equal_in_any_process_at_any_place(options, environment, here):
+    there = subprocess.run(
+        [sys.executable, *options, "-m", "tests.digests", "5"],
+        cwd=SCENARIOS.parent,
+        env=os.environ | environment,
+        capture_output=True,
+        check=True,
+        text=True,
+    ).stdout
+    assert there.splitlines() == [f"{digest} {name}" for name, digest in here.items()]
+
+
+@pytest.mark.slow
+def test_other_seeds_make_other_traces(here):
+    assert len({*here.values(), *digests(6).values()}) == 2 * len(here) > 30
+
+
+def test_a_name_that_a_terminal_has_no_letters_for_is_printed_all_the_same(tmp_path):
+    file = tmp_path / "named.toml"
+    file.write_text('name = "Jäger ≤ 3"\nhorizon = 1.0\n', encoding="utf-8")
+    turkish = os.environ | {"PYTHONIOENCODING": "iso8859-9"}
+    done = subprocess.run([sys.executable, "-m", "desim", "run", file], env=turkish, capture_output=True, check=True)
+    assert done.stdout.startswith(b"J\xe4ger \\u2264 3")
 
 
 def test_traces_are_equal_for_one_worker_and_two():
