@@ -1,9 +1,11 @@
 """desim simulates multi-robot relay pursuit that is negotiated over an imperfect network.
 
+```python
 from desim import load, run, summary
 
 result = run(load("scenarios/relay.toml"), seed=7)
 print(summary(result))
+```
 """
 
 from importlib import import_module

@@ -17,20 +17,6 @@ from desim.kernel.seeds import stream
 from desim.value import Coordinate, Extent, Length, OneOf, Period, Rate, Time, Truth, Value
 
 
-class Began(NamedTuple):
-    """A fault began."""
-
-    t: int
-    fault: "Fault"
-
-
-class Over(NamedTuple):
-    """A fault was over."""
-
-    t: int
-    fault: "Fault"
-
-
 class _Window(Value):
     """What all faults share: they are open for a while."""
 
@@ -100,6 +86,20 @@ class ClockSkew(Value):
 
 Fault = Crash | Partition | Jamming
 """Something that is broken for a while."""
+
+
+class Began(NamedTuple):
+    """A fault began."""
+
+    t: int
+    fault: Fault
+
+
+class Over(NamedTuple):
+    """A fault was over."""
+
+    t: int
+    fault: Fault
 
 
 class Plan(Protocol):
