@@ -1,7 +1,8 @@
-"""What must hold in every history of a network, whatever its links and faults: a watcher that follows each message.
+"""What must hold in every history of a network, whatever its links and faults: watchers that follow each message.
 
 A message is a pair (flight, receiver). It is delivered if it is not lost by the end of the instant at which it arrives.
 Faults come first at an instant: what arrives as a crash begins is lost, what arrives as the node recovers is delivered.
+What must hold in every pursuit is in `desim.invariants`.
 """
 
 from collections import Counter
@@ -11,7 +12,7 @@ from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, Queued, Sen
 from desim.kernel.faults import Began, Crash, Fault, Over, Partition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
 SOME = 64
 """How many transmissions are left unjudged at least; more, if more are in flight."""
@@ -45,8 +46,8 @@ class Conservation:
         self._faults: list[Fault] = []
         self._room = SOME
         self._notices: dict[type, Callable[[Any], None]] = {
-            Broadcast: self._broadcast,
-            Sent: lambda sent: self._depart(sent, {sent.dst: sent.arrival}),
+            Broadcast: self._depart,
+            Sent: self._depart,
             Queued: self._queue,
             Lost: self._lose,
             Began: self._begin,
@@ -62,15 +63,9 @@ class Conservation:
         if notice is not None:
             notice(event)
 
-    def _broadcast(self, event: Broadcast) -> None:
-        alike = len(event.arrival) == 1
-        fates = (
-            dict.fromkeys(event.dst, event.arrival[0]) if alike else dict(zip(event.dst, event.arrival, strict=True))
-        )
-        _require(len(fates) == len(event.dst), "a message leaves once", event)
-        self._depart(event, fates)
-
-    def _depart(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
+    def _depart(self, event: Broadcast | Sent) -> None:
+        fates = dict(event.fates())
+        _require(isinstance(event, Sent) or len(fates) == len(event.dst), "a message leaves once", event)
         _require(event.created <= event.t, "nothing leaves before it was created", event)
         if fates and min(fates.values()) < event.t:
             early = any(arrival < event.t for arrival in fates.values() if arrival != LOST)
@@ -158,6 +153,47 @@ class Conservation:
 
     def _cut(self, src: int, dst: int) -> bool:
         return any(isinstance(fault, Partition) and _group(fault, src) != _group(fault, dst) for fault in self._faults)
+
+
+class OneToken:
+    """A watcher of one run that raises AssertionError if there are two tokens where there is to be one.
+
+    - In one epoch there is one, at any time: a hop of it leads from one node to one node, and later hops come later.
+    - Once everything is settled one is left: an epoch that was followed by another does not return.
+
+    To send a token again, because no receipt came, is not to pass it on again.
+
+    Args:
+        kind: of the bodies that are tokens; each has an `epoch`, and a `hop` that grows as it is passed on.
+        group: the nodes among which one is to be left; None: all.
+        settled: from when on, ns; None: never.
+
+    Attributes:
+        spoilt: when there were last two in the group, ns; -1 if never.
+    """
+
+    def __init__(self, kind: type[Any], group: "Collection[int] | None" = None, *, settled: int | None = None):
+        self._kind, self._group, self._settled = kind, group, settled
+        self._passed: set[Any] = set()
+        self._hops: dict[Any, int] = {}
+        """The last hop of each epoch."""
+        self._epoch: Any = None
+        self.spoilt = -1
+
+    def __call__(self, event: Event) -> None:
+        """Take notice of an event."""
+        if isinstance(event, Sent) and isinstance(event.body, self._kind):
+            hop = event.src, event.dst, event.body.epoch, event.body.hop
+            if hop not in self._passed and (self._group is None or event.src in self._group):
+                self._passed.add(hop)
+                self._follow(event, event.body.epoch, event.body.hop)
+
+    def _follow(self, event: Sent, epoch: Any, hop: int) -> None:
+        _require(hop > self._hops.get(epoch, -1), "an epoch has one token", event)
+        if epoch in self._hops and epoch != self._epoch:
+            self.spoilt = event.t
+            _require(self._settled is None or event.t < self._settled, "one token is left", event)
+        self._hops[epoch], self._epoch = hop, epoch
 
 
 def _group(partition: Partition, node: int) -> int:

@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 from math import inf
+from typing import NamedTuple
 
 import networkx as nx
 import numpy as np
@@ -14,7 +15,7 @@ from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn
 from desim.kernel.injection import inject
-from desim.kernel.invariants import Conservation
+from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -298,3 +299,63 @@ def test_the_watcher_sees_messages_that_are_not_kept():
     trace.append(network.tally())
     with pytest.raises(AssertionError, match="in flight"):
         trace.append(network.tally()._replace(in_flight=1))
+
+
+# A token.
+
+
+class Pass(NamedTuple):
+    epoch: int
+    hop: int
+
+
+def passed(t, src, dst, epoch, hop):
+    return Sent(t, t, src, dst, t + 1, t, 24, Pass(epoch, hop))
+
+
+ROUND = [passed(1, 0, 1, 1, 1), passed(2, 1, 2, 1, 2), passed(3, 2, 0, 1, 3)]
+ONE = {
+    "a round": ROUND,
+    "sent again": [*ROUND[:2], passed(3, 0, 1, 1, 1)],
+    "kept for a hop": [ROUND[0], passed(5, 1, 0, 1, 3)],
+    "a new epoch": [ROUND[0], passed(5, 2, 1, 2, 1), passed(6, 1, 2, 2, 2)],
+    "other bodies": [sent(1, 2), *ROUND, told(4, (5,))],
+    "sent again after a new epoch": [ROUND[0], passed(5, 2, 1, 2, 1), passed(6, 0, 1, 1, 1)],
+}
+TWO_OF_ONE_EPOCH = {
+    "a hop back": [*ROUND, passed(4, 0, 1, 1, 2)],
+    "from two": [ROUND[0], passed(2, 2, 1, 1, 1)],
+    "to two": [ROUND[0], passed(2, 0, 2, 1, 1)],
+    "in an old epoch": [ROUND[1], passed(5, 2, 1, 2, 1), passed(6, 1, 0, 1, 2)],
+}
+OLD = [*ROUND[:2], passed(5, 2, 1, 2, 1), passed(8, 2, 0, 1, 3)]
+"""An epoch goes on after another began."""
+
+
+def watch_token(watcher, events):
+    for event in events:
+        watcher(event)
+    return watcher.spoilt
+
+
+@pytest.mark.parametrize("events", ONE.values(), ids=ONE)
+def test_one_token_passes(events):
+    assert watch_token(OneToken(Pass, settled=0), events) == -1
+
+
+@pytest.mark.parametrize("events", TWO_OF_ONE_EPOCH.values(), ids=TWO_OF_ONE_EPOCH)
+def test_two_tokens_of_one_epoch_are_noticed_at_any_time(events):
+    with pytest.raises(AssertionError, match="an epoch has one token"):
+        watch_token(OneToken(Pass), events)
+
+
+@pytest.mark.parametrize(("settled", "noticed"), [(None, False), (9, False), (8, True)])
+def test_two_tokens_are_noticed_when_all_is_settled(settled, noticed):
+    with pytest.raises(AssertionError, match="one token is left") if noticed else nullcontext():
+        assert watch_token(OneToken(Pass, settled=settled), OLD) == 8
+
+
+def test_of_those_who_are_cut_off_each_part_may_have_a_token():
+    apart = [passed(1, 0, 1, 1, 1), passed(2, 2, 3, 2, 1), passed(3, 1, 0, 1, 2), passed(4, 3, 2, 2, 2)]
+    assert [watch_token(OneToken(Pass, group, settled=0), apart) for group in ([0, 1], [2, 3])] == [-1, -1]
+    assert watch_token(OneToken(Pass), apart) == 4

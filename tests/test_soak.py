@@ -1,0 +1,306 @@
+"""Soak: random faults x protocols x networks x evaders x sight, under the eyes of all watchers of invariants.
+
+Some plans every time; a thousand with --hypothesis-profile=explore, as many as one likes with SOAK=5000 pytest.
+"""
+
+import os
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from desim import Scenario, summary
+from desim.invariants import Potential, watched
+from desim.kernel.clock import SECOND
+from desim.kernel.graphs import GRAPHS
+from desim.kernel.invariants import Conservation, OneToken
+from desim.kernel.latency import LATENCIES
+from desim.kernel.loss import LOSSES
+from desim.kernel.medium import MEDIA
+from desim.kernel.reach import REACHES
+from desim.pursuit.evasion import STRATEGIES
+from desim.pursuit.events import Decided, Ended
+from desim.pursuit.utility import UTILITIES
+from desim.pursuit.word import DISSEMINATIONS
+from desim.scenario import PROTOCOLS
+from desim.world import World
+from protocols.rule import SCHEDULES
+from protocols.temperature import TEMPERATURES
+from protocols.token_messages import Token
+
+PLANS = int(os.environ.get("SOAK", "24" if settings.default.derandomize else "1000"))
+BLOCK = 12
+KINDS = PROTOCOLS.choices()
+NEEDED = {
+    "bitrate": {"bitrate": 5e4},
+    "empirical": {"values": [0.01, 0.02, 0.5]},
+    "max_min": {"candidates": 12},
+    "voronoi_vertex": {"arena": [0.0, 10.0]},
+    "edges": {"edges": [{"src": 0, "dst": 1}, {"src": 1, "dst": 0}, {"src": 1, "dst": 2}], "directed": True},
+}
+"""What a kind cannot do without, or would be slow with."""
+
+
+class Dice:
+    """Draws that follow from a seed and a name."""
+
+    def __init__(self, seed, name):
+        self._rng = np.random.default_rng([seed, *name.encode()])
+
+    def one(self, choices):
+        return choices[self._rng.integers(len(choices))]
+
+    def kind(self, family, but=()):
+        """Return the table of one of the kinds of a family of models, the same for all that it may leave to default."""
+        name = self.one([each for each in family.choices() if each not in but])
+        return {"kind": name} | NEEDED.get(name, {})
+
+    def number(self, low, high):
+        return float(self._rng.uniform(low, high))
+
+    def count(self, low, high):
+        return int(self._rng.integers(low, high + 1))
+
+    def chance(self, p):
+        return bool(self._rng.random() < p)
+
+
+def protocol(dice, kinds=KINDS, **parts):
+    """Return the table of a protocol with parts at random, but for those given, as far as it has such parts."""
+    kind = dice.one(list(kinds))
+    drawn = {
+        "schedule": dice.kind(SCHEDULES),
+        "utility": dice.kind(UTILITIES),
+        "tau": dice.one([dice.kind(TEMPERATURES), {"kind": "constant", "value": 5.0}]),
+    }
+    has = KINDS[kind].model_fields
+    return {"kind": kind} | {name: each for name, each in (drawn | parts).items() if name in has}
+
+
+def teams(dice, size):
+    return {
+        "count": size,
+        "box": (0.0, 10.0),
+        "speeds": [dice.number(0.5, 3.0) for _ in range(size)],
+        "active_at_start": dice.one([0.0, 0.5, 1.0]),
+        "guidance": {"kind": dice.one(["pure_pursuit", "constant_bearing"])},
+    }
+
+
+def evaders(dice, **changes):
+    """Return one to three evaders of all sorts."""
+    return [
+        {
+            "box": (2.0, 8.0),
+            "speed": dice.number(0.0, 2.0),
+            "strategy": dice.kind(STRATEGIES),
+            "sight": dice.one([np.inf, 4.0]),
+            "reaction": dice.one([0.0, 0.07]),
+        }
+        | changes
+        for _ in range(dice.count(1, 3))
+    ]
+
+
+def faults(dice, size, until):
+    """Return a random plan of faults that are over at a time (s), and perhaps clocks that are wrong."""
+    plan = {"kind": "random", "rate": dice.number(0.5, 8.0), "mean_duration": dice.number(0.05, 1.0), "until": until}
+    skew = {"kind": "clock_skew", "offset": dice.number(0.0, 0.3), "drift": dice.number(0.0, 0.1)}
+    crashes = {"kind": "random_crashes", "rate": 0.5, "mean_downtime": 0.3, "memory": dice.chance(0.5)}
+    for_ever = {"kind": "crash", "at": 0.4, "node": 0, "scope": dice.one(["radio", "robot"])}
+    partition = {"kind": "partition", "at": 0.3, "until": 0.8, "groups": [[0], [size - 1]] if size > 1 else [[0]]}
+    jamming = {"kind": "jamming", "at": 0.5, "until": until, "centre": [5.0, 5.0], "radius": dice.number(1.0, 5.0)}
+    more = [crashes, for_ever] if until == np.inf else []
+    return [plan | {"box": (0.0, 10.0)}, *(each for each in [*more, skew, partition, jamming] if dice.chance(0.3))]
+
+
+def medium(dice):
+    """Return a medium, one on which what is sent may have to wait in all ways that there are."""
+    found = dice.kind(MEDIA)
+    waits = [{}, {"shared": True}, {"half_duplex": True}, {"queue_limit": dice.number(0.5, 3.0)}]
+    return found | (dice.one(waits) if found["kind"] != "unlimited" else {})
+
+
+def anything(seed):
+    """Return a scenario in which anything may be imperfect and break."""
+    dice = Dice(seed, "anything")
+    size = dice.count(1, 8)
+    graph = dice.one([{"kind": "complete"}, dice.kind(GRAPHS, but=() if size == 3 else ("edges",))])
+    link = {"src": 0, "dst": size - 1, "latency": dice.kind(LATENCIES), "loss": dice.kind(LOSSES), "order": "fifo"}
+    return {
+        "seed": seed,
+        "horizon": dice.number(1.0, 3.0),
+        "prune": dice.one(["none", "inf", "infeasible"]),
+        "team": teams(dice, size),
+        "evader": evaders(dice),
+        "sensing": {
+            "radius": dice.one([np.inf, np.inf, 3.0, 6.0]),
+            "estimate": dice.one(["hold", "constant_velocity", "worst_case"]),
+            "pass_on": dice.chance(0.5),
+            "lost_after": dice.one([0.2, 5.0]),
+            "when_lost": dice.one(["stay", "search"]),
+        },
+        "capture": {
+            "radius": dice.number(0.05, 0.5),
+            "test": dice.one(["segment", "sample"]),
+            "needed": dice.one([None, 1]),
+        },
+        "motion": {
+            "step": dice.one([0.01, 0.037, 0.1]),
+            "order": dice.one(["evader_first", "simultaneous"]),
+            "frozen": dice.chance(0.1),
+        },
+        "protocol": protocol(dice),
+        "announce": {
+            "payload": dice.one(["action", "time", "state"]),
+            "reckoning": dice.one(["exact", "cheap"]),
+            "trigger": dice.one(["change", "heartbeat", "both", "revision", "never"]),
+            "heartbeat": dice.one([0.1, 0.3]),
+            "forget_after": dice.one(["auto", 0.5, np.inf]),
+            "warm_start": dice.chance(0.7),
+            "spread": dice.kind(DISSEMINATIONS),
+        },
+        "network": {
+            "graph": graph,
+            "link": [link] if graph["kind"] == "complete" and size > 1 and dice.chance(0.3) else [],
+            "processing": dice.one([{}, {"sender": 0.01, "receiver": 0.02}]),
+            "range": dice.one([np.inf, 4.0]),
+            "reach": dice.kind(REACHES),
+            "fading": dice.one(["frozen", "message"]),
+            "range_check": dice.one(["send", "delivery", "both"]),
+            "latency": dice.kind(LATENCIES),
+            "order": dice.one(["overtaking", "fifo"]),
+            "loss": dice.one([dice.kind(LOSSES), {"kind": "bernoulli", "p": 0.3}]),
+            "medium": medium(dice),
+        },
+        "fault": faults(dice, size, dice.one([1.0, np.inf])),
+        "record": {"trajectory": dice.one([0.011, 0.05]), "messages": dice.chance(0.5)},
+    }
+
+
+def calm_at_last(seed):
+    """Return a scenario in which nothing breaks any more from 1 s on, nothing is lost, and all hear each other."""
+    dice = Dice(seed, "calm at last")
+    schedule = {"kind": dice.one(["token_ring", "token_walk"]), "hold": 0.02}
+    learning = [kind for kind, model in KINDS.items() if "schedule" in model.model_fields]
+    table = anything(seed)
+    size = table["team"]["count"]
+    return table | {
+        "horizon": 1.0 + 3.0 * patience(size),
+        "motion": {"frozen": True},
+        "protocol": protocol(dice, learning, schedule=schedule),
+        "network": {
+            "latency": dice.one([{"kind": "constant"}, {"kind": "uniform", "high": 0.06}, {"kind": "gamma"}]),
+            "order": dice.one(["overtaking", "fifo"]),
+        },
+        "fault": faults(dice, size, 1.0),
+    }
+
+
+def patience(size):
+    """Return how long it takes at most to miss a token that is held for 0.02 s and takes 0.03 s per hop, s."""
+    return 5 * size * 0.05 + 5 * 0.075
+
+
+def climbing(seed):
+    """Return a scenario in which no decision lowers the potential; see `Potential`."""
+    dice = Dice(seed, "climbing")
+    moving = {
+        "motion": {"step": dice.one([0.01, 0.05])},
+        "announce": {"trigger": dice.one(["change", "both", "revision"])},
+        "record": {"trajectory": 0.02},
+    }
+    frozen = {
+        "motion": {"frozen": True},
+        "announce": moving["announce"] | {"payload": dice.one(["action", "time", "state"])},
+        "record": {"trajectory": 0.0},
+    }
+    serial = [{"kind": kind} for kind in SCHEDULES.choices() if kind not in {"rounds", "together"}]
+    slots = {"kind": "shared_seed", "slot": 0.02}
+    still = dice.chance(0.5)
+    return (frozen if still else moving) | {
+        "seed": seed,
+        "horizon": 2.0,
+        "prune": dice.one(["none", "inf", "infeasible"]),
+        "team": teams(dice, dice.count(2, 8)),
+        "evader": evaders(dice, speed=dice.number(0.0, 1.0)),
+        "capture": {"radius": 0.05},
+        "protocol": protocol(
+            dice,
+            ["sap", "binary_log_linear", "selective_sap", "best_response", "better_reply"],
+            schedule=dice.one(serial) if still else slots,
+            tau={"kind": "constant", "value": 1e-12},
+            utility={"kind": dice.one(["mean", "component"])},
+        ),
+    }
+
+
+@pytest.fixture
+def acted(monkeypatch):
+    """How many pursuers of the worlds that are made chase from which instant (ns) on."""
+    acts, act = [], World._act
+
+    def noted(self, actions):
+        acts.append((self._env.now, np.count_nonzero(actions)))
+        act(self, actions)
+
+    monkeypatch.setattr(World, "_act", noted)
+    return acts
+
+
+def judged(table, *watchers, acted):
+    """Run a scenario under all watchers, compare its active time with what really happened, and return the result."""
+    acted.clear()
+    scenario = Scenario.model_validate(table)
+    order = [Conservation(fifo=True)] if scenario.network.order == "fifo" else []
+    result = watched(scenario, None, OneToken(Token), *order, *watchers)
+    times, counts = zip(*acted, strict=True)
+    true = np.diff([*times, result.trace.of(Ended)[0].t]) @ counts / SECOND
+    assert summary(result).active_time == pytest.approx(true, abs=1e-9)
+    return result
+
+
+def blocks(plans):
+    return [range(first, min(first + BLOCK, plans)) for first in range(0, plans, BLOCK)]
+
+
+def wrong(seeds, judge):
+    """Return what is wrong with the run of each seed, if anything is, in words."""
+    found = ""
+    for seed in seeds:
+        try:
+            judge(seed)
+        except Exception as error:  # all are of interest, in one go
+            found += f"seed {seed}: {type(error).__name__}: {error}\n"
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", blocks(PLANS), ids=str)
+def test_all_invariants_hold_whatever_breaks(seeds, acted):
+    assert not wrong(seeds, lambda seed: judged(anything(seed), acted=acted))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
+def test_one_token_is_left_when_nothing_breaks_any_more(seeds, acted):
+    def judge(seed):
+        table = calm_at_last(seed)
+        size, schedule = table["team"]["count"], table["protocol"]["schedule"]["kind"]
+        settled = round((1.0 + 1.5 * patience(size)) * SECOND)
+        result = judged(table, OneToken(Token, settled=settled), acted=acted)
+        visited = {decided.pursuer for decided in result.trace.of(Decided) if decided.t >= settled}
+        assert len(visited) == size if schedule == "token_ring" else visited
+
+    assert not wrong(seeds, judge)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
+def test_no_decision_lowers_the_potential_of_serial_play_that_knows_all(seeds, acted):
+    def judge(seed):
+        potential = Potential(Scenario.model_validate(climbing(seed)))
+        judged(climbing(seed), potential, acted=acted)
+        assert potential.judged > 0
+
+    assert not wrong(seeds, judge)
