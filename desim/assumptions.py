@@ -7,16 +7,16 @@ its theorem does not hold is what the simulator is there to show.
 
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType, UnionType
+from typing import TYPE_CHECKING
 
 import networkx as nx
 
 from desim.kernel.complete import is_complete
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomPlan
-from desim.kernel.loss import Bernoulli
 from desim.kernel.reach import Disk
 from desim.kernel.topology import Topology
+from desim.kernel.travel import Travel
 
 if TYPE_CHECKING:
     from desim.scenario import Scenario
@@ -73,14 +73,8 @@ def word_gets_through(scenario: "Scenario") -> str | None:
         return "who comes into range is never told what was said before (`announce.trigger`)"
     by_chance = network.range < inf and network.fading == "message" and network.reach != Disk()
     drops = network.medium.half_duplex or network.medium.queue_limit < inf
-    ideal = Bernoulli()
-    if (
-        by_chance
-        or drops
-        or network.loss != ideal
-        or scenario.fault
-        or any((link.loss or ideal) != ideal for link in network.link)
-    ):
+    travel = Travel(network, network.graph(scenario.team.count), scenario.seed, None)
+    if by_chance or drops or scenario.fault or not travel.lossless:
         return "what is lost is never said again (`announce.trigger`)"
     return None
 
@@ -181,7 +175,7 @@ def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
                 yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
 
 
-def _breaks(scenario: "Scenario", kind: str, faults: Any) -> bool:
+def _breaks(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
     """Return whether there are faults of a kind, or a random plan draws such."""
     return any(
         isinstance(fault, faults) or (isinstance(fault, RandomPlan) and kind in fault.kinds) for fault in scenario.fault

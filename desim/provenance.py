@@ -3,22 +3,17 @@
 There is no date in it: the same run gives the same bytes, except for the command line and the commit.
 """
 
-import hashlib
 import json
-import os
-import platform
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, entry_points, version
-from importlib.util import find_spec
-from math import isfinite, isnan
 from pathlib import Path
 from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
+
+from desim.environment import environment
+from desim.guards import fresh
 
 if TYPE_CHECKING:
     from desim.scenario import Scenario
@@ -52,14 +47,6 @@ WORDS: Mapping[type, str] = {
     list: "a list",
     NoneType: "null",
 }
-NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
-"""What else a result depends on: distributions, whose versions pip knows."""
-COMPUTING = ("analysis", "kernel", "pursuit")
-"""The packages in desim whose code decides what comes of a run."""
-GIT_TIMEOUT = 2.0
-"""How long git may take, s."""
-ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
-"""Variables that make git look into another repository than that of a folder; a hook has them."""
 
 
 class ProvenanceError(ValueError):
@@ -98,39 +85,18 @@ def document(
     }
 
 
-@cache
-def code() -> str:
-    """Return a hash of the source of all that a run depends on: the packages desim and protocols, installed or not.
-
-    But for what shows and stores results: `desim/cli`, `desim/study`, `desim/view`.
-    """
-    here = Path(__file__).parent
-    files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
-    protocols = find_spec("protocols")
-    folders = protocols.submodule_search_locations if protocols is not None else None
-    files += [file for folder in folders or () for file in Path(folder).glob("*.py")]
-    digest = hashlib.sha256()
-    for file in sorted(files, key=lambda file: (file.parent.name, file.name)):
-        digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
-    return digest.hexdigest()[:16]
-
-
 def of_one(made: Document, seed: int) -> Document:
     """Return the document of one of several runs."""
     return made | {"seed": seed, "runs": 1, "scenario": made["scenario"] | {"seed": seed}}
 
 
-def environment() -> Document:
-    """Return what results depend on beside scenario and seed: versions, platform and commit."""
-    commit, dirty = _checkout()
-    return {"versions": _versions(), "platform": _platform(), "commit": commit, "dirty": dirty, "code": code()}
-
-
 def write(folder: Path, made: Document, name: str = FILE) -> None:
-    """Write a document to a folder, which is made if need be."""
+    """Write a document to a folder, which is made if need be; it is there as a whole or not at all."""
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
-    (folder / name).write_text(text + "\n", encoding="utf-8")
+    part = fresh(folder / f"{name}.part")
+    part.write_text(text + "\n", encoding="utf-8")
+    part.replace(folder / name)
 
 
 def read(path: Path) -> Document:
@@ -156,10 +122,17 @@ def read(path: Path) -> Document:
     return made
 
 
-def source(path: Path, made: Document, overrides: Sequence[str] = ()) -> "Source":
+def home(path: Path, made: Document) -> Path:
+    """Return the folder of the scenario file that a run.json recorded; if that is gone, the folder of the run.json."""
+    folder = None if made["folder"] is None else Path(made["folder"])
+    return folder if folder is not None and folder.is_dir() else path.parent
+
+
+def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_import: bool = False) -> "Source":
     """Return what a run.json recorded as its scenario, with overrides, not yet validated.
 
-    What it names lies in the folder of its scenario file; if that is gone, in the folder of the run.json.
+    What it names lies in its `home` if it may name code to be run, and in the folder of the run.json if not: a stranger
+    may have written any folder into it.
 
     Raises:
         ProvenanceError: if it is not of runs, or names a model that nobody can import.
@@ -171,9 +144,8 @@ def source(path: Path, made: Document, overrides: Sequence[str] = ()) -> "Source
         done = "a sweep" if made["what"] == "sweep" else f"the study {made['what']!r}"
         by = shlex.join(map(str, made["argv"]))
         raise ProvenanceError(f"{path}: is of {done}, which is not repeated by desim run; it was made by: {by}")
-    folder = None if made["folder"] is None else Path(made["folder"])
-    home = folder if folder is not None and folder.is_dir() else path.parent
-    recorded = Source(str(path), _given(made["scenario"]), folder=home)
+    folder = home(path, made) if allow_import else path.parent
+    recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
     for override in overrides:
         recorded.override(override)
     if homeless := list(_homeless(recorded.tables)):
@@ -233,8 +205,10 @@ def _text(value: Any) -> Any:
         return {key: _text(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_text(each) for each in value]
-    if isinstance(value, float) and not isfinite(value):
-        return "NaN" if isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    if isinstance(value, float):
+        from desim.value import plain_number
+
+        return plain_number(value)
     return value
 
 
@@ -269,68 +243,3 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
             yield from _unrecorded(each, (*place, str(k)))
     elif callable(node) and not isinstance(node, FunctionType) and not is_dataclass(node) and node.__getstate__():
         yield ".".join(place)
-
-
-def _versions() -> dict[str, str | None]:
-    """Return the versions of python, of desim, of what it computes with, and of what adds models to it."""
-    plugged = {
-        each.dist.name
-        for group in entry_points().groups
-        if group.startswith("desim.")
-        for each in entry_points(group=group)
-        if each.dist is not None
-    }
-    ours = {"python": platform.python_version(), "desim": _version("pursuit-desim")}
-    return ours | {name: _version(name) for name in (*NUMERICS, *sorted(plugged - {"pursuit-desim"}))}
-
-
-def _version(distribution: str) -> str | None:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:  # it was put on the path, not installed
-        return None
-
-
-def _platform() -> dict[str, str]:
-    """Return what the last digit of a number may depend on."""
-    return {
-        "system": platform.system(),
-        "machine": platform.machine(),
-        "libc": " ".join(platform.libc_ver()).strip(),
-        "implementation": platform.python_implementation(),
-    }
-
-
-def _checkout() -> tuple[str | None, bool | None]:
-    """Return the commit that desim is imported from, and whether its code was changed since; None if from no commit.
-
-    The repository must track the package: that of a project whose .venv holds desim does not.
-    """
-    package = Path(__file__).parent
-    tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")
-    paths = (package.name, "protocols", "scenarios", "pyproject.toml")
-    told = _git(package.parent, "status", "--porcelain=v2", "--branch", "--untracked-files=normal", "--", *paths)
-    if tracked is None or told is None:
-        return None, None
-    lines = told.splitlines()
-    commit = next((line.split()[-1] for line in lines if line.startswith("# branch.oid ")), None)
-    if commit in (None, "(initial)"):
-        return None, None
-    return commit, any(not line.startswith("#") for line in lines)
-
-
-def _git(folder: Path, *words: str) -> str | None:
-    """Return what git says of a folder; None if it says nothing: there is no git, or no repository, or no answer."""
-    found = {key: each for key, each in os.environ.items() if key not in ELSEWHERE}
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *words],
-            env=found | {"GIT_OPTIONAL_LOCKS": "0"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=GIT_TIMEOUT,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.decode("utf-8", "replace")

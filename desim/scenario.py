@@ -1,25 +1,23 @@
 """A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
 
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator
 from math import inf
-from types import FunctionType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Discriminator,
     Field,
     Tag,
     ValidationInfo,
-    field_serializer,
     field_validator,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
+from desim.grid import Sweep
 from desim.kernel.faults import FAULTS
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
@@ -32,6 +30,7 @@ from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.value import (
     SHORTEST,
+    Box,
     Coordinate,
     Horizon,
     Length,
@@ -46,12 +45,6 @@ from desim.value import (
 )
 
 
-def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
-    if bounds[0] > bounds[1]:
-        raise ValueError("should be [lower, upper]")
-    return bounds
-
-
 def _never_or_period(time: float) -> float:
     if 0.0 < time < SHORTEST:
         raise ValueError(f"should be 0 or at least {SHORTEST:g} s (got {time:g})")
@@ -59,7 +52,6 @@ def _never_or_period(time: float) -> float:
 
 
 Point = tuple[Coordinate, Coordinate]
-Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
 PROTOCOLS = OneOf(group="desim.protocols", takes=("me",))
 """The protocols that are installed."""
 
@@ -224,73 +216,6 @@ class Recording(Value):
     happens, for more than fit in memory; ages and beliefs are not measured then."""
 
 
-def _flat(grid: Any, above: str = "") -> Any:
-    """Return a grid with dotted keys, also if its keys were not quoted, which in TOML makes tables of them."""
-    if not isinstance(grid, Mapping):
-        return grid
-    flat: dict[str, Any] = {}
-    for key, each in grid.items():
-        name = f"{above}{key}"
-        found = _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
-        if twice := flat.keys() & found.keys():
-            raise ValueError(f"{min(twice)} is there twice")
-        flat |= found
-    return flat
-
-
-def _in_order(values: Any) -> Any:
-    if isinstance(values, Set):
-        raise ValueError("should be a list: a set has no order")
-    return values
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with Python's numbers and lists for those of numpy."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
-
-
-def _named(value: Any) -> Any:
-    """Return what JSON may have for a value: a function or a model of a script is told by its name."""
-    if isinstance(value, Value):
-        return value.model_dump()
-    if isinstance(value, dict):
-        return {key: _named(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_named(each) for each in value]
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    home = value if isinstance(value, FunctionType) else type(value)
-    return {"kind": f"{home.__module__}:{home.__qualname__}"}
-
-
-Values = Annotated[tuple[Annotated[Any, BeforeValidator(_plain)], ...], Field(min_length=1), BeforeValidator(_in_order)]
-"""What a key takes, one after the other."""
-
-
-class Sweep(Value):
-    """Many runs of a scenario: over a grid of its keys, and over seeds (`desim sweep`)."""
-
-    reps: Annotated[int, Field(ge=1, le=1_000_000_000, strict=True)] = 30
-    """Number of runs of each configuration."""
-    seeds: Literal["common", "independent"] = "common"
-    """common: run k of every configuration has seed s + k, so that differences between configurations are not those
-    between seeds; independent: every run has a seed of its own."""
-    grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
-    """Keys of the scenario, dotted as in --set, and for each a list of the values it takes; each combination is a
-    configuration."""
-
-    @field_serializer("grid")
-    def _written(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
-        return {key: _named(values) for key, values in grid.items()}
-
-    def __hash__(self) -> int:  # what a key takes may be tables
-        return hash((self.reps, self.seeds, tuple(self.grid)))
-
-
 def _default_protocol() -> Any:
     sap = PROTOCOLS.choice("sap")
     if sap is None:
@@ -335,6 +260,18 @@ class Scenario(Value):
         """(M,) what each evader is like; evader j of an action is number j - 1 of them."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
+
+    @property
+    def protocol_name(self) -> str:
+        """The kind of its protocol, or its name if it has none."""
+        protocol = self.protocol
+        return str(getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__))
+
+    @property
+    def speaks(self) -> bool:
+        """Whether pursuers announce what they do: with some protocols never, or only if positions are not sensed."""
+        announces = getattr(self.protocol, "announces", True)
+        return self.announce.payload != "action" if announces == "unseen" else bool(announces)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

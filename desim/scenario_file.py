@@ -13,33 +13,37 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from desim.scenario import Scenario
-from desim.source import ScenarioError, Source, holds
-from desim.toml_lines import Place, key_lines
-from desim.value import OneOf, choices_of, fields_of, markers_of, models_in
+from desim.source import ScenarioError, Source, holds, model_of
+from desim.toml_lines import DEEP_KEY, Place, key_lines, unreadable
+from desim.value import OneOf, choices_of, fields_of, markers_of
 
 
-def load(file: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
     """Return the scenario in a TOML file.
 
     Args:
         file: its path.
         overrides: "key.key=value" each, the value in TOML; they win over the file.
+        allow_import: whether it may name code to be run ("module:name") and files outside of its folder.
 
     Raises:
         ScenarioError: with every fault in the file, one a line.
         OSError: if it cannot be read.
     """
-    return validate(read(file, overrides))
+    return validate(read(file, overrides, allow_import=allow_import))
 
 
-def read(file: str | Path, overrides: Sequence[str] = ()) -> Source:
-    """Return what a TOML file says, with overrides, not yet validated."""
+def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
+    """Return what a TOML file says, with overrides, not yet validated; see `load`."""
     text = _text(Path(file))
+    if deep := DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also of a number that is too long, or of tables that are too deep
         raise ScenarioError(_syntax_fault(file, str(error), text)) from error
-    source = Source(str(file), tables, key_lines(text))
+    source = Source(str(file), tables, key_lines(text), allow_import=allow_import)
     for override in overrides:
         source.override(override)
     return source
@@ -49,7 +53,7 @@ def validate(source: Source) -> Scenario:
     """Return the scenario that a source describes; raise ScenarioError with all its faults, sorted by place."""
     folder = Path(source.name).parent if source.folder is None else source.folder
     try:
-        return Scenario.model_validate(source.tables, context={"folder": folder})
+        return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
     except ValidationError as error:
         faults = [fault for each in error.errors() for fault in _explain(each, source)]
         raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error
@@ -73,6 +77,8 @@ def _syntax_fault(file: str | Path, message: str, text: str) -> str:
     """Return the fault of a text that is not TOML, with its line in front."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
+    if not found and (unread := unreadable(text)):  # it tells no line
+        return f"{file}:{unread}: not TOML that can be read: {message}"
     line = min(int(found[1]), last) if found and found[1] else last
     return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
 
@@ -89,7 +95,7 @@ def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
         return
     place, owner, info = _locate(error, source.tables)
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
-    note = f"; {description}" if description else ""
+    note = f"; {description}" if description and error["type"] != "import_refused" else ""
     name = str(place[-1]) if place else ""
     yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")
 
@@ -118,10 +124,10 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[Ba
         node = node[part] if holds(node, part) else None
         if isinstance(part, str):
             owner, info = inner, fields_of(inner).get(part) if inner else None
-        inner = _model_of(info, node) if info else None
+        inner = model_of(info, node) if info else None
         if info is not None and path and path[0] in _tags(info):
             path.pop(0)
-    if error["type"] == "union_tag_invalid":
+    if error["type"] in {"union_tag_invalid", "import_refused"}:
         place += ("kind",)
     return place, owner, info
 
@@ -137,13 +143,6 @@ def _one_of(info: FieldInfo) -> OneOf | None:
     return next(iter(choices_of(info)), None)
 
 
-def _model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
-    """Return the model that the value of a field, or an item of it, should be."""
-    if one_of := _one_of(info):
-        return one_of.choices().get(str(value.get("kind"))) if isinstance(value, dict) else None
-    return next(models_in(info.annotation), None)
-
-
 def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
     """Return what is wrong in words, with what is allowed."""
     kind, context = error["type"], error.get("ctx", {})
@@ -156,6 +155,8 @@ def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
     if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
         return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
+    if kind == "import_refused":
+        return f"{error['msg']}; allowed without: {', '.join(kinds)}"
     if kind == "literal_error":
         return f"should be {context['expected']}"
     if kind == "missing":
@@ -190,7 +191,7 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
 
 
 def _got(error: ErrorDetails) -> str:
-    if error["type"] in {"extra_forbidden", "union_tag_invalid", "missing", "value_error"}:
+    if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
         return ""
     got = str(error["input"]).lower() if isinstance(error["input"], bool) else repr(error["input"])
     return f" (got {got if len(got) < 60 else got[:57] + '...'})"

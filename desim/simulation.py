@@ -1,9 +1,10 @@
 """A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 import simpy
 
@@ -14,13 +15,15 @@ from desim.kernel.faults import Crash, clock_errors, drawn
 from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes
-from desim.pursuit.agent import Agent, Behaviour, Process, heartbeats
+from desim.pursuit.agent import Agent, Behaviour, Process
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.perception import Eavesdropper
-from desim.pursuit.sensing import Watch, reports
+from desim.pursuit.sensing import Watch
 from desim.pursuit.state import Floats, coordinates
-from desim.pursuit.word import chases
+from desim.pursuit.word import tells_of_chase
 from desim.scenario import Scenario
+from desim.timeout import TimedOut
+from desim.waiting import stuck
 from desim.world import World
 
 if TYPE_CHECKING:
@@ -39,12 +42,11 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: what ran, how it ended, and how much is recorded; metrics are in `analysis`."""
-        protocol = self.scenario.protocol
         ends = self.trace.of(Ended)
         rows = {
             "scenario": self.scenario.name,
             "seed": str(self.seed),
-            "protocol": getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__),
+            "protocol": self.scenario.protocol_name,
             "ended": _ended(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
             "events": f"{len(self.trace):,}",
         }
@@ -69,6 +71,9 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         scenario: what to simulate.
         seed: of every random stream; that of the scenario if None.
         watchers: are shown each event as it happens; one that returns True ends the run.
+
+    Raises:
+        TimedOut: with what each pursuer waits for, if it took too long; see `desim.timeout.within`.
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
@@ -87,13 +92,16 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         positions=positions,
         trace=trace,
         conditions=Conditions(positions) if faults else None,
-        mark=chases,
+        mark=tells_of_chase,
     )
     crew = _Crew(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
     crew.begin()
     world.begin()
-    env.run(until=world.over)
+    try:
+        env.run(until=world.over)
+    except TimedOut as error:
+        raise stuck(env, error, crew.lives) from error
     world.sample()
     trace.append(network.tally())
     assert world.end is not None
@@ -128,11 +136,11 @@ class _Crew:
             world.look_through(self._watch)
         views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
         self._agents = [
-            Agent(pursuer, env, view, world, network, seed, scenario.announce, clock=clock)
+            Agent(pursuer, env, view, world, network, seed, scenario.announce, clock)
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
-        self._processes: dict[int, list[simpy.Process]] = {}
+        self.lives: dict[int, tuple[_Life, _Life]] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
         self._forgetful: set[int] = set()
@@ -140,20 +148,18 @@ class _Crew:
     def begin(self) -> None:
         """Let everyone know how it begins, and set all processes going."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        announces: bool | Literal["unseen"] = getattr(protocol, "announces", True)
-        speaks = announce.payload != "action" if announces == "unseen" else announces
         for pursuer in range(self._world.size):
             agent = self._agents[pursuer]
             if announce.warm_start:
                 agent.presume()
-            relay = env.process(self._live(agent.in_phase(Phase.RELAY), announce.spread))
-            process = env.process(self._live(agent, protocol))
-            self._processes[pursuer] = [relay, process] if self._embodied else [relay]
-            if speaks and announce.beats:
-                env.process(heartbeats(agent.in_phase(Phase.HEARTBEAT), announce.heartbeat))
+            relay = _Life(env, agent.in_phase(Phase.RELAY), announce.spread)
+            self.lives[pursuer] = relay, _Life(env, agent, protocol)
+            beating = agent.in_phase(Phase.HEARTBEAT)
+            if self._scenario.speaks and announce.beats:
+                env.process(beating.repeat(beating.tell, announce.heartbeat, "heartbeat"))
             if self._watch is not None:
                 sight, period = self._watch.sights[pursuer], self._watch.sensing.period
-                env.process(reports(agent.in_phase(Phase.HEARTBEAT), sight, period))
+                env.process(beating.repeat(sight.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer whose robot, not only its radio, broke down."""
@@ -162,9 +168,10 @@ class _Crew:
             if len(self._open[crash.node]) == 1:
                 self._world.halt(crash.node)
                 self._repaired[crash.node] = self._env.event()
-                for process in self._processes[crash.node]:
-                    if process.is_alive:
-                        process.interrupt(self._repaired[crash.node])
+                relay, own = self.lives[crash.node]
+                for life in (relay, own) if self._embodied else (relay,):
+                    if life.is_alive:
+                        life.interrupt(self._repaired[crash.node])
 
     def recovered(self, crash: Crash) -> None:
         """Let a pursuer go on, once nothing of it is broken any more."""
@@ -182,13 +189,20 @@ class _Crew:
         if self._watch is not None and not crash.memory:
             self._watch.sights[node].forget(heard_only=remembers)
 
-    def _live(self, agent: Agent, protocol: Behaviour) -> Process:
-        """Run a process of a pursuer from time 0 on, in order of ids whatever the order in which they were made.
 
-        When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts
-        anew if it has lost its memory.
-        """
-        behaviour: Process | None = None
+class _Life(simpy.Process):
+    """A process of a pursuer, which lives by a protocol.
+
+    When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts anew
+    if it has lost its memory.
+    """
+
+    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour):
+        self.behaviour: Process | None = None
+        super().__init__(env, self._live(agent, protocol))
+
+    def _live(self, agent: Agent, protocol: Behaviour) -> Process:
+        """Yield what the behaviour waits for, from time 0 on, in order of ids whatever the order of creation."""
         awaited: simpy.Event | None = agent.at(agent.now)
         missed: simpy.Event | None = None  # what it waited for, if that happened while it was broken
         while awaited is not None:
@@ -198,19 +212,34 @@ class _Crew:
                 remembers = yield cast("simpy.Event", crash.cause)
                 if remembers:
                     missed = awaited if missed is None and awaited.processed else missed
-                elif behaviour is not None:
-                    behaviour.close()
-                    behaviour = missed = None
-                if behaviour is None or awaited.processed:
+                elif self.behaviour is not None:
+                    self.behaviour.close()
+                    self.behaviour = missed = None
+                if self.behaviour is None or awaited.processed:
                     awaited = agent.at(agent.now)  # it goes on in its turn, after what arrives at this instant
                 continue
             if missed is not None:
                 value, missed = missed.value, None
-            if behaviour is None:
-                behaviour = protocol(agent)
-                awaited = next(behaviour, None)
-            else:
-                try:
-                    awaited = behaviour.send(value)
-                except StopIteration:
-                    return
+            try:
+                if self.behaviour is None:
+                    self.behaviour = _begun(protocol, agent)
+                    awaited = next(self.behaviour, None)
+                else:
+                    awaited = self.behaviour.send(value)
+            except StopIteration:
+                return
+            except Exception as error:
+                error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
+                raise
+
+
+def _begun(protocol: Behaviour, agent: Agent) -> Process:
+    """Return the process that a protocol is for a pursuer.
+
+    Raises:
+        TypeError: if it is none.
+    """
+    behaviour = protocol(agent)
+    if not isinstance(behaviour, Iterator):
+        raise TypeError(f"a protocol should be a generator, which yields what it waits for; {protocol!r} is none")
+    return behaviour

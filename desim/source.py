@@ -2,16 +2,18 @@
 
 import tomllib
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from desim.kernel.presets import PRESETS
 from desim.scenario import Scenario
-from desim.toml_lines import Place
-from desim.value import Value, choices_of
+from desim.toml_lines import DEEP_KEY, Place
+from desim.value import Value, choices_of, fields_of, models_in
 
 
 class ScenarioError(ValueError):
@@ -31,6 +33,8 @@ class Source:
     """What set a key after the tables were given, in the words of whoever did."""
     folder: Path | None = None
     """Where the files and modules that it names lie; None if beside the file."""
+    allow_import: bool = False
+    """Whether it may name code to be run, and files outside of that folder."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -42,7 +46,7 @@ class Source:
             for key in PRESETS[preset]:
                 if getattr(given, key) == getattr(stands_for, key):
                     tables["network"].pop(key, None)
-        return cls("the scenario", tables)
+        return cls("the scenario", tables, allow_import=True)
 
     def where(self, place: Place) -> str:
         """Return where a key was set: `file:line`, or whatever set it since."""
@@ -63,7 +67,9 @@ class Source:
 
     def copy(self) -> Self:
         """Return one that can be set without a change of this one."""
-        return type(self)(self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder)
+        return type(self)(
+            self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder, self.allow_import
+        )
 
     def override(self, text: str) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.
@@ -75,6 +81,8 @@ class Source:
         name, equals, value = text.partition("=")
         if not equals or not all(name.strip().split(".")):
             raise ScenarioError(f"{origin}: should be KEY=VALUE, for instance network.latency.value=0.05")
+        if DEEP_KEY.search(text):
+            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than 100 parts")
         try:
             self.set(name.strip(), _parsed(value.strip()), origin)
         except ScenarioError as error:
@@ -82,6 +90,8 @@ class Source:
 
     def set(self, name: str, value: Any, origin: str) -> None:
         """Set a key, its parts joined by dots; tables that are not there begin with the kind they have by default.
+
+        A table that is given another kind loses what it was given before and the new kind has no key for.
 
         Raises:
             ScenarioError: if it is not a key of a table.
@@ -106,9 +116,21 @@ class Source:
         key = _key(last, node)
         if not isinstance(node, dict) and not holds(node, key):
             raise ScenarioError(f"{name} is not a key of a table")
+        if key == "kind" and node.get("kind") != value:
+            self._fit(place, value)
         node[key] = value
         self.origins.pop((*place, key), None)  # the last one counts
         self.origins[*place, key] = origin
+
+    def _fit(self, place: Place, kind: Any) -> None:
+        """Take from a table what was not set since it was given, and a kind of what it holds has no key for."""
+        info = _field_at(self.tables, place)
+        models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
+        for model in filter(None, models):
+            table = _at(self.tables, place)
+            for key in table.keys() - model.model_fields.keys():
+                if not any(set_since[: len(place) + 1] == (*place, key) for set_since in self.origins):
+                    del table[key]
 
     def _parts(self, name: str) -> list[str]:
         """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
@@ -118,6 +140,29 @@ class Source:
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts
         return spread if _has(self.tables, spread) else [*within, key]
+
+
+def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
+    """Return the model that the value of a field, or an item of it, should be."""
+    for one_of in choices_of(info):
+        return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
+    return next(models_in(info.annotation), None)
+
+
+def _field_at(tables: dict[str, Any], place: Place) -> FieldInfo | None:
+    """Return the field of a model that belongs to a place in the tables of a scenario, or to the list it is in."""
+    model: type[BaseModel] | None = Scenario
+    info: FieldInfo | None = None
+    for end, key in enumerate(place, start=1):
+        if isinstance(key, str):
+            info = fields_of(model).get(key) if model is not None else None
+        model = model_of(info, _at(tables, place[:end])) if info is not None else None
+    return info
+
+
+def _at(tables: Any, place: Place) -> Any:
+    """Return what stands at a place in tables."""
+    return reduce(getitem, place, tables)
 
 
 def _has(tables: Any, parts: list[str]) -> bool:
@@ -199,6 +244,8 @@ def _parsed(text: str) -> Any:
         if text.startswith(('"', "'", "[", "{")):
             raise ScenarioError(f"{text!r} is not a TOML value") from error
         return text
+    except (ValueError, RecursionError) as error:  # a number that is too long, or lists that are too deep
+        raise ScenarioError(f"{text[:20]!r}... is not a TOML value that can be read: {error}") from error
     if len(tables) > 1:
         raise ScenarioError(f"{text!r} is more than one value")
     return tables["value"]

@@ -26,6 +26,23 @@ def key_lines(text: str) -> dict[Place, int]:
     return lines
 
 
+def unreadable(text: str) -> int | None:
+    """Return the line of the first statement of a TOML text that `tomllib` cannot read, if it is there whole."""
+    return next((line for line, statement in _statements(text) if not _is_readable(statement)), None)
+
+
+def _is_readable(statement: str) -> bool:
+    try:
+        tomllib.loads(statement)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){100}""")
+"""A key of so many parts that `tomllib`, which keeps what begins each, may run out of memory."""
+
+
 # What may hide a bracket or the end of a line in TOML: strings of four kinds, and comments.
 _TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
@@ -36,12 +53,14 @@ _TOKEN = re.compile(
 def _statements(text: str) -> Iterator[tuple[int, str]]:
     """Yield each statement of a TOML text with its first line: it ends with a line on which no bracket is open."""
     depth = start = 0
+    line = 1
     for token in _TOKEN.finditer(text + "\n"):
         depth += (token[0] in "[{") - (token[0] in "]}") if token[0] in "[]{}" else 0
         if token[0] == "\n" and depth == 0:
             statement = text[start : token.start()].strip()
             if statement and not statement.startswith("#"):
-                yield text.count("\n", 0, start) + 1, statement
+                yield line, statement
+            line += text.count("\n", start, token.end())
             start = token.end()
 
 

@@ -12,12 +12,13 @@ from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
-from math import inf
+from math import inf, isfinite, isnan
 from pathlib import Path
 from types import FunctionType, MappingProxyType
 from typing import Annotated, Any, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -29,7 +30,7 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, SchemaValidator, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.field_docs import docs_of
 
@@ -39,6 +40,16 @@ FARTHEST = 1e9
 """The plane ends here, so that no square overflows, m or m/s."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False, strict=True)]
 """m"""
+
+
+def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"should be [lower, upper] (got {bounds[0]:g} and {bounds[1]:g})")
+    return bounds
+
+
+Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
+"""Lower and upper bound of both coordinates, m."""
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
 """m"""
 Speed = Annotated[float, Field(ge=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
@@ -50,6 +61,13 @@ def _infinity(value: Any) -> Any:
     return inf if value == "Infinity" else value
 
 
+def plain_number(number: float) -> float | str:
+    """Return a number as JSON has it: one that it has no number for as "Infinity", "-Infinity" or "NaN"."""
+    if isfinite(number):
+        return number
+    return "NaN" if isnan(number) else "Infinity" if number > 0.0 else "-Infinity"
+
+
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
 """Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
 Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
@@ -58,7 +76,9 @@ LONGEST = 1e9
 """Thirty years: no time is longer, s."""
 SHORTEST = 1e-6
 """What recurs more often than every microsecond would never end, s."""
-Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True)]
+Unsigned = AfterValidator(lambda number: number + 0.0)
+"""Makes 0 of -0, which numpy takes for a negative scale."""
+Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True), Unsigned]
 """A time or a delay, s."""
 Horizon = Annotated[float, Field(gt=0, le=LONGEST, allow_inf_nan=False, strict=True)]
 """A time at which something ends, s."""
@@ -67,6 +87,8 @@ Period = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, st
 Rate = Annotated[float, Field(ge=1 / LONGEST, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""
 Truth = Annotated[bool, Field(strict=True)]
+ALLOW = "if you trust that file, say --allow-import (in Python, allow_import=True)"
+"""How to let a file do what those of strangers may not."""
 
 
 class Value(BaseModel):
@@ -93,15 +115,27 @@ class Value(BaseModel):
         return dict(json.loads(self.model_dump_json()))
 
 
+def is_trusted(info: ValidationInfo) -> bool:
+    """Return whether what is validated may run code and read any file: it is Python's, or a file that is allowed to."""
+    return info.context is None or bool(info.context.get("allow_import"))
+
+
 def beside(path: Any, info: ValidationInfo) -> Path:
-    """Return a path that a file names: relative to the folder of that file, if it is known.
+    """Return a path that a file names: relative to the folder of that file, if it is known, and not outside of it.
 
     Raises:
-        ValueError: if it is not a text.
+        ValueError: if it is not a text, or leads out of the folder and the file is not trusted.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")
-    return Path((info.context or {}).get("folder", "."), path)
+    folder = Path((info.context or {}).get("folder", "."))
+    try:
+        is_within = (folder / path).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError) as error:  # links that lead to each other
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if not (is_within or is_trusted(info)):
+        raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW}")
+    return folder / path
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
@@ -117,13 +151,24 @@ def kind_of(model: type[BaseModel]) -> str:
     return str(model.model_fields["kind"].default)
 
 
+def home_of(value: Any) -> Any:
+    """Return where the code of a value is: the function that it is, or the class of an object."""
+    return value if isinstance(value, FunctionType) else type(value)
+
+
+def import_name(home: Any) -> str:
+    """Return the `kind` by which a table asks for a function or a class that is no entry point: "module:name"."""
+    return f"{home.__module__}:{home.__qualname__}"
+
+
 class OneOf:
     """Annotation of a field that holds one of several models, told apart by their `kind`.
 
     Models that other distributions install under the entry point group `group` are accepted too. A model is loaded and
     built when a table asks for it; the others are not. An object that can be called is taken as it is, so that a script
     may pass a function or a model of its own; a file names such a one by the kind "module:name", of a module that is
-    installed or lies beside the file.
+    installed or lies beside the file. Because that runs the code of the module, the file must be trusted
+    (`is_trusted`), or the name be that of an entry point in one of the groups `desim.*`.
 
     Args:
         models: of this distribution.
@@ -179,13 +224,12 @@ class OneOf:
     def _written(self, value: Any, write: Callable[[Any], Any]) -> Any:
         if self.holds(value):
             return write(value)
-        home = value if isinstance(value, FunctionType) else type(value)
         parameters = {}
         if isinstance(value, BaseModel):
             parameters = value.model_dump()
         elif is_dataclass(value):
             parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
-        return parameters | {"kind": f"{home.__module__}:{home.__qualname__}"}
+        return parameters | {"kind": import_name(home_of(value))}
 
     def _table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes; raise ValidationError if it is none of them."""
@@ -198,19 +242,46 @@ class OneOf:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
-            value = _imported(value, (info.context or {}).get("folder"))
-            if not callable(value):
-                raise ValueError(f"{kind!r} is nothing that can be called, but {value!r}")
+            value = self._imported(value, info)
         if not callable(value):
             return self._table(value, info)
         if missing := [name for name in self.needs if not hasattr(value, name)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
-        if self.takes:
-            try:
-                signature(value).bind(*self.takes)
-            except TypeError as error:
-                raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
+        self._check_called(value, value)
         return value
+
+    def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:
+        """Raise ValueError if what calls a value cannot take the arguments, after those that come first."""
+        if not self.takes:
+            return
+        try:
+            signature(function).bind(*first, *self.takes)
+        except TypeError as error:
+            raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
+
+    def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
+        """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters.
+
+        Nothing is imported unless that is allowed, and no class is called whose instances cannot be.
+        """
+        kind = table["kind"]
+        if names_code(kind) and not is_trusted(info):
+            raise PydanticCustomError("import_refused", "{why}", {"why": refusal(kind)})
+        point = _named_by_entry_points().get(kind)
+        found = _load(kind, (info.context or {}).get("folder")) if point is None else point.load()
+        parameters = {key: each for key, each in table.items() if key != "kind"}
+        if not isinstance(found, type):
+            if not callable(found):
+                raise ValueError(f"{kind!r} is nothing that can be called, but {found!r}")
+            if parameters:
+                raise ValueError(f"{kind!r} is no model and takes no parameters, got {', '.join(parameters)}")
+            return found
+        calls = next((vars(base)["__call__"] for base in found.__mro__ if "__call__" in vars(base)), None)
+        if calls is None:
+            raise ValueError(f"{kind!r} is no model: its instances cannot be called")
+        if isinstance(calls, FunctionType):
+            self._check_called(calls, found, None)
+        return _constructed(found, kind, parameters, info.context)
 
 
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
@@ -227,64 +298,46 @@ def _judge(kind: Any, model: type[BaseModel]) -> SchemaValidator:
     return SchemaValidator(_union({kind: model}))
 
 
-def _imported(table: dict[str, Any], folder: Path | None) -> Any:
-    """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters.
+def names_code(kind: Any) -> bool:
+    """Return whether what stands for a kind names code that is not installed as an entry point of desim."""
+    return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
-    The module may lie in the folder of the file; worker processes find it there, too.
-    """
-    module, _, name = table["kind"].partition(":")
+
+def refusal(kind: str) -> str:
+    """Return why a file may not name code."""
+    return f"{kind!r} names code to be run; {ALLOW}"
+
+
+@cache
+def _named_by_entry_points() -> Mapping[str, EntryPoint]:
+    """Return the entry points of the groups `desim.*` by the names "module:name" of what they are of."""
+    points = (
+        each for group in entry_points().groups if group.startswith("desim.") for each in entry_points(group=group)
+    )
+    return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
+
+
+def _load(kind: str, folder: Path | None) -> Any:
+    """Return what "module:name" names; the module may lie in a folder, where worker processes find it, too."""
+    module, _, name = kind.partition(":")
     if folder is not None and str(folder.absolute()) not in sys.path:
         sys.path.append(str(folder.absolute()))
     try:
-        found = getattr(import_module(module), name)
+        return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"{table['kind']!r} cannot be imported: {error}") from error
-    parameters = {key: each for key, each in table.items() if key != "kind"}
-    if not isinstance(found, type):
-        if parameters:
-            raise ValueError(f"{table['kind']!r} is no model and takes no parameters, got {', '.join(parameters)}")
-        return found
+        raise ValueError(f"{kind!r} cannot be imported: {error}") from error
+
+
+def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:
     try:
-        return found(**parameters)
+        return (
+            model.model_validate(parameters, context=context) if issubclass(model, BaseModel) else model(**parameters)
+        )
     except ValidationError as error:
         faults = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()]
-        raise ValueError(f"{table['kind']!r}: {'; '.join(faults)}") from error
+        raise ValueError(f"{kind!r}: {'; '.join(faults)}") from error
     except TypeError as error:
-        raise ValueError(f"{table['kind']!r}: {error}") from error
-
-
-def described(
-    model: type[BaseModel], title: str, indent: str = "", known: set[type[BaseModel]] | None = None
-) -> Iterator[str]:
-    """Yield lines of text that describe a model and its parameters, and the models they may hold in turn, once each."""
-    known = set() if known is None else known
-    yield f"{indent}{title}: {(model.__doc__ or '').strip().splitlines()[0]}"
-    if model in known:
-        return
-    known.add(model)
-    for name, field in fields_of(model).items():
-        if name == "kind":
-            continue
-        inner = indent + "    "
-        yield f"{inner}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
-        for choice in choices_of(field):
-            choices = choice.choices()
-            if known.issuperset(choices.values()):
-                yield f"{inner}    {', '.join(choices)}: as above"
-                continue
-            for kind, chosen in choices.items():
-                yield from described(chosen, kind, inner + "    ", known)
-        for plain in models_in(field.annotation):
-            yield from list(described(plain, name, inner, known))[1:]
-
-
-def _default_of(field: FieldInfo) -> str:
-    if field.is_required():
-        return ""
-    default = field.get_default(call_default_factory=True)
-    if isinstance(default, BaseModel):
-        return f" = {{ kind = {kind_of(type(default))!r} }}" if "kind" in type(default).model_fields else ""
-    return f" = {default!r}"
+        raise ValueError(f"{kind!r}: {error}") from error
 
 
 def choices_of(field: FieldInfo) -> list[OneOf]:

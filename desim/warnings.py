@@ -82,10 +82,12 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for k, fault in enumerate(scenario.fault):
         if getattr(fault, "at", 0.0) >= scenario.horizon:
             yield f"fault.{k}.at", "it would begin after the horizon"
-    load = network.medium(announce.size) / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
-    if announce.beats and load > 1.0:
+    claim_size = getattr(scenario.protocol, "claim_size", None)
+    size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
+    load = network.medium(size) / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
+    if scenario.speaks and announce.beats and load > 1.0:
         yield (
             "announce.heartbeat",
-            f"heartbeats of {announce.size} bytes alone would keep the channel busy {load:.1f} times over, so that"
+            f"heartbeats of {size} bytes alone would keep the channel busy {load:.1f} times over, so that"
             " messages wait for longer and longer, or are dropped",
         )

@@ -14,7 +14,7 @@ from desim.kernel.seeds import stream
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.perception import Eavesdropper
-from desim.pursuit.reckoning import Sightings, nearer
+from desim.pursuit.reckoning import Path, nearer
 from desim.pursuit.sensing import Watch
 from desim.pursuit.state import Floats, Points, State, complex_points, coordinates, lengths
 from desim.pursuit.steering import Actions, Steering
@@ -29,8 +29,7 @@ class World:
     Everyone moves in straight pieces that all began at one instant: the last motion step, or the last order inside
     it. Capture is foreseen from the pieces and happens at its instant, unless an order comes first.
 
-    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. With one evader it is
-    a truth: whether the pursuer is active.
+    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays.
 
     Args:
         env: the clock of the simulation.
@@ -65,7 +64,7 @@ class World:
                 number,
                 evader.speed,
                 evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, radius),
-                Sightings(scenario.team.guidance, remembers=_reckons(scenario)),
+                Path(scenario.team.guidance, remembers=_reckons(scenario)),
                 players=self.players,
                 speeds=self._speeds,
                 radius=radius,
@@ -84,7 +83,7 @@ class World:
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
         self._watch: Watch | None = None
-        chased: Actions = scenario.team.start_profile(seed)
+        chased: Actions = scenario.team.start_profile(seed).astype(np.int64)
         if not self._lone:
             chased = chased * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
         self._act(chased)
@@ -115,15 +114,15 @@ class World:
 
     # What can be sensed.
 
-    def state(self, evader: int = 1) -> State:
+    def state(self, evader: int) -> State:
         """Return where everyone and an evader are now, and who chases it."""
         return self._targets[evader - 1].state(self._env.now)
 
-    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+    def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
         return self._targets[evader - 1].capture_times(self._env.now)
 
-    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+    def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
         if self._env.now == self._step_end:  # everybody's position will be asked for at this instant
             self.players.places()
@@ -133,7 +132,7 @@ class World:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
         return (self._horizon if self._motion.frozen else self._horizon - now) / SECOND
 
-    def may_chase(self, pursuer: int, evader: int = 1, view: Surroundings | None = None) -> bool:
+    def may_chase(self, pursuer: int, evader: int, view: Surroundings | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
 
         By the true times of capture, or by those of a view.
@@ -160,7 +159,7 @@ class World:
         view = self if self._watch is None else self._watch.sights[pursuer]
         return view.may_chase(pursuer, evader)
 
-    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
+    def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
         return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
 
@@ -186,7 +185,7 @@ class World:
 
     @property
     def frozen(self) -> bool:
-        """Return whether nobody moves."""
+        """Whether nobody moves."""
         return self._motion.frozen
 
     def place(self, pursuer: int) -> complex:
@@ -197,13 +196,13 @@ class World:
         """Return the (N,) positions of the pursuers, m."""
         return self.players.places()[: self.size]
 
-    def evader(self, evader: int = 1) -> complex:
+    def evader(self, evader: int) -> complex:
         """Return the position of an evader, m."""
         return self._targets[evader - 1].place
 
     @property
     def evader_count(self) -> int:
-        """Return how many evaders there were at first, M."""
+        """How many evaders there were at first, M."""
         return len(self._targets)
 
     def evaders(self) -> Sequence[int]:
@@ -212,14 +211,14 @@ class World:
 
     @property
     def radius(self) -> float:
-        """Return the distance at which an evader is captured, m."""
+        """The distance at which an evader is captured, m."""
         return self._capture.radius
 
     def speed(self, pursuer: int) -> float:
         """Return how fast a pursuer moves if it does, m/s."""
         return float(self._speeds[pursuer])
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
 
         Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
@@ -231,7 +230,7 @@ class World:
         end = now if target.captured is None else max(target.captured, now - age)
         if not exact:
             return nearer(position, self.evader(evader), speed * seconds(end - now + age))
-        return target.seen.place(position, speed, now - age, end)
+        return target.path.place(position, speed, now - age, end)
 
     def broken(self) -> NDArray[np.bool_]:
         """Return (N,) who is broken, and so follows no order."""
@@ -259,7 +258,7 @@ class World:
             raise ValueError(f"an action should be 0 or an evader, 1 .. {len(self._targets)}, got {action}")
         able = action and not self._broken[pursuer] and self._may(pursuer, action)
         action = int(action) if able else 0
-        self._trace.append(Decided(self._env.now, pursuer, bool(action) if self._lone else action))
+        self._trace.append(Decided(self._env.now, pursuer, action))
         self._set(pursuer, action)
 
     def halt(self, pursuer: int) -> None:

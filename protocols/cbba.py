@@ -20,6 +20,7 @@ from math import inf
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.kernel.clock import seconds
+from desim.kernel.wire import NUMBER
 from desim.pursuit.agent import Agent
 from desim.value import Extent
 from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
@@ -52,6 +53,10 @@ class CBBA(Auction):
     patience: Extent = 2.0
     """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
     many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
+
+    def claim_size(self, pursuers: int, evaders: int) -> int:
+        """Return the bytes of an announcement: those of any auction, and a stamp of each pursuer."""
+        return super().claim_size(pursuers, evaders) + NUMBER * pursuers
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader of which it is the winner."""

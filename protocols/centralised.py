@@ -41,22 +41,22 @@ class Centralised(Value):
             return
         for k in count():
             yield me.at(k * self.slot)
-            phi = [list(me.capture_times(evader)) for evader in range(1, me.evader_count + 1)]
-            for pursuer in me.broken():
+            phi = [list(me.whole.capture_times(evader)) for evader in range(1, me.evader_count + 1)]
+            for broken in me.whole.broken().nonzero()[0]:
                 for times in phi:
-                    times[pursuer] = inf
-            sent = assignment(phi, me.time_left())
-            profile = me.profile()
+                    times[broken] = inf
+            sent = matching(phi, me.time_left())
+            profile = me.whole.profile()
             wanted = [0] * len(profile)
             for pursuer, action in sent.items():
                 wanted[pursuer] = action
             if profile != wanted:
                 for pursuer, action in enumerate(wanted):
                     if profile[pursuer] != action:
-                        me.command(pursuer, action)
+                        me.whole.order(pursuer, action)
 
 
-def assignment(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
+def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
     """Return which evader each pursuer is to chase, 1 .. M; those who are to stay are left out.
 
     Args:

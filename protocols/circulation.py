@@ -12,11 +12,11 @@ Robust to loss: yes. The token is sent again until its receipt. A neighbour that
     no two in one epoch, and the older die where the newest has been.
 """
 
-from collections.abc import Callable, Generator
-from typing import Any
+from collections.abc import Callable
 
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
+from protocols.patience import TimeOut, Waiting, wait_for_mail
 from protocols.token_messages import (
     UNHEARD,
     Age,
@@ -25,17 +25,13 @@ from protocols.token_messages import (
     Sign,
     Token,
     longest_absent,
-    marked,
     neglects,
+    visited,
 )
 
 PORT = "token"
 """Where all that concerns the token comes in."""
 
-BACKOFF = 1.5
-"""How much longer messages are expected to be on the air at each time-out than at the one before."""
-Waiting = Generator[Any, Any, bool]
-"""A part of a process that finds out whether something is so."""
 Choice = Callable[[Agent, Token], int | None]
 """To whom a token goes next; None to keep it."""
 
@@ -56,7 +52,7 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
 
 def full_token(me: Agent) -> Token:
     """Return a token that is as long as one that knows of everyone."""
-    records = (Record(me.id, 0, 0, me.assignment()),) * me.team_size
+    records = (Record(me.id, 0, 0, me.announcement()),) * me.team_size
     return Token(UNHEARD, 0, (0,) * me.team_size, (), records)
 
 
@@ -83,8 +79,7 @@ class Station:
         self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
         self._hop_time = hop_time(me)
         # There and back, with what may wait in front of the token and of its receipt.
-        self._on_air = 1.25 * (me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)))
-        self._resend = max(2.5 * me.latency + self._on_air, hold)
+        self._time_out = TimeOut(me, me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)), hold)
         self._greeting = 0.0  # not before this time, on the own clock, is anybody greeted
         self._deadline = me.now + self.patience
 
@@ -97,10 +92,6 @@ class Station:
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._hold) + sum(map(self._time_out, range(self._attempts)))
-
-    def _time_out(self, attempt: int) -> float:
-        """Return how long a receipt is awaited, s; longer each time, if the channel may be busy."""
-        return self._resend + self._on_air * (BACKOFF**attempt - 1.0)
 
     # What it does while the token is elsewhere, and while it is here.
 
@@ -146,15 +137,14 @@ class Station:
     def _wait(self, until: float) -> Waiting:
         """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""
         me = self._me
-        alarm = me.at(max(until, me.now))
-        yield me.arrival(PORT) | alarm
+        due = yield from wait_for_mail(me, PORT, until)
         overslept = me.now > until + self._hold
         if overslept:  # it broke down meanwhile: others may have replaced the token
             self.token = None
             self._reassured()
         for message in me.mail(PORT):
             self._hear(message.src, message.body)
-        return alarm.processed and not overslept
+        return due and not overslept
 
     # What it hears.
 
@@ -237,7 +227,7 @@ class Station:
 
     def _suspect(self, token: Token, dst: int) -> Token:
         """Return the token for others than a pursuer that does not answer; the copy that it may have is worthless."""
-        self._renew(token._replace(absent=(*token.absent, dst), visits=marked(token, dst)))
+        self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token
 
@@ -246,9 +236,9 @@ class Station:
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
-        token = self._greeted(token._replace(visits=marked(token, me.id)))
+        token = self._greeted(token._replace(visits=visited(token, me.id)))
         known = (record for _, record in me.heard().values())
-        token = token._replace(records=(me.record(me.assignment()), *known))
+        token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
             me.send(None, Sign(*self._taken), PORT)
@@ -259,6 +249,6 @@ class Station:
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._greeting:
             return token
-        self._greeting = self._me.now + self._resend
+        self._greeting = self._me.now + self._time_out()
         self._me.send(dst, Sign(token.epoch, token.hop, asks=True), PORT)
-        return token._replace(visits=marked(token, dst))
+        return token._replace(visits=visited(token, dst))

@@ -13,6 +13,7 @@ from math import inf
 from typing import Any, NamedTuple
 
 from desim.kernel.records import Record
+from desim.kernel.wire import HEADER, NUMBER
 from desim.pursuit.agent import Agent, Process
 from protocols.rule import Rule
 
@@ -48,6 +49,10 @@ class Auction(Rule):
         actions = self.actions(me)
         yield from self.schedule(me, lambda: me.assign(next(actions)))
 
+    def claim_size(self, pursuers: int, evaders: int) -> int:
+        """Return the bytes of an announcement: the action, and the winner and the bid of each evader."""
+        return HEADER + NUMBER * (1 + 2 * evaders)
+
 
 def offer(me: Agent, evader: int = 1) -> Bid:
     """Return what a pursuer could bid for an evader now; it bids only if it may chase and would be in time."""
@@ -75,7 +80,7 @@ def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
 def claim_fields(action: int, bids: Sequence[Bid]) -> Fields:
     """Return an action and the (M,) best bids as the first fields of a claim."""
     if len(bids) == 1:
-        return bool(action), *bids[0]
+        return action, *bids[0]
     return action, tuple(bid.winner for bid in bids), tuple(bid.amount for bid in bids)
 
 

@@ -13,22 +13,22 @@ Robust to loss: yes. Requests are repeated until they are answered; the oldest w
     it leaves out, so nobody waits for ever. Who was silent is still asked but not waited for until it replies again.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.kernel.clock import nanoseconds
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Rate, Value
+from protocols.patience import TimeOut, Waiting, wait_for_mail
 
 PORT = "mutex"
 """Where all that concerns the section comes in."""
 
 Stamp = tuple[int, int]
 """Lamport time and id: the smaller is the older, and no two requests have the same."""
-Waiting = Generator[Any, Any, bool]
-"""A part of a process that finds out whether something is so."""
 
 
 class Request(NamedTuple):
@@ -67,9 +67,10 @@ class LocalMutex(Value):
     """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return (1 / rate + 2 L) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s.
+        """Return (1 / rate + 2 L + A) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s.
 
-        d is the mean number of neighbours in the team, so that all agree.
+        d is the mean number of neighbours in the team, so that all agree; A is the airtime of requests to so many and
+        of their replies.
         """
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
@@ -90,13 +91,9 @@ class LocalMutex(Value):
             section.leave()
 
 
-BACKOFF = 1.5
-"""How much longer messages are expected to be on the air at each time-out than at the one before."""
-
-
 def on_air(me: Agent, neighbours: float) -> float:
     """Return how long one channel is busy with requests to so many neighbours and their replies, s."""
-    stamp, record = (0, 0), Record(me.id, 0, 0, me.assignment())
+    stamp, record = (0, 0), Record(me.id, 0, 0, me.announcement())
     return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
 
 
@@ -105,8 +102,7 @@ class Section:
 
     def __init__(self, me: Agent, attempts: int, floor: float):
         self._me, self._attempts = me, attempts
-        self._on_air = 1.25 * on_air(me, len(me.neighbours()))
-        self._resend = max(2.5 * me.latency + self._on_air, floor)
+        self._time_out = TimeOut(me, on_air(me, len(me.neighbours())), floor)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request
         self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain
@@ -121,15 +117,14 @@ class Section:
     def enter(self) -> Process:
         """Ask all neighbours, and wait until those that are not silent have replied."""
         self._ask()
-        time_out, on_air = self._resend, self._on_air
+        attempt = 0
         while self._missing:
-            until = self._me.now + time_out
-            time_out, on_air = time_out + (BACKOFF - 1.0) * on_air, BACKOFF * on_air
+            until, attempt = self._me.now + self._time_out(attempt), attempt + 1
             while self._missing:
                 if (yield from self._wait(until)):
                     self._ask_again()
                     break
-            if self._me.now > until + self._resend:  # it broke down: what it knows may be old
+            if self._me.now > until + self._time_out():  # it broke down: what it knows may be old
                 self._ask()
 
     def leave(self) -> None:
@@ -143,7 +138,7 @@ class Section:
         """Send a new request to all neighbours."""
         self.leave()
         me = self._me
-        self._highest = max(self._highest + 1, round(me.now * 1e9))  # the clock, for it may have lost its memory
+        self._highest = max(self._highest + 1, nanoseconds(me.now))  # the clock, for it may have lost its memory
         self._wanted = (self._highest, me.id)
         neighbours = me.neighbours()
         self._missing = {j: 1 for j in neighbours if j not in self._silent}
@@ -163,12 +158,10 @@ class Section:
 
     def _wait(self, until: float) -> Waiting:
         """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""
-        me = self._me
-        alarm = me.at(max(until, me.now))
-        yield me.arrival(PORT) | alarm
-        for message in me.mail(PORT):
+        due = yield from wait_for_mail(self._me, PORT, until)
+        for message in self._me.mail(PORT):
             self._hear(message.src, message.body)
-        return bool(alarm.processed)
+        return due
 
     def _hear(self, src: int, body: Request | Reply | Later) -> None:
         """Take notice of a message."""
@@ -195,4 +188,4 @@ class Section:
         self._deferred[src] = stamp
 
     def _reply(self, dst: int, stamp: Stamp) -> None:
-        self._me.send(dst, Reply(stamp, (self._me.record(self._me.assignment()),)), PORT)
+        self._me.send(dst, Reply(stamp, (self._me.record(self._me.announcement()),)), PORT)

@@ -44,11 +44,21 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer."""
+        """Negotiate for one pursuer.
+
+        Raises:
+            TypeError: if the rule does not yield actions.
+            ValueError: if it ends.
+        """
         actions = self.actions(me)
+        if not isinstance(actions, Iterator):
+            raise TypeError(f"actions(me) of {type(self).__name__} should yield actions, not return {actions!r}")
 
         def revise() -> None:
-            me.assign(next(actions) if me.may_choose() else 0)
+            action = next(actions, None) if me.may_choose() else 0
+            if action is None:
+                raise ValueError(f"actions(me) of {type(self).__name__} should never end: `while True`")
+            me.assign(action)
 
         yield from self.schedule(me, revise)
 
@@ -72,7 +82,7 @@ class LearningRule(Rule):
 
 def present(me: Agent, actions: Collection[int]) -> int:
     """Return what a pursuer does if that is one of the actions it may choose; else 0, for it has to stop."""
-    return int(me.action) if me.action in actions else 0
+    return me.action if me.action in actions else 0
 
 
 def best(utilities: dict[int, float]) -> int:

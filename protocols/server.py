@@ -23,11 +23,11 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from desim.kernel.clock import SECOND
+from desim.kernel.clock import nanoseconds
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.word import LocatedAssignment, Relayed
+from desim.pursuit.word import Relayed
 from desim.value import Period, Value
-from protocols.centralised import assignment
+from protocols.centralised import matching
 from protocols.schedules import ticks
 
 PORT = "server"
@@ -77,13 +77,13 @@ class Server(Value):
                     if message.body.number >= newest:
                         newest = message.body.number
                         obey(me, message.body)
-            me.send(self.host, Relayed((me.record(state(me)),)), PORT)
+            me.send(self.host, Relayed((me.record(me.located()),)), PORT)
 
     def _lead(self, me: Agent) -> Process:
         """Decide on what has arrived, obey oneself, and tell the others."""
         told = Order(-1, None)
         reporters: set[int] = set()
-        silence = 3.0 * self.period + 2.0 * (me.latency + me.airtime(state(me))) if me.team_size > 1 else 0.0
+        silence = 3.0 * self.period + 2.0 * (me.latency + me.airtime(me.located())) if me.team_size > 1 else 0.0
         last_word = me.now
         for tick in ticks(me, self.period):
             alarm = me.at(tick)
@@ -103,7 +103,7 @@ class Server(Value):
                     chaser = self._chaser(me, reporters)
                     changed = told.number < 0 or chaser != told.chaser
                     # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
-                    told = Order(max(round(me.now * SECOND), told.number + 1, 0), chaser) if changed else told
+                    told = Order(max(nanoseconds(me.now), told.number + 1, 0), chaser) if changed else told
                     obey(me, told)
                 if changed or (due and told.number >= 0):
                     me.send(None, told, PORT)
@@ -116,14 +116,8 @@ class Server(Value):
             [me.capture_time(evader) if j == me.id else known[j].capture_time for j in ids]
             for evader, known in enumerate(beliefs, start=1)
         ]
-        chasers = {evader: ids[row] for row, evader in assignment(phi, me.time_left()).items()}
+        chasers = {evader: ids[row] for row, evader in matching(phi, me.time_left()).items()}
         return tuple(map(chasers.get, range(1, me.evader_count + 1))) if me.evader_count > 1 else chasers.get(1)
-
-
-def state(me: Agent) -> LocatedAssignment:
-    """Return what a pursuer reports, whatever the payload of announcements."""
-    place = me.place()
-    return LocatedAssignment(me.action, place.real, place.imag, me.speed)
 
 
 def obey(me: Agent, order: Order) -> None:

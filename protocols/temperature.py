@@ -96,7 +96,7 @@ class AdaptiveTau(Value):
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield at each turn how many slots have passed since the last surprise."""
+        """Yield at each turn how many slots (s) have passed since the last surprise."""
         since, heard, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()

@@ -20,7 +20,7 @@ from pydantic import Field
 from desim.pursuit.agent import Agent, Process
 from desim.value import Period, Value
 from protocols.circulation import circulate, hop_time
-from protocols.token_messages import Token, present
+from protocols.token_messages import Token, not_absent
 
 
 class _WithToken(Value):
@@ -30,11 +30,11 @@ class _WithToken(Value):
     """The token carries what everyone does."""
     hold: Period = 0.01
     """How long a pursuer has the token; it revises at the end of that time, s."""
-    attempts: Annotated[int, Field(ge=1, strict=True)] = 5
+    attempts: Annotated[int, Field(ge=1, le=100, strict=True)] = 5
     """How often the token is sent to a neighbour that does not answer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return hold + L, s; a pursuer that keeps the token is faster by L."""
+        """Return hold + L + A, s, A the airtime of a token that knows of everyone; to keep it takes hold only."""
         return self.hold + hop_time(me)
 
     def without_turns(self) -> dict[str, Any]:
@@ -64,14 +64,14 @@ class TokenWalk(_WithToken):
 
 def least_recent(me: Agent, token: Token) -> int | None:
     """Return the neighbour that was visited least recently; of several the next by id; None if all are absent."""
-    candidates = present(token, me.neighbours())
+    candidates = not_absent(token, me.neighbours())
     return min(candidates, key=lambda j: (token.visits[j], (j - me.id) % me.team_size), default=None)
 
 
 def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
     """Return a neighbour j with probability min(1/d_i, 1/d_j), else None; d counts neighbours that are not absent."""
-    candidates = present(token, me.neighbours())
-    degrees = [len(candidates), *(len(present(token, me.neighbours(j))) for j in candidates)]
+    candidates = not_absent(token, me.neighbours())
+    degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
     shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]
     place = int(np.searchsorted(np.cumsum(shares), rng.random(), side="right"))
     return candidates[place] if place < len(candidates) else None

@@ -39,12 +39,12 @@ class Sign(NamedTuple):
     """Whether an answer is wanted: a greeting."""
 
 
-def present(token: Token, pursuers: list[int]) -> list[int]:
+def not_absent(token: Token, pursuers: list[int]) -> list[int]:
     """Return those of some pursuers that are not known to be absent."""
     return [j for j in pursuers if j not in token.absent] if token.absent else pursuers
 
 
-def marked(token: Token, pursuer: int) -> tuple[int, ...]:
+def visited(token: Token, pursuer: int) -> tuple[int, ...]:
     """Return the visits, with one at this hop."""
     return (*token.visits[:pursuer], token.hop, *token.visits[pursuer + 1 :])
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from desim import Result, Scenario, run
 from desim.analysis.reading import messages
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
-from desim.kernel.events import TraceFile
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.trace_file import TraceFile
 from desim.pursuit.events import Ended
 from desim.pursuit.word import Announcements
 from desim.scenario import Evader, Motion, Recording, Team

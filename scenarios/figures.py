@@ -14,11 +14,11 @@ import numpy as np
 from desim import Result, Scenario, run
 from desim.analysis.activity import active_time, handovers, relays
 from desim.analysis.course import course
-from desim.analysis.folder import can_plot
 from desim.analysis.hindsight import gains
 from desim.analysis.reading import ended, reading, started
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
+from desim.folder import can_plot
 from desim.kernel.clock import SECOND, seconds
 from desim.scenario import Recording
 from scenarios.study import Options, study
@@ -102,7 +102,7 @@ def initial(result: Result) -> "Figure":
 def trajectories(results: "Mapping[str, Result]") -> "Figure":
     """Draw the pursuits, four panels with the same axes."""
     from desim.analysis import plots
-    from desim.view.pursuit import draw_pursuit, label_takeovers
+    from desim.view.paths import draw_pursuit, label_takeovers
 
     with plots.styled((plots.COLUMN, 4.1), font=7) as figure:
         labels: dict[str, Artist] = {}

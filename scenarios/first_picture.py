@@ -11,7 +11,6 @@ import numpy as np
 from desim import Result, load, run
 from desim.analysis.metrics import activity
 from desim.analysis.tables import aligned
-from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS, Options, study
 
 if TYPE_CHECKING:
@@ -57,13 +56,9 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
 @study("first_picture", __doc__, runs=100)
 def main(options: Options) -> None:
     """Run, average, draw."""
-    tasks = [
-        (load(FILE, [f"network.latency.value={latency}"]), seed)
-        for latency in LATENCIES
-        for seed in seeds_from(options.seed, options.runs)
-    ]
-    curves = np.array(run_many(tasks, options.jobs, "latencies", active_pursuers))
-    means = dict(zip(LATENCIES, np.nanmean(curves.reshape(len(LATENCIES), options.runs, -1), axis=1), strict=True))
+    scenarios = [load(FILE, [f"network.latency.value={latency}"]) for latency in LATENCIES]
+    curves = options.measure(scenarios, "latencies", active_pursuers)
+    means = {latency: np.nanmean(found, axis=0) for latency, found in zip(LATENCIES, curves, strict=True)}
     rows: list[Sequence[str]] = [("latency, s", "active pursuers at 1 s", "2 s", "4 s")]
     rows += [(f"{x:g}", *(f"{np.interp(t, TIMES, mean):.2f}" for t in (1, 2, 4))) for x, mean in means.items()]
     document = {"time": TIMES.tolist(), "active": {str(x): mean.tolist() for x, mean in means.items()}}

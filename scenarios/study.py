@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from desim import provenance
-from desim.analysis.folder import can_plot
+from desim.folder import can_plot
 from desim.study.batch import run_many, seeds_from
 
 if TYPE_CHECKING:

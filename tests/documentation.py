@@ -1,13 +1,10 @@
-"""Build a page for each module of `desim` and `protocols` from the docstrings, to be read in a browser.
+"""Build a page for each module of `desim` and `protocols` from the docstrings, to be read in a browser."""
 
-python -m tests.documentation FOLDER
-"""
-
-import sys
 import warnings
 from pathlib import Path
 from pkgutil import iter_modules
 
+import click
 import networkx as nx
 import pdoc
 
@@ -33,5 +30,12 @@ def build(folder: Path) -> None:
         pdoc.pdoc(*specifications(), output_directory=folder)
 
 
+@click.command(help=__doc__)
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+def main(folder: Path) -> None:
+    """Build them in a folder."""
+    build(folder)
+
+
 if __name__ == "__main__":
-    build(Path(sys.argv[1]))
+    main()

@@ -20,7 +20,7 @@ from desim.assumptions import (
     word_gets_through,
 )
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
-from desim.kernel.graphs import Edges, Link, Ring
+from desim.kernel.graphs import Edge, Edges, Link, Ring
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.medium import Bitrate
@@ -118,6 +118,13 @@ def test_the_component_is_heard_if_it_is_complete_or_word_is_passed_on_or_not(sc
 
 LOSSY = Links(loss=Bernoulli(p=0.1))
 ONE_LOSSY = Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])
+LOSSY_EDGE = Links(
+    graph=Edges(edges=[Edge(src=0, dst=1), Edge(src=1, dst=2), Edge(src=2, dst=3, loss=Bernoulli(p=0.1))])
+)
+LOSSLESS_LINKS = Links(
+    graph=Edges(edges=[Edge(src=k, dst=k + 1, loss=Bernoulli()) for k in range(3)]),
+    link=[Link(src=0, dst=1, loss=Bernoulli(p=0.0))],
+)
 ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 0.1})])
 
 
@@ -129,6 +136,8 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": LOSSY}, True),
         ({"network": Links(loss=GilbertElliott())}, True),
         ({"network": ONE_LOSSY}, True),
+        ({"network": LOSSY_EDGE}, True),
+        ({"network": LOSSLESS_LINKS}, False),
         ({"network": ONE_LATE}, False),
         ({"fault": [HALVES]}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6))}, False),

@@ -9,15 +9,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 
 from desim import provenance
-from desim.cli import main
 from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
 from desim.study import batch
 from desim.study.batch import run_many
 from desim.value import Value, fields_of
+from tests.command import accepted, desim, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 WRONG_INPUT = 2
@@ -76,17 +75,6 @@ messages = true
 """
 
 
-def desim(*args: object) -> Result:
-    """Call the command in this process; an exception that it lets through fails the test."""
-    return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
-
-
-def accepted(*args: object) -> Result:
-    result = desim(*args)
-    assert result.exit_code == 0, result.output
-    return result
-
-
 def refused(*args: object) -> list[str]:
     """Call the command, see that it ends as it should on wrong input, and return its lines on stderr."""
     result = desim(*args)
@@ -94,15 +82,6 @@ def refused(*args: object) -> list[str]:
     assert result.stdout == ""
     assert not JARGON.search(result.stderr), result.stderr
     return result.stderr.splitlines()
-
-
-def strict_json(text: str):
-    """Parse JSON and nothing else: the Infinity and NaN that Python also reads are errors."""
-
-    def refuse(constant: str):
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 @pytest.fixture
@@ -732,7 +711,7 @@ def test_the_table_of_several_runs_has_means_with_intervals(file):
 @pytest.mark.parametrize(("options", "jobs"), [((), 1), (("-j", 2), 2), (("-j", 0), 0)], ids=["default", "2", "0"])
 def test_as_many_workers_are_asked_for_as_the_option_says(file, monkeypatch, options, jobs):
     asked = []
-    monkeypatch.setattr(batch, "run_many", lambda tasks, jobs, *_: asked.append(jobs) or run_many(tasks, 1))
+    monkeypatch.setattr(batch, "run_many", lambda tasks, jobs, *_, **__: asked.append(jobs) or run_many(tasks, 1))
     accepted("run", file(LUCK), "-n", 2, *options)
     assert asked == [jobs]
 

@@ -13,6 +13,7 @@ from desim import Scenario, load, run, simulation
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.trace_file import line_of
 from desim.scenario import Team
 from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
@@ -24,7 +25,7 @@ RELAY = SCENARIOS / "relay.toml"
 
 
 def lines(result):
-    return "".join(result.trace.lines())
+    return "".join(map(line_of, result.trace))
 
 
 @pytest.fixture(scope="module")

@@ -475,7 +475,7 @@ def test_who_was_stopped_by_a_breakdown_announces_that_it_chases_again(announce,
         crash = Crash(node=1, at=1.1, until=1.2, memory=memory)
         result = play(protocol, crash, seed=seed, **changes)
         assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(Halted)] == [(1.1, 1)]
-        assert told(result)[1.0] is told(result)[2.0] is True
+        assert told(result)[1.0] == told(result)[2.0] == 1
         assert 2.0 not in told(play(protocol, seed=seed, **changes))
 
 

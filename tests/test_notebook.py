@@ -11,7 +11,8 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
 from desim.pursuit.events import Ended
 from desim.scenario import Evader, Team
-from desim.study.explain import Explanation, explain
+from desim.study.explain import explain
+from desim.study.explanation import Explanation
 
 HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
 # One pursuer at the place of the evader, which is captured at once; or nobody anywhere near within 0.1 s.

@@ -1,6 +1,7 @@
 """The contract of every protocol, under every schedule it accepts: what a new one gets by being installed."""
 
 import random
+import re
 from importlib import import_module
 from itertools import combinations, product
 
@@ -14,12 +15,13 @@ from desim.kernel.clock import SECOND
 from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.trace_file import line_of
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.game import relay_profile
 from desim.pursuit.word import DISSEMINATIONS, Announcements
 from desim.scenario import PROTOCOLS, Motion, Recording, Team
-from protocols.rule import SCHEDULES
+from protocols.rule import SCHEDULES, Rule
 from protocols.schedules import Poisson
 from scenarios.study import SCENARIOS
 from tests.many import LOSSY, at_rest, chased, easy, times
@@ -65,7 +67,7 @@ ONE_LEADER = {"centralised", "server", "voronoi", "argmin"}
 
 def lines(scenario, seed, until):
     """Return the trace of a run that is stopped at a time (s): the game is that of the whole horizon."""
-    return "".join(run(scenario, seed, lambda event: event.t > until * SECOND).trace.lines())
+    return "".join(map(line_of, run(scenario, seed, lambda event: event.t > until * SECOND).trace))
 
 
 def first_fault(scenario):
@@ -231,7 +233,7 @@ def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind,
     assert (end.reason, end.capturer, end.t) == ("captured", captures[-1].capturer, captures[-1].t)
     assert end.t < 5 * SECOND
     assert {event.active for event in result.trace.of(Decided)} <= {0, 1, 2, 3}
-    assert list(run(case).trace.lines()) == list(result.trace.lines())
+    assert list(map(line_of, run(case).trace)) == list(map(line_of, result.trace))
 
 
 @pytest.mark.parametrize("network", MANY)
@@ -258,3 +260,40 @@ def test_the_header_of_a_protocol_says_what_it_rests_on(module):
     places = [head.find(f"\n{word}: ") for word in ("Paper", "Parameters", "Assumes", "Messages", "Robust to loss")]
     assert -1 not in places
     assert places == sorted(places)
+
+
+class Broken(Rule):
+    """A rule that is written wrongly in one way or another."""
+
+    fault: str
+
+    def actions(self, me):
+        if self.fault == "returns":
+            return True
+        return self._actions(me)
+
+    def _actions(self, me):
+        yield 1
+        if self.fault == "divides":
+            yield me.id // 0
+
+
+def no_process(me):
+    me.sleep(1.0)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "what"),
+    [
+        (Broken(fault="divides"), "division"),
+        (Broken(fault="ends"), r"actions\(me\) of Broken should never end"),
+        (Broken(fault="returns"), r"actions\(me\) of Broken should yield actions, not return True"),
+        (no_process, "a protocol should be a generator.*no_process"),
+    ],
+    ids=["divides", "ends", "returns", "no process"],
+)
+def test_what_is_wrong_with_a_protocol_of_ones_own_is_told_with_the_pursuer_and_the_time(protocol, what):
+    with pytest.raises((ZeroDivisionError, ValueError, TypeError), match=what) as raised:
+        run(Scenario(protocol=protocol), 0)
+    (note,) = raised.value.__notes__
+    assert re.fullmatch(r"\(pursuer \d+, at [\d.]+ s of its clock\)", note)

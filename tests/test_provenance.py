@@ -2,29 +2,23 @@
 
 import json
 import os
-import platform
-import shutil
-import stat
 import subprocess
 import sys
 from dataclasses import dataclass
-from importlib.metadata import version
 from math import inf, nan
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from desim import provenance
-from desim.cli import main
+from desim import environment, provenance
 from desim.kernel.links import Links
 from desim.provenance import ProvenanceError, differences, document, of_one, read, source, write
 from desim.scenario import Evader, Scenario, Team
 from desim.scenario_file import dump, load, validate
 from desim.source import ScenarioError
 from desim.value import Value
+from tests.command import accepted, desim, strict_json
 
 ROOT = Path(__file__).parents[1]
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
@@ -47,17 +41,9 @@ KEYS = [
 
 
 @pytest.fixture(autouse=True)
-def _committed(request, monkeypatch):
+def _committed(monkeypatch):
     """Let the source be that of a commit, however it is here."""
-    if "repository" not in request.fixturenames:
-        monkeypatch.setattr(provenance, "_checkout", lambda: (COMMIT, False))
-
-
-def strict_json(text: str):
-    def refuse(constant: str):
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
+    monkeypatch.setattr(environment, "_checkout", lambda: (COMMIT, False))
 
 
 # What it says.
@@ -90,44 +76,6 @@ def test_the_document_of_one_of_several_runs_has_its_seed():
     made = document("run", SCENARIO, seed=5, runs=3)
     assert of_one(made, 7) == document("run", SCENARIO, seed=7, runs=1)
     assert (made["seed"], made["runs"], made["scenario"]["seed"]) == (5, 3, 5)
-
-
-def test_versions_are_those_of_python_and_of_what_pip_installed():
-    versions = document("run", seed=0)["versions"]
-    assert versions["python"] == platform.python_version()
-    assert versions["desim"] == version("pursuit-desim")
-    for name in ("numpy", "scipy", "simpy", "networkx", "pydantic"):
-        assert versions[name] == version(name)
-    assert len(versions) == 7
-
-
-def test_distributions_that_add_protocols_are_among_the_versions(monkeypatch):
-    """Of three entry points one is of another distribution, one of ours, and one of a group that is not ours."""
-    points = {
-        "desim.protocols": [SimpleNamespace(dist=SimpleNamespace(name=name)) for name in ("pytest", "pursuit-desim")],
-        "desim.disseminations": [SimpleNamespace(dist=None)],
-        "console_scripts": [SimpleNamespace(dist=SimpleNamespace(name="ruff"))],
-    }
-    monkeypatch.setattr(
-        provenance, "entry_points", lambda group=None: points[group] if group else SimpleNamespace(groups=set(points))
-    )
-    versions = document("run", seed=0)["versions"]
-    assert versions["pytest"] == pytest.__version__
-    assert len(versions) == 8
-
-
-def test_what_is_not_installed_has_no_version(monkeypatch):
-    monkeypatch.setattr(provenance, "NUMERICS", ("no-such-distribution",))
-    assert document("run", seed=0)["versions"]["no-such-distribution"] is None
-
-
-def test_the_platform_is_what_the_last_digit_may_depend_on():
-    assert document("run", seed=0)["platform"] == {
-        "system": platform.system(),
-        "machine": platform.machine(),
-        "libc": " ".join(platform.libc_ver()).strip(),
-        "implementation": "CPython",
-    }
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path):
@@ -223,143 +171,6 @@ def test_a_model_whose_parameters_are_not_recorded_is_named(latency, known):
     made = document("run", Scenario(team=Team(count=3), network=links), seed=0)
     assert made["unrecorded"] == ([] if known else ["network.latency", "network.link.1.latency"])
     assert differences(made, made) == [f"the parameters of {key} are not recorded" for key in made["unrecorded"]]
-
-
-# The commit.
-
-
-@pytest.fixture
-def repository(tmp_path, monkeypatch):
-    """Return a function that calls git, in a repository which holds a package `desim` and is where it is imported."""
-    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
-    root = tmp_path / "checkout"
-
-    def git(*words):
-        command = ["git", "-C", str(root), "-c", "user.name=a", "-c", "user.email=a@b", *words]
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-
-    for name in ("desim", "protocols", "scenarios", "docs"):
-        (root / name).mkdir(parents=True)
-        (root / name / "__init__.py").touch()
-    (root / "pyproject.toml").touch()
-    (root / ".gitignore").write_text("*.pyc\n")
-    monkeypatch.setattr(provenance, "__file__", str(root / "desim" / "provenance.py"))
-    git("init", "-q")
-    git("add", ".")
-    git("commit", "-q", "-m", "x")
-    git.root = root
-    return git
-
-
-def test_a_clean_checkout_has_its_commit(repository):
-    assert provenance._checkout() == (repository("rev-parse", "HEAD"), False)
-
-
-@pytest.mark.parametrize("name", ["desim", "protocols", "scenarios"])
-@pytest.mark.parametrize("change", ["changed", "staged", "new", "gone"])
-def test_code_that_is_not_as_committed_is_dirty(repository, name, change):
-    path = repository.root / name / ("novel.py" if change == "new" else "__init__.py")
-    path.unlink() if change == "gone" else path.write_text("x = 1\n")
-    if change == "staged":
-        repository("add", ".")
-    commit = repository("rev-parse", "HEAD")
-    assert provenance._checkout() == (commit, True)
-
-
-def test_a_changed_project_file_is_dirty(repository):
-    (repository.root / "pyproject.toml").write_text("x = 1\n")
-    assert provenance._checkout()[1] is True
-
-
-@pytest.mark.parametrize("path", ["docs/__init__.py", "docs/new.md", "out.json", "desim/cached.pyc"])
-def test_what_is_no_code_of_the_simulator_is_not_dirty(repository, path):
-    (repository.root / path).write_text("x = 1\n")
-    assert provenance._checkout() == (repository("rev-parse", "HEAD"), False)
-
-
-def test_to_ask_changes_nothing_in_the_repository(repository):
-    """git would note in its index that a touched file is as it was, and be in the way of another git."""
-    os.utime(repository.root / "desim" / "__init__.py", (1e9, 1e9))
-    before = (repository.root / ".git" / "index").read_bytes()
-    assert provenance._checkout()[1] is False
-    assert (repository.root / ".git" / "index").read_bytes() == before
-    repository("status", "--porcelain")
-    assert (repository.root / ".git" / "index").read_bytes() != before
-
-
-def test_new_files_count_whatever_the_user_s_configuration(repository):
-    repository("config", "status.showUntrackedFiles", "no")
-    (repository.root / "protocols" / "novel.py").touch()
-    assert provenance._checkout()[1] is True
-
-
-def test_the_repository_of_a_project_that_only_has_desim_in_a_folder_is_not_meant(repository, monkeypatch):
-    (repository.root / "site-packages" / "desim").mkdir(parents=True)
-    (repository.root / "site-packages" / "desim" / "__init__.py").touch()
-    monkeypatch.setattr(provenance, "__file__", str(repository.root / "site-packages" / "desim" / "provenance.py"))
-    assert provenance._checkout() == (None, None)
-
-
-def test_a_repository_below_whose_root_the_package_lies_is_meant(repository, monkeypatch):
-    folder = repository.root / "vendored" / "desim"
-    folder.mkdir(parents=True)
-    (folder / "__init__.py").touch()
-    repository("add", ".")
-    repository("commit", "-q", "-m", "y")
-    monkeypatch.setattr(provenance, "__file__", str(folder / "provenance.py"))
-    assert provenance._checkout() == (repository("rev-parse", "HEAD"), False)
-
-
-def test_without_a_repository_there_is_no_commit(repository):
-    shutil.rmtree(repository.root / ".git")
-    assert provenance._checkout() == (None, None)
-
-
-def test_before_the_first_commit_there_is_none(repository):
-    shutil.rmtree(repository.root / ".git")
-    repository("init", "-q")
-    repository("add", ".")
-    assert provenance._checkout() == (None, None)
-
-
-def test_without_git_there_is_no_commit(repository, monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert provenance._checkout() == (None, None)
-
-
-@pytest.mark.timeout(20)
-def test_a_git_that_does_not_answer_is_not_waited_for(repository, monkeypatch, tmp_path):
-    """It would sleep for a minute, and the test fails at 20 s."""
-    slow = tmp_path / "git"
-    slow.write_text("#!/bin/sh\nexec sleep 60\n")
-    slow.chmod(slow.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setattr(provenance, "GIT_TIMEOUT", 0.05)
-    assert provenance._checkout() == (None, None)
-
-
-def test_the_timeout_is_short():
-    assert provenance.GIT_TIMEOUT <= 5.0
-
-
-@pytest.mark.parametrize(
-    ("variable", "place"),
-    [
-        ("GIT_DIR", ".git"),
-        ("GIT_WORK_TREE", "."),
-        ("GIT_INDEX_FILE", ".git/index"),
-        ("GIT_COMMON_DIR", ".git"),
-        ("GIT_OBJECT_DIRECTORY", ".git/objects"),
-    ],
-)
-def test_the_repository_of_a_hook_that_runs_us_is_not_meant(repository, monkeypatch, tmp_path, variable, place):
-    """git tells its hooks by variables which repository is meant; here it is one without any commit."""
-    commit = repository("rev-parse", "HEAD")
-    subprocess.run(["git", "init", "-q", str(tmp_path / "other")], check=True)
-    monkeypatch.setenv(variable, str(tmp_path / "other" / place))
-    assert provenance._checkout() == (commit, False)
-    monkeypatch.setattr(provenance, "ELSEWHERE", set())
-    assert provenance._checkout() != (commit, False)
 
 
 # What is refused.
@@ -470,8 +281,8 @@ def test_a_document_in_utf_16_is_read_too(kept, made):
 # The scenario that was recorded.
 
 
-def recorded(path: Path, *overrides: str) -> Scenario:
-    return validate(source(path, read(path), overrides))
+def recorded(path: Path, *overrides: str, allow_import: bool = False) -> Scenario:
+    return validate(source(path, read(path), overrides, allow_import=allow_import))
 
 
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
@@ -637,78 +448,53 @@ def forget(name: str) -> None:
 def test_a_module_beside_the_scenario_file_is_found(beside, tmp_path):
     file = beside("home", "rules_of_home")
     out = tmp_path / "out"
-    write(out, document("run", load(file), seed=0, folder=file.parent))
+    write(out, document("run", load(file, allow_import=True), seed=0, folder=file.parent))
     assert read(out / "run.json")["scenario"]["protocol"] == {
         "at": 0.2,
         "until": "Infinity",
         "kind": "rules_of_home:Rule",
     }
     forget("rules_of_home")
-    protocol = recorded(out / "run.json").protocol
+    protocol = recorded(out / "run.json", allow_import=True).protocol
     assert (protocol.at, protocol.until, type(protocol).__module__) == (0.2, inf, "rules_of_home")
 
 
 def test_if_the_folder_is_gone_a_module_beside_the_record_is_found(beside, tmp_path):
     file = beside("home", "rules_that_moved")
-    write(tmp_path / "out", document("run", load(file), seed=0, folder=file.parent))
+    write(tmp_path / "out", document("run", load(file, allow_import=True), seed=0, folder=file.parent))
     forget("rules_that_moved")
     (tmp_path / "home").rename(tmp_path / "elsewhere")
     with pytest.raises(ScenarioError, match="cannot be imported"):
-        recorded(tmp_path / "out" / "run.json")
+        recorded(tmp_path / "out" / "run.json", allow_import=True)
     (tmp_path / "elsewhere" / "rules_that_moved.py").rename(tmp_path / "out" / "rules_that_moved.py")
-    assert recorded(tmp_path / "out" / "run.json").protocol.at == 0.2
+    assert recorded(tmp_path / "out" / "run.json", allow_import=True).protocol.at == 0.2
 
 
 def test_a_record_without_a_folder_means_its_own(beside, tmp_path):
     file = beside("home", "rules_of_a_script")
-    write(file.parent, document("run", load(file), seed=0))
+    write(file.parent, document("run", load(file, allow_import=True), seed=0))
     forget("rules_of_a_script")
-    assert recorded(file.parent / "run.json").protocol.at == 0.2
+    assert recorded(file.parent / "run.json", allow_import=True).protocol.at == 0.2
 
 
 def test_a_file_that_an_override_names_lies_beside_the_scenario_file(beside, tmp_path):
     file = beside("home", "rules_with_a_file")
     (file.parent / "delays.txt").write_text("0.25")
-    write(tmp_path / "out", document("run", load(file), seed=0, folder=file.parent))
-    scenario = recorded(tmp_path / "out" / "run.json", "network.latency={ kind = 'empirical', file = 'delays.txt' }")
+    write(tmp_path / "out", document("run", load(file, allow_import=True), seed=0, folder=file.parent))
+    scenario = recorded(
+        tmp_path / "out" / "run.json", "network.latency={ kind = 'empirical', file = 'delays.txt' }", allow_import=True
+    )
     assert scenario.network.latency.values == (0.25,)
-    copy = source(tmp_path / "out" / "run.json", read(tmp_path / "out" / "run.json")).copy()
+    copy = source(tmp_path / "out" / "run.json", read(tmp_path / "out" / "run.json"), allow_import=True).copy()
     copy.override("network.latency={ kind = 'empirical', file = 'delays.txt' }")
     assert validate(copy) == scenario
-
-
-# The code.
-
-
-def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monkeypatch):
-    """A change of a protocol or of the kernel is another code, one of a command or a picture is not."""
-    import shutil
-
-    root = Path(provenance.__file__).parent.parent
-    for package in ("desim", "protocols"):
-        shutil.copytree(root / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-
-    def code():
-        command = [sys.executable, "-c", "from desim.provenance import code; print(code())"]
-        return subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
-
-    before = code()
-    assert before == provenance.code()
-    for name in ("desim/cli/one.py", "desim/study/driver.py"):
-        (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
-    assert code() == before
-    seen = {before}
-    for name in ("protocols/sap.py", "desim/kernel/loss.py", "desim/world.py", "desim/analysis/course.py"):
-        (tmp_path / name).write_text("# changed\n" + (tmp_path / name).read_text())
-        assert code() not in seen
-        seen.add(code())
 
 
 # What has changed since.
 
 
 def test_nothing_has_changed_at_once(made):
-    assert differences(made, provenance.environment()) == []
+    assert differences(made, environment.environment()) == []
     assert differences(made | {"commit": None, "dirty": None}, made | {"commit": None, "dirty": None}) == []
 
 
@@ -740,16 +526,6 @@ def test_what_has_changed_is_named(before, after, said):
 # `desim run --from`
 
 
-def desim(*args: object) -> Result:
-    return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
-
-
-def accepted(*args: object) -> Result:
-    result = desim(*args)
-    assert result.exit_code == 0, result.output
-    return result
-
-
 def refused(*args: object) -> str:
     result = desim(*args)
     assert (result.exit_code, result.stdout) == (2, "")
@@ -759,7 +535,7 @@ def refused(*args: object) -> str:
 
 @pytest.fixture
 def _no_pictures(monkeypatch):
-    monkeypatch.setattr("desim.analysis.folder.can_plot", lambda: False)
+    monkeypatch.setattr("desim.folder.can_plot", lambda: False)
 
 
 def files(folder: Path) -> dict[str, object]:
@@ -848,9 +624,10 @@ def test_infinities_files_seeds_and_overrides_are_repeated_byte_for_byte(tmp_pat
 @pytest.mark.usefixtures("_no_pictures")
 def test_a_module_beside_the_file_is_repeated_byte_for_byte(beside, tmp_path):
     file = beside("home", "rules_to_repeat")
-    first = accepted("run", file, "-o", tmp_path / "first", "--json")
+    first = accepted("run", file, "--allow-import", "-o", tmp_path / "first", "--json")
     forget("rules_to_repeat")
-    again = accepted("run", "--from", tmp_path / "first" / "run.json", "-o", tmp_path / "second", "--json")
+    repeated = ["--from", tmp_path / "first" / "run.json", "--allow-import"]
+    again = accepted("run", *repeated, "-o", tmp_path / "second", "--json")
     assert (again.stdout, again.stderr) == (first.stdout, first.stderr)
     assert files(tmp_path / "first") == files(tmp_path / "second")
     assert read(tmp_path / "second" / "run.json")["folder"] == str(file.parent)
@@ -876,8 +653,9 @@ def test_the_folder_of_each_of_several_runs_repeats_that_run(tmp_path):
 def test_what_worker_processes_write_is_what_one_process_writes(beside, tmp_path):
     """The command line is that of the command, not that of the worker, and the module is found there, too."""
     file = beside("home", "rules_for_workers")
-    accepted("run", file, "--set", "record.trajectory=0", "-n", 3, "-j", 1, "-o", tmp_path / "one")
-    accepted("run", "--from", tmp_path / "one" / "run.json", "-j", 2, "-o", tmp_path / "two")
+    words = ["--allow-import", "--set", "record.trajectory=0", "-n", 3, "-j", 1]
+    accepted("run", file, *words, "-o", tmp_path / "one")
+    accepted("run", "--from", tmp_path / "one" / "run.json", "--allow-import", "-j", 2, "-o", tmp_path / "two")
     assert files(tmp_path / "one") == files(tmp_path / "two")
     assert read(tmp_path / "two" / "seed-1" / "run.json")["argv"] == sys.argv
 
@@ -890,8 +668,8 @@ def test_a_run_is_repeated_byte_for_byte_by_another_process(tmp_path):
     (tmp_path / "home" / "own.toml").write_text('horizon = 1.0\nprotocol = { kind = "rules:Rule", until = inf }\n')
     printed = []
     for words, folder, hash_seed in (
-        (["own.toml", "-o", "../first", "-s", "3"], "home", "1"),
-        (["--from", "first/run.json", "-o", "second"], ".", "2"),
+        (["own.toml", "--allow-import", "-o", "../first", "-s", "3"], "home", "1"),
+        (["--from", "first/run.json", "--allow-import", "-o", "second"], ".", "2"),
     ):
         done = subprocess.run(
             [sys.executable, "-P", "-m", "desim", "run", *words, "--json"],
@@ -906,7 +684,7 @@ def test_a_run_is_repeated_byte_for_byte_by_another_process(tmp_path):
     assert first == second
     assert {"trajectory.svg", "trajectory.png"} <= first.keys()
     argv = read(tmp_path / "first" / "run.json")["argv"]
-    assert argv[1:] == ["run", "own.toml", "-o", "../first", "-s", "3", "--json"]
+    assert argv[1:] == ["run", "own.toml", "--allow-import", "-o", "../first", "-s", "3", "--json"]
 
 
 @pytest.fixture
@@ -1008,7 +786,7 @@ def test_without_a_folder_nobody_asks_where_it_comes_from(earlier, monkeypatch):
 
 def test_a_record_that_cannot_be_written_at_the_top_is_told(earlier, tmp_path, monkeypatch):
     (tmp_path / "out" / "run.json").mkdir(parents=True)
-    monkeypatch.setattr("desim.analysis.folder.can_plot", lambda: True)
+    monkeypatch.setattr("desim.folder.can_plot", lambda: True)
     said = refused("run", "--from", earlier, "--set", "record.trajectory=0", "-o", tmp_path / "out")
     assert said.startswith(f"--out {tmp_path / 'out' / 'run.json'}: cannot be written: Is a directory")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from desim.scenario_file import read
-from desim.study.cells import cells
+from desim.study.configurations import cells
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -33,9 +33,9 @@ def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(tmp_path):
     (tmp_path / "my_rules.py").write_text(rule)
     (tmp_path / "mine.toml").write_text(table)
     for words in (
-        ["run", "mine.toml"],
-        ["run", str(tmp_path / "mine.toml"), "-n", "2", "-j", "2"],
-        ["check", "mine.toml"],
+        ["run", "mine.toml", "--allow-import"],
+        ["run", str(tmp_path / "mine.toml"), "-n", "2", "-j", "2", "--allow-import"],
+        ["check", "mine.toml", "--allow-import"],
     ):
         done = subprocess.run(
             [sys.executable, "-P", "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=tmp_path
@@ -49,6 +49,19 @@ def test_the_grid_of_the_readme_is_one_of_its_example():
     base = read(ROOT / "scenarios/imperfect.toml")
     grid = tomllib.loads(table)["sweep"]["grid"]
     assert len(cells(base, grid)) == 4 * 3 * 2
+
+
+def test_the_table_of_modules_has_each_of_them_once():
+    """A cell that ends in a slash names the package that those below it are of."""
+    table = README.split("## How it works")[1].split("\n\n")[1]
+    package, named = "", []
+    for cell in (line.split("|")[1] for line in table.splitlines()[2:]):
+        for name in re.findall(r"`([\w/]+)`", cell):
+            package = name if name.endswith("/") else package
+            named += [] if name.endswith("/") else [f"{package}{name}.py"]
+    files = (each for package in ("desim", "protocols") for each in (ROOT / package).rglob("*.py"))
+    there = (str(each.relative_to(ROOT)) for each in files if not each.name.startswith("__"))
+    assert sorted(named) == sorted(there)
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", README))))

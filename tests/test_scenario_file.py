@@ -686,6 +686,7 @@ def test_a_file_may_name_a_function_or_a_model_of_one_s_own(own_models, written)
             """
         ),
         ["network.link.0.latency.value=0.125"],
+        allow_import=True,
     )
     assert scenario.network.latency is own_models.slow
     assert scenario.protocol.schedule == own_models.Steady(rate=2.0)
@@ -698,8 +699,9 @@ def test_a_scenario_with_models_of_one_s_own_is_dumped_and_loaded_as_the_same(ow
         network=Links(latency=own_models.slow, link=[{"src": 0, "dst": 1, "latency": own_models.Doubled(value=0.5)}]),
     )
     shelf.write_text(dump(scenario), encoding="utf-8")
-    assert load(shelf) == scenario
-    assert dump(load(shelf)) == dump(scenario)
+    again = load(shelf, allow_import=True)
+    assert again == scenario
+    assert dump(again) == dump(scenario)
 
 
 BAD_MODELS = {
@@ -719,7 +721,7 @@ BAD_MODELS = {
 def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(own_models, written, table, words):
     file = written(f'name = "bad"\n\n[network]\nlatency = {table}\n')
     with pytest.raises(ScenarioError) as refused:
-        load(file)
+        load(file, allow_import=True)
     (said,) = str(refused.value).splitlines()
     assert said.startswith(f"{file}:4: network.latency: ")
     assert not [word for word in words if word not in said], said
@@ -728,4 +730,4 @@ def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(o
 def test_a_model_of_one_s_own_that_lacks_what_it_needs_is_refused_in_a_file_too(own_models, written):
     file = written('name = "bad"\n\n[announce]\nspread = { kind = "own_models:slow" }\n')
     with pytest.raises(ScenarioError, match=r":4: announce\.spread: should have tell; .* lacks tell"):
-        load(file)
+        load(file, allow_import=True)

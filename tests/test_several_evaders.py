@@ -8,10 +8,11 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.analysis.folder import kinds
+from desim.folder import kinds
 from desim.kernel.clock import SECOND, Clock, seconds
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash
+from desim.kernel.trace_file import events_of, line_of
 from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import Sensing
@@ -185,7 +186,7 @@ def test_what_is_said_names_the_evader(payload):
         me.tell()
         yield me.at(0.5)
         others = {j: (me.believed(j), me.beliefs(evader=j)) for j in me.evaders()}
-        seen.append((me.id, others, [me.capture_times(j) for j in me.evaders()]))
+        seen.append((me.id, others, [me.whole.capture_times(j) for j in me.evaders()]))
         yield me.at(1e6)
 
     team = Team(positions=((0.0, 0.0), (0.0, 8.0), (9.0, 9.0)), speeds=1.0, active_at_start=0.0)
@@ -261,16 +262,28 @@ def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
 
 def test_a_trace_with_several_evaders_reads_back():
     result = desim.run(standing(2.0, -3.0))
-    lines = list(result.trace.lines())
-    assert Trace.read(lines, kinds()).events == result.trace.events
+    lines = map(line_of, result.trace)
+    assert list(events_of(lines, kinds())) == result.trace.events
 
 
 def test_a_trace_with_one_evader_does_not_know_of_others():
     result = desim.run(Scenario(horizon=1.0))
-    events = [json.loads(line) for line in result.trace.lines()]
+    events = [json.loads(line) for line in map(line_of, result.trace)]
     assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "Tally", "Ended"}
     assert not any("others" in event for event in events)
-    assert {type(event["active"]) for event in events if event["event"] == "Decided"} == {bool}
+    started, decided = (
+        [event["active"] for event in events if event["event"] == kind] for kind in ("Started", "Decided")
+    )
+    assert {type(action) for action in (*started[0], *decided)} == {int}
+
+
+def test_an_order_that_is_a_truth_is_to_chase_the_first_evader():
+    def protocol(me):
+        me.assign(True)
+        yield me.sleep(0.0)
+
+    decided = desim.run(Scenario(horizon=0.1, protocol=protocol)).trace.of(Decided)
+    assert {(type(decision.active), decision.active) for decision in decided} == {(int, 1)}
 
 
 def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be():
@@ -284,7 +297,8 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
     path = tmp_path / "one.toml"
     path.write_text("horizon = 2.0\n[[evader]]\nspeed = 0.5\n")
     table = Scenario(horizon=2.0, evader=Evader(speed=0.5))
-    assert list(desim.run(load(path)).trace.lines()) == list(desim.run(table).trace.lines())
+    one, other = (list(map(line_of, desim.run(each).trace)) for each in (load(path), table))
+    assert one == other
 
 
 def test_alike_evaders_do_not_move_alike():

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.kernel.latency import Constant
+from desim.grid import Sweep
+from desim.kernel.faults import Crash, RandomCrashes
+from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
-from desim.scenario import Scenario, Sweep, Team
+from desim.scenario import Scenario, Team
 from desim.scenario_file import load, validate
 from desim.source import ScenarioError, Source
 from desim.toml_lines import key_lines
@@ -19,7 +21,8 @@ from desim.value import Positive, Value
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
-from protocols.temperature import PaperTau
+from protocols.schedules import Poisson
+from protocols.temperature import ConstantTau, PaperTau
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 
@@ -108,6 +111,36 @@ def test_another_preset_replaces_what_the_first_stood_for_and_keeps_what_was_giv
     after = changed(Scenario(network=Links(preset="wifi", range=5.0)), network__preset="lora_sf7")
     assert after.network == Links(preset="lora_sf7", range=5.0)
     assert after.network != Links(preset="wifi", range=5.0)
+
+
+def test_a_table_of_another_kind_keeps_what_the_kind_has_and_loses_what_it_has_not():
+    scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=Poisson(rate=3.0), tau=ConstantTau(value=2.0)))
+    assert changed(scenario, protocol__kind="best_response").protocol == BestResponse(schedule=Poisson(rate=3.0))
+    spread = Scenario(network=Links(latency=Constant(value=0.3)))
+    assert changed(spread, network__latency__kind="lognormal").network.latency == Lognormal()
+    crashed = Scenario(fault=(Crash(node=1, at=0.5, until=1.0),))
+    (fault,) = changed(crashed, fault__0__kind="random_crashes").fault
+    assert fault == RandomCrashes()
+
+
+@pytest.mark.parametrize(
+    "first", ["protocol.tau.value=2.0", "protocol.tau.kind=constant", "protocol.tau={kind='paper'}"]
+)
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_key_that_was_set_is_not_lost_when_another_kind_has_none(first, backwards):
+    source = Source.of(Scenario(protocol=SpatialAdaptivePlay(tau=ConstantTau())))
+    sets = [first, "protocol.kind=local_min"]
+    for text in reversed(sets) if backwards else sets:
+        source.override(text)
+    with pytest.raises(ScenarioError, match="tau: unknown key"):
+        validate(source)
+
+
+def test_a_kind_that_is_none_takes_nothing_from_the_table():
+    source = Source.of(Scenario(protocol=SpatialAdaptivePlay(tau=ConstantTau())))
+    for kind in ("nobody", 3, "nowhere:Nobody"):
+        source.set("protocol.kind", kind, "the test")
+    assert "tau" in source.tables["protocol"]
 
 
 def test_a_key_of_a_model_that_is_not_installed_is_set_at_any_depth():

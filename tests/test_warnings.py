@@ -2,17 +2,22 @@
 
 import pytest
 
-from desim import Scenario
+from desim import Scenario, run
+from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
 from desim.kernel.links import Links
 from desim.kernel.reach import QuasiUnitDisk
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
-from desim.scenario import Capture, Evader, Motion, Team
+from desim.scenario import Capture, Evader, Motion, Recording, Team
 from desim.warnings import warnings
+from protocols.cbba import CBBA
+from protocols.centralised import Centralised
 from protocols.dissemination import Flooding
+from protocols.geometric import Argmin, Voronoi
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Rounds
+from protocols.server import Server
 
 BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
 """240 bytes a second: an announcement of 24 bytes takes a tenth of a second."""
@@ -54,6 +59,11 @@ def test_the_default_is_not_warned_of():
             {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=3), "announce": {"heartbeat": 0.2}},
             "announce.heartbeat",
             "busy 1.5 times over",
+        ),
+        (
+            {"network": Links(medium=BITS), "team": Team(count=20), "protocol": CBBA()},
+            "announce.heartbeat",
+            "heartbeats of 200 bytes alone would keep the channel busy 8.3 times over",
         ),
         (
             {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2, jitter=0.0)), "motion": Motion(step=0.05)},
@@ -118,6 +128,32 @@ def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key
 )
 def test_what_just_goes_together_is_not_warned_of(given):
     assert [each for each in warned(**given) if " assumes " not in each[1]] == []
+
+
+@pytest.mark.parametrize(
+    ("protocol", "payload", "speaks"),
+    [
+        (SpatialAdaptivePlay(), "action", True),
+        (Centralised(), "action", False),
+        (Centralised(), "state", False),
+        (Server(), "action", False),
+        (Server(), "state", False),
+        (Voronoi(), "action", False),
+        (Voronoi(), "state", True),
+        (Argmin(), "action", False),
+        (Argmin(), "time", True),
+    ],
+)
+def test_only_those_fill_the_channel_with_heartbeats_who_have_heartbeats(protocol, payload, speaks):
+    """20 pursuers of at least 24 bytes every 0.1 s are at least 4800 bytes a second, and the channel carries 240."""
+    given = {
+        "protocol": protocol,
+        "network": Links(medium=BITS | {"shared": True}),
+        "announce": Announcements(payload=payload),
+    }
+    assert ("announce.heartbeat" in dict(warned(**given))) == speaks
+    result = run(Scenario(**given, horizon=0.5, record=Recording(messages=True)))
+    assert bool(result.trace.of(Broadcast)) == speaks
 
 
 @pytest.mark.parametrize(

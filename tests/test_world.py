@@ -194,7 +194,7 @@ def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
         orders_of = [d for d in result.trace.of(Decided) if d.pursuer == pursuer]
         active = [start, *(d.active for d in orders_of)]
         since = np.searchsorted([d.t for d in orders_of], [sample.t for sample in samples], side="right")
-        stays = (since[1:] == since[:-1]) & ~np.array(active)[since[1:]]
+        stays = (since[1:] == since[:-1]) & (np.array(active) == 0)[since[1:]]
         assert (moved[stays, pursuer] == 0.0).all()
 
 
@@ -335,7 +335,7 @@ def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payloa
 
     def protocol(me):
         yield me.at(2.4)
-        remembered.append(len(me._world._targets[0].seen._sights))
+        remembered.append(len(me._world._targets[0].path._legs))
 
     run(still(protocol=protocol, announce=Announcements(payload=payload, reckoning=reckoning)))
     assert remembered == [steps, steps]

@@ -11,14 +11,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from desim.analysis.reading import captures, ended, remembered, started
+from desim.analysis.reading import Floats, Integers, captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.pursuit.events import Captured, Decided, Halted
 from desim.simulation import Result
 
-Steps = tuple[NDArray[np.float64], NDArray[np.int64]]
+Steps = tuple[Floats, Integers]
 """A step function: it is counts[k] for durations[k] seconds, in order of time."""
 
 
@@ -70,7 +69,7 @@ def changes(result: Result) -> list[Change]:
 
 def action(event: Change) -> int:
     """Return what a pursuer does from then on: the number of the evader that it chases, or 0."""
-    return int(event.active) if isinstance(event, Decided) else 0
+    return event.active if isinstance(event, Decided) else 0
 
 
 def chases(event: Change) -> bool:
@@ -80,7 +79,7 @@ def chases(event: Change) -> bool:
 
 def moves(result: Result) -> Iterator[tuple[Change, int]]:
     """Yield each change of an action, and the action before it."""
-    actions = list(map(int, started(result).active))
+    actions = list(started(result).active)
     for change in changes(result):
         yield change, actions[change.pursuer]
         actions[change.pursuer] = action(change)

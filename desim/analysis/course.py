@@ -10,19 +10,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from desim.analysis.activity import changes, hunts
-from desim.analysis.reading import captures, ended, remembered, started
+from desim.analysis.reading import (
+    NO_POSITIONS,
+    Floats,
+    Integers,
+    Truths,
+    captures,
+    ended,
+    positions_known,
+    samples,
+    started,
+)
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.faults import Began, Crash, Over
 from desim.pursuit.capture import RadialTime
-from desim.pursuit.events import Sampled
 from desim.simulation import Result
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Truths = NDArray[np.bool_]
 PART = 1 << 18
 """How many times of capture are held in memory at once."""
 
@@ -47,12 +52,6 @@ class Course:
         return np.diff(self.times) / SECOND
 
 
-@remembered
-def positions_known(result: Result) -> bool:
-    """Return whether it is on record where everyone was: positions were sampled, or nobody moved."""
-    return result.scenario.motion.frozen or any(isinstance(event, Sampled) for event in result.trace)
-
-
 def course(result: Result, evader: int = 1) -> Iterator[Course]:
     """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
 
@@ -64,7 +63,7 @@ def course(result: Result, evader: int = 1) -> Iterator[Course]:
         ValueError: if positions were not recorded.
     """
     if not positions_known(result):
-        raise ValueError("positions were not recorded: set record.trajectory to a time greater than 0 s")
+        raise ValueError(NO_POSITIONS)
     start, end, scenario = started(result), ended(result).t, result.scenario
     speed, hunt = scenario.evaders[evader - 1].speed, hunts(result)[evader - 1]
     radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
@@ -113,8 +112,7 @@ class _Path:
     """How far everyone was from an evader: at the start and at each sample, and between them on straight lines."""
 
     def __init__(self, result: Result, evader: int):
-        frozen = result.scenario.motion.frozen
-        known = [started(result), *(() if frozen else result.trace.of(Sampled))]
+        known = samples(result)
         self.t = np.array([each.t for each in known])
         gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - np.array(
             [each.pursuers for each in known]

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from desim.analysis.activity import decisions
-from desim.analysis.course import Course, Floats, Integers, Truths, course
-from desim.analysis.reading import ended, remembered, started
+from desim.analysis.course import Course, course
+from desim.analysis.reading import Floats, Integers, Truths, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links

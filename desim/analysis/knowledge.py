@@ -5,20 +5,19 @@ the order in which records came.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.reading import ended, messages, remembered, started
+from desim.analysis.reading import Integers, ended, remembered, require_messages, started
 from desim.kernel.clock import SECOND
-from desim.kernel.events import LOST, MESSAGES, Broadcast, Lost, Sent
+from desim.kernel.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.faults import Crash, Over, clock_errors
 from desim.kernel.records import Record
 from desim.pursuit.word import records_in
 from desim.simulation import Result
 
-Integers = NDArray[np.int64]
 Pieces = NDArray[np.void]
 """Rows of `PIECE`, in order of reader, source and time."""
 
@@ -50,6 +49,7 @@ def knowledge(result: Result) -> Pieces:
     Raises:
         ValueError: if messages were sent and not recorded.
     """
+    require_messages(result)
     profile, end = np.array(started(result).active, np.int64), ended(result).t
     said, hops = _messages(result, len(profile), end)
     edges = np.searchsorted(hops.dst, np.arange(len(profile) + 1))
@@ -151,30 +151,22 @@ class _Life:
 def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
     """Return the records that were told, and the hops with which they arrived by the end, ns."""
     records: list[Record] = []
-    dst: list[int] = []
-    arrival: list[int] = []
+    fates: list[tuple[int, int]] = []
     carried: list[tuple[int, int, int, int, int]] = []  # receivers, flight, place, first record, records
     lost: list[int] = []
     clocks = _Clocks(result, size)
-    recorded = False
     for place, event in enumerate(result.trace):
-        recorded = recorded or isinstance(event, MESSAGES)
         if isinstance(event, Broadcast | Sent):
-            said = clocks.true_records(event)
-            to = event.dst if isinstance(event, Broadcast) else (event.dst,)
-            when = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
-            if said and to:
-                carried.append((len(to), event.flight, place, len(records), len(said)))
+            said, reached = clocks.true_records(event), list(event.fates())
+            if said and reached:
+                carried.append((len(reached), event.flight, place, len(records), len(said)))
                 records += said
-                dst += to
-                arrival += when if len(when) == len(to) else when * len(to)
+                fates += reached
         elif isinstance(event, Lost):
             lost.append(event.flight * size + event.dst)
-    if not recorded and messages(result).sent:
-        raise ValueError("messages were sent, but not recorded: set record.messages = true")
     receivers, *columns = np.array(carried, np.int64).reshape(-1, 5).T
     flight, place_of, first, count = (np.repeat(column, receivers) for column in columns)
-    node, at = np.array(dst, np.int64), np.array(arrival, np.int64)
+    node, at = np.fromiter(chain.from_iterable(fates), np.int64).reshape(-1, 2).T
     arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(flight * size + node, lost))
     arrived = arrived[np.lexsort((place_of[arrived], at[arrived], node[arrived]))]
     return _columns(records), _Hops(*(column[arrived] for column in (node, at, place_of, first, count)))
@@ -198,7 +190,7 @@ class _Clocks:
 
 
 def _columns(records: list[Record]) -> _Said:
-    active = [-1 if (action := getattr(record.body, "active", None)) is None else int(action) for record in records]
+    active = [-1 if (action := getattr(record.body, "active", None)) is None else action for record in records]
     source, seq, created = ([record[k] for record in records] for k in range(3))
     return _Said(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 

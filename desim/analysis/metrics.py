@@ -24,12 +24,19 @@ from desim.analysis.activity import (
     ping_pongs,
     switches,
 )
-from desim.analysis.course import positions_known
+from desim.analysis.age import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
-from desim.analysis.reading import captures, ended, has_several, messages, reading, remembered
-from desim.analysis.word import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
+from desim.analysis.reading import (
+    captures,
+    ended,
+    has_several,
+    messages,
+    messages_recorded,
+    positions_known,
+    reading,
+)
 from desim.kernel.clock import seconds
-from desim.kernel.events import MESSAGES, Cause
+from desim.kernel.events import Cause
 from desim.simulation import Result
 
 __all__ = [
@@ -95,13 +102,6 @@ def capture_times(result: Result) -> dict[str, float]:
 def capturers(result: Result) -> dict[str, int]:
     """Return who captured each evader that was captured, in order of time."""
     return {str(each.evader): each.capturer for each in captures(result)}
-
-
-@remembered
-def messages_recorded(result: Result) -> bool:
-    """Return whether the trace of a run has its messages."""
-    asked = result.scenario.record.messages
-    return asked is True or (asked == "file" and any(isinstance(each, MESSAGES) for each in result.trace))
 
 
 @dataclass(frozen=True)

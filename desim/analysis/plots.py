@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from desim.analysis.names import PICTURES, files
-from desim.analysis.reading import captures
+from desim.analysis.reading import captures, sampled
+from desim.guards import fresh, visible
 from desim.kernel.clock import seconds
-from desim.pursuit.events import Sampled
+from desim.names import PICTURES, files
 from desim.simulation import Result
 
 # Okabe & Ito 2008, distinguishable by the colour-blind.
@@ -38,6 +38,7 @@ __all__ = [
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, in."""
 STYLE: dict[Any, Any] = {
+    "text.usetex": False,  # a matplotlibrc of the folder that we are in may want it, and names would be programs
     "svg.fonttype": "none",
     "svg.hashsalt": "desim",
     "pdf.fonttype": 42,  # TrueType; publishers refuse Type 3
@@ -86,7 +87,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
     with mpl.rc_context(STYLE):
         for each in paths:
             kind = each.suffix.lower()
-            figure.savefig(each, format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
+            figure.savefig(fresh(each), format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
     return paths
 
 
@@ -99,7 +100,7 @@ def trajectory(result: Result) -> Figure:
     with styled(figsize=(5.2, 5.2)) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
-        axes.set_title(f"{result.scenario.name}, seed {result.seed}", parse_math=False)
+        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     return figure
 
@@ -113,9 +114,7 @@ def place(axes: Axes) -> None:
 
 def draw_trajectory(axes: Axes, result: Result) -> None:
     """Draw where everyone went on given axes; see `trajectory`."""
-    samples = result.trace.of(Sampled)
-    if not samples:
-        raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
+    samples = sampled(result)
     evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)
     captured = captures(result)

@@ -5,11 +5,19 @@ from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, TypeVar
 
-from desim.kernel.events import Tally
-from desim.pursuit.events import Captured, Ended, Started
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.kernel.events import MESSAGES, Tally
+from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.simulation import Result
 
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Truths = NDArray[np.bool_]
 Derived = TypeVar("Derived")
+NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
+"""What is said of a run of which nobody knows where everyone was."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +71,51 @@ def captures(result: Result) -> list[Captured]:
 def has_several(result: Result) -> bool:
     """Return whether there were several evaders."""
     return len(started(result).evaders) > 1
+
+
+@remembered
+def positions_known(result: Result) -> bool:
+    """Return whether it is on record where everyone was: positions were sampled, or nobody moved."""
+    return result.scenario.motion.frozen or any(isinstance(event, Sampled) for event in result.trace)
+
+
+@remembered
+def samples(result: Result) -> list[Started | Sampled]:
+    """Return all that is known of where everyone was: at the start and, unless nobody moved, at each sample."""
+    return [started(result), *(() if result.scenario.motion.frozen else result.trace.of(Sampled))]
+
+
+def sampled(result: Result) -> list[Sampled]:
+    """Return the samples of positions.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    found = result.trace.of(Sampled)
+    if not found:
+        raise ValueError(NO_POSITIONS)
+    return found
+
+
+@remembered
+def messages_recorded(result: Result) -> bool:
+    """Return whether the trace of a run has its messages."""
+    return result.scenario.record.messages is True or any(isinstance(event, MESSAGES) for event in result.trace)
+
+
+def lacks_messages(result: Result) -> bool:
+    """Return whether messages were sent that the trace does not have."""
+    return bool(messages(result).sent) and not messages_recorded(result)
+
+
+def require_messages(result: Result) -> None:
+    """Refuse a run whose messages are to be read, and cannot be.
+
+    Raises:
+        ValueError: if messages were sent and not recorded.
+    """
+    if lacks_messages(result):
+        raise ValueError("messages were sent and not recorded: set record.messages = true")
 
 
 @remembered

@@ -1,12 +1,14 @@
-"""Results as plain text that a person reads."""
+"""Results as tables of plain text or HTML that a person reads, and their numbers as JSON has them."""
 
+import html
 from collections.abc import Iterator, Mapping, Sequence
-from math import isfinite, isnan, nan
+from math import isnan, nan
 from typing import Any
 
 from desim.analysis.metrics import METRICS, Summary, words
 from desim.analysis.statistics import Estimate, estimate, wilson
 from desim.scenario import Scenario
+from desim.value import plain_number
 
 SHOWN = 12
 """How many evaders the table of a run names at most."""
@@ -22,6 +24,13 @@ def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
         ).rstrip()
         for row in rows
     )
+
+
+def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text, of which the first is the head, as a table of HTML."""
+    head, *body = rows
+    lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
+    return f"<table><caption>{_html(title)}</caption>{lines}</table>"
 
 
 def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
@@ -83,9 +92,9 @@ def from_json(made: Mapping[str, Any]) -> Estimate:
 
 def json_number(value: Any) -> Any:
     """Return what JSON has for a value: null for no number, "Infinity" for that."""
-    if not isinstance(value, float) or isfinite(value):
+    if not isinstance(value, float):
         return value
-    return None if isnan(value) else str(value).replace("inf", "Infinity")
+    return None if isnan(value) else plain_number(value)
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
@@ -139,9 +148,15 @@ def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:
 
 
 def _heading(scenario: Scenario, what: str) -> str:
-    protocol = scenario.protocol
-    kind = getattr(protocol, "kind", getattr(protocol, "__name__", type(protocol).__name__))
     players = f"{scenario.team.count} pursuers" + (
         f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
     )
-    return f"{scenario.name}: {players}, {kind}, {what}\n"
+    return f"{scenario.name}: {players}, {scenario.protocol_name}, {what}\n"
+
+
+def _html_row(cells: Sequence[str], tag: str) -> str:
+    return f"<tr>{''.join(f'<{tag}>{_html(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _html(text: str) -> str:
+    return html.escape(text).replace("+-", "&plusmn;")

@@ -1,15 +1,20 @@
 """The command line. Whatever takes time to import is imported by the command that needs it."""
 
+import io
+import sys
+
 import click
 
 from desim.cli.about import check, keys, protocols, schema
 from desim.cli.draw import draw
 from desim.cli.explain import explain
-from desim.cli.look import replay
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
-from desim.cli.options import INTERRUPTED
+from desim.cli.options import INTERRUPTED, OUT_OF_TIME, say
+from desim.cli.replay import replay
 from desim.cli.report import report
+from desim.guards import sheltered
+from desim.timeout import TimedOut
 
 
 class Commands(click.Group):
@@ -20,14 +25,20 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
+            say("interrupted", err=True)
             ctx.exit(INTERRUPTED)
+        except TimedOut as error:
+            say(f"--timeout: {error}", err=True)
+            ctx.exit(OUT_OF_TIME)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pursuit-desim")
 def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
+    click.get_current_context().with_resource(sheltered())
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that the terminal has no letters for is no reason to fail
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 for command in (run, replay, draw, sweep, explain, report, merge, export, check, keys, protocols, schema):

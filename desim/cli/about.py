@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import FILE, SET, refuse, source_of
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, refuse, say, source_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @FILE
+@ALLOW_IMPORT
 @SET
 def check(file: Path, overrides: tuple[str, ...]) -> None:
     """Validate a scenario, and its grid if it has one, and print it with every default filled in."""
@@ -23,13 +24,13 @@ def check(file: Path, overrides: tuple[str, ...]) -> None:
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
         from desim.source import ScenarioError
-        from desim.study.cells import cells
+        from desim.study.configurations import cells
 
         try:
             cells(source)
         except ScenarioError as error:
             refuse(str(error))
-    click.echo(dump(scenario), nl=False)
+    say(dump(scenario), end="")
 
 
 @click.command()
@@ -39,15 +40,15 @@ def schema() -> None:
 
     document = json.dumps(Scenario.model_json_schema())
     strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
-    click.echo(json.dumps(strict, indent=2))
+    say(json.dumps(strict, indent=2))
 
 
 @click.command()
 @click.argument("table", required=False)
 def keys(table: str | None) -> None:
     """List the keys of scenario files with defaults, units and kinds: all, or those of a TABLE like network."""
+    from desim.cli.description import described
     from desim.scenario import Scenario
-    from desim.value import described
 
     lines = list(described(Scenario, "scenario"))
     tops = [k for k, line in enumerate(lines) if re.match(r" {4}\w", line)]
@@ -57,15 +58,15 @@ def keys(table: str | None) -> None:
             refuse(f"there is no table {table!r}; allowed: {', '.join(names)}")
         first = tops[names.index(table)]
         lines = lines[first : next((k for k in tops if k > first), len(lines))]
-    click.echo("\n".join(lines))
+    say("\n".join(lines))
 
 
 @click.command()
 def protocols() -> None:
     """List the installed protocols and their parameters."""
+    from desim.cli.description import described
     from desim.scenario import PROTOCOLS
-    from desim.value import described
 
     known: set[type[BaseModel]] = set()  # what several may hold is described once
     for kind, protocol in PROTOCOLS.choices().items():
-        click.echo("\n".join(described(protocol, kind, known=known)) + "\n")
+        say("\n".join(described(protocol, kind, known=known)) + "\n")

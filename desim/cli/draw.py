@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.analysis.names import PICTURES, files
-from desim.cli.look import result_of
-from desim.cli.options import SEED, SET, refuse
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, refuse, say
+from desim.cli.recorded import SOURCE, result_of
+from desim.names import PICTURES, files
 
 if TYPE_CHECKING:
     from desim.simulation import Result
@@ -51,10 +51,9 @@ def _attempt(make: Callable[[], Any], *paths: Path) -> None:
     except OSError as error:
         refuse(f"--out {paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
-        click.echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
+        say(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
 
 
-SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 OUT = click.option(
     "-o",
     "--out",
@@ -84,6 +83,7 @@ class _Pursuers(click.ParamType[tuple[int, ...]]):
 @click.option("--pursuers", type=_Pursuers(), help="Who, from top to bottom; default: all, or the six busiest.")
 @click.option("--width", type=click.FloatRange(min=4, max=200), default=17.0, show_default=True, help="cm.")
 @SEED
+@ALLOW_IMPORT
 @SET
 def spacetime(
     source: Path,
@@ -113,6 +113,7 @@ def spacetime(
 @SOURCE
 @OUT
 @SEED
+@ALLOW_IMPORT
 @SET
 def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Write a timeline for https://ui.perfetto.dev, which shows it without sending it anywhere."""
@@ -140,6 +141,7 @@ def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[
 )
 @click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second.")
 @SEED
+@ALLOW_IMPORT
 @SET
 def gif(
     source: Path,

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from desim.cli.options import (
+    ALLOW_IMPORT,
     CLUSTER,
     FAILED,
     FILE,
@@ -14,12 +15,14 @@ from desim.cli.options import (
     JSON,
     SEED,
     SET,
-    STORE,
     folder_for,
+    say,
     source_of,
     storing,
     working,
 )
+from desim.guards import fresh
+from desim.names import STORE
 
 
 @click.command()
@@ -30,6 +33,7 @@ from desim.cli.options import (
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for all of it; default: out/NAME/explain.")
 @JSON
+@ALLOW_IMPORT
 @SET
 def explain(
     file: Path,
@@ -43,7 +47,7 @@ def explain(
 ) -> None:
     """Say which imperfection costs what: the same seeds without each of them."""
     from desim import provenance
-    from desim.analysis.folder import can_plot
+    from desim.folder import can_plot
     from desim.study.explain import RUNS, Variants
     from desim.study.store import Store
 
@@ -59,15 +63,15 @@ def explain(
         with working(jobs, cluster, store) as workers:
             found = variants.carry_out(store, workers)
         text = json.dumps(found.document(), indent=2)
-        (folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
-        (folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
+        fresh(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
+        fresh(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
         if can_plot():
             from desim.analysis.plots import save
             from desim.study.pictures import waterfall
 
             for each in save(waterfall(found), folder / "explain"):
-                click.echo(f"wrote {each}", err=True)
-    click.echo(text if as_json else found.table())
+                say(f"wrote {each}", err=True)
+    say(text if as_json else found.table())
     if found.failed:
-        click.echo(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
+        say(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
         sys.exit(FAILED)

@@ -1,7 +1,6 @@
 """Many runs: `desim sweep`, `merge`, `export`."""
 
 import json
-import re
 import sys
 import time
 from contextlib import ExitStack
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from desim.cli.options import (
+    ALLOW_IMPORT,
     CLUSTER,
     FAILED,
     FILE,
@@ -18,16 +18,18 @@ from desim.cli.options import (
     JSON,
     SEED,
     SET,
-    STORE,
+    TIMEOUT,
     folder_for,
     refuse,
+    say,
     source_of,
     storing,
     working,
 )
+from desim.guards import fresh
+from desim.names import STORE
 
 if TYPE_CHECKING:
-    from desim.provenance import Document
     from desim.study.result import SweepResult
     from desim.study.store import Store
     from desim.study.sweep import Job, Plan
@@ -81,6 +83,8 @@ class Precision(click.ParamType[tuple[str, float]]):
     "--metric", "metrics", multiple=True, metavar="NAME", help="Show this metric; may be given several times."
 )
 @JSON
+@TIMEOUT
+@ALLOW_IMPORT
 @SET
 def sweep(
     file: Path,
@@ -95,10 +99,12 @@ def sweep(
     fail_fast: bool,
     metrics: tuple[str, ...],
     as_json: bool,
+    timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario over the grid of its table `sweep`, many times; go on where it stopped."""
     from desim.source import ScenarioError
+    from desim.study.asked import note
     from desim.study.result import SHOWN
     from desim.study.store import Store
     from desim.study.sweep import MOST_RUNS, Plan, carry_out
@@ -119,22 +125,24 @@ def sweep(
         before = len(store)
         if dry_run:
             plan.check(store)
-            click.echo(_plan_text(plan, jobs_of_plan, store, until))
+            say(_plan_text(plan, jobs_of_plan, store, until))
             return
         plan.enter(store)
-        _note(folder, plan, file, until, shard)
+        note(folder, plan, file.parent, until, shard)
         with working(jobs, cluster, store) as workers:
-            found = carry_out(plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast)
+            found = carry_out(
+                plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast, timeout=timeout
+            )
         done = len(store) - before
     table = found.table(shown)
-    click.echo(json.dumps(found.document(shown), indent=2) if as_json else table)
+    say(json.dumps(found.document(shown), indent=2) if as_json else table)
     took = time.perf_counter() - start
-    click.echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
+    say(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
     if not shard:
         with storing(folder):
             _show(found, shown[0], folder, table)
     if found.failed:
-        click.echo(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
+        say(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
         sys.exit(FAILED)
 
 
@@ -145,7 +153,7 @@ def sweep(
 )
 def merge(stores: tuple[Path, ...], out: Path) -> None:
     """Put the runs of several stores (files or folders) of one sweep together."""
-    from desim import provenance
+    from desim.study.asked import note_merged
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
@@ -155,14 +163,8 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
             store.take(part)
-        root = json.loads(store.about.get("root seed", "0"))  # nothing was run
-        made = provenance.document(
-            "merge", seed=root, runs=len(store), stores=[str(part.path) for part in parts], cwd=str(Path.cwd())
-        )
-        if earlier := [_part(each, part.path) for part in parts for each in _asked(part.path.parent)]:
-            made["earlier"] = earlier
-        provenance.write(out, made)
-        click.echo(f"{len(store)} runs are in {out / STORE}")
+        note_merged(out, store, [part.path for part in parts])
+        say(f"{len(store)} runs are in {out / STORE}")
 
 
 @click.command()
@@ -184,7 +186,7 @@ def export(store: Path, file: Path) -> None:
         refuse(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:
         refuse(str(error))
-    click.echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
+    say(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
 
 
 def _files(stores: tuple[Path, ...]) -> list[Path]:
@@ -223,80 +225,11 @@ def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str
     return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
 
 
-def _note(
-    folder: Path,
-    plan: "Plan",
-    file: Path,
-    until: tuple[str, float] | None,
-    shard: tuple[int, int] | None,
-) -> None:
-    """Write down where the results of a sweep come from, unless an earlier command asked for all of them, too.
-
-    What earlier commands asked for beyond this one is kept, as `earlier`.
-    """
-    from desim import provenance
-
-    made = provenance.document(
-        "sweep",
-        plan.base,
-        seed=plan.root,
-        runs=len(plan.cells) * plan.reps,
-        folder=file.parent,
-        reps=plan.reps,
-        until=until,
-        shards=shard and shard[1],  # any of them: they may be done all at once
-        cwd=str(Path.cwd()),
-    )
-    before, now = _asked(folder), _of(made)
-    if any(_covers(each, now) for each in before):
-        return
-    if rest := [each for each in before if not _covers(now, each)]:
-        made["earlier"] = rest
-    provenance.write(folder, made)
-
-
-def _asked(folder: Path) -> "list[Document]":
-    """Return what each command asked for that made the results in a folder, the last one last; [] if nobody knows."""
-    from desim import provenance
-
-    try:
-        made = provenance.read(folder / provenance.FILE)
-    except (OSError, ValueError):
-        return []
-    return [*made.get("earlier", ()), _of(made)]
-
-
-def _of(made: "Document") -> "Document":
-    """Return what a command asked for, of the document about its results."""
-    is_sweep = made["what"] == "sweep" and made["scenario"] is not None
-    grid = made["scenario"]["sweep"]["grid"] if is_sweep else None
-    return {"argv": made["argv"], "grid": grid} | {key: made.get(key) for key in ("reps", "until", "shards", "cwd")}
-
-
-def _covers(one: "Document", other: "Document") -> bool:
-    """Return whether a command asked for all that another did, of a sweep that is the same but for its extent."""
-    if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
-        return False
-    more = all(each in one["grid"][key] for key, values in other["grid"].items() for each in values)
-    alike = all(one[key] == other[key] for key in ("until", "shards"))
-    return more and alike and int(one["reps"]) >= int(other["reps"])
-
-
-def _part(asked: "Document", store: Path) -> "Document":
-    """Return what was asked for such that it makes one store: if that is of a shard, with its number."""
-    if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
-        return asked
-    part, parts = found.groups()
-    return asked | {
-        "argv": [re.sub(rf"^(--shard=)?\d+/{parts}$", rf"\g<1>{part}/{parts}", each) for each in asked["argv"]]
-    }
-
-
 def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
     """Write the table and the picture of a sweep to its folder."""
-    from desim.analysis.folder import can_plot
+    from desim.folder import can_plot
 
-    (folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
+    fresh(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
     if can_plot():
         from desim.analysis.plots import save
         from desim.study.pictures import means

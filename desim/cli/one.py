@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import JOBS, JSON, SEED, SET, make_folder, refuse, source_of, valid
+from desim.cli.options import (
+    ALLOW_IMPORT,
+    JOBS,
+    JSON,
+    SEED,
+    SET,
+    TIMEOUT,
+    is_import_allowed,
+    make_folder,
+    refuse,
+    say,
+    source_of,
+    valid,
+)
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import Summary
@@ -25,6 +38,8 @@ if TYPE_CHECKING:
 @JOBS
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the trace and a trajectory picture.")
 @JSON
+@TIMEOUT
+@ALLOW_IMPORT
 @SET
 def run(
     file: Path | None,
@@ -34,12 +49,16 @@ def run(
     jobs: int,
     out: Path | None,
     as_json: bool,
+    timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario FILE, or repeat what a run.json recorded, and say what happened."""
     from desim.analysis.metrics import plain
     from desim.analysis.tables import batch_table, run_table
+    from desim.timeout import within
 
+    if timeout is not None and runs in {None, 1}:  # from reading the file to writing results
+        click.get_current_context().with_resource(within(timeout))
     scenario, folder, recorded = _given(file, repeated, overrides)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
@@ -51,13 +70,13 @@ def run(
             numbers, wall_time = _once(scenario, into)
             results, table = [numbers], run_table(scenario, numbers, wall_time)
         else:
-            results = _often(scenario, count, jobs, into)
+            results = _often(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
         refuse(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
-    click.echo(table)
+    say(table)
 
 
 def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
@@ -77,7 +96,7 @@ def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[
 
         result = simulate(scenario)
         return summary(result), time.perf_counter() - start
-    from desim.analysis import folder
+    from desim import folder
 
     out, made = into
     result = folder.simulate(out, scenario, scenario.seed)
@@ -85,20 +104,23 @@ def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[
     return folder.write(result, out, made, simulated_there=True), wall_time
 
 
-def _often(scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None") -> "list[Summary]":
+def _often(
+    scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None", timeout: float | None
+) -> "list[Summary]":
     """Return the numbers of several runs; write them, if there is a folder."""
     from functools import partial
 
-    from desim import provenance
-    from desim.analysis import folder
+    from desim import folder, provenance
     from desim.study.batch import run_many, seeds_from
+    from desim.study.driver import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     if into is None:
-        return run_many(tasks, jobs, scenario.name)
+        return run_many(tasks, jobs, scenario.name, simulate=simulation(timeout))
     out, made = into
     measure = partial(folder.write_below, out, made=made, simulated_there=True)
-    results = run_many(tasks, jobs, scenario.name, measure, partial(folder.simulate_below, out))
+    simulate = simulation(timeout, partial(folder.simulate_below, out))
+    results = run_many(tasks, jobs, scenario.name, measure, simulate)
     folder.clear(out)
     provenance.write(out, made)
     return results
@@ -116,16 +138,17 @@ def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...])
 def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
     """Return what a run.json is of, warn if it may come out differently, and end the program if it is wrong."""
     from desim import provenance
+    from desim.environment import environment
     from desim.source import ScenarioError
 
     try:
         made = provenance.read(path)
-        source = provenance.source(path, made, overrides)
+        source = provenance.source(path, made, overrides, allow_import=is_import_allowed())
     except (provenance.ProvenanceError, ScenarioError) as error:
         refuse(str(error))
     except OSError as error:
         refuse(f"{path}: cannot be read: {error.strerror}")
     scenario = valid(source)
-    if found := provenance.differences(made, provenance.environment()):
-        click.echo(f"warning: {path}: results may differ: {'; '.join(found)}", err=True)
-    return scenario, source.folder or path.parent, made["runs"]
+    if found := provenance.differences(made, environment()):
+        say(f"warning: {path}: results may differ: {'; '.join(found)}", err=True)
+    return scenario, provenance.home(path, made), made["runs"]

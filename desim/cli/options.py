@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from desim.guards import fresh, visible
+from desim.names import files
+from desim.timeout import checked
+
 if TYPE_CHECKING:
     from desim.scenario import Scenario
     from desim.source import Source
@@ -19,11 +23,10 @@ FAILED = 3
 """Exit code of many runs of which some failed."""
 WRONG_INPUT = 2
 """Exit code of a bad file or option."""
+OUT_OF_TIME = 1
+"""Exit code of a run that took longer than it may."""
 INTERRUPTED = 130
 """Exit code of Ctrl-C."""
-
-STORE = "sweep.sqlite"
-"""The name of a store in a folder."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
@@ -37,13 +40,50 @@ CLUSTER = click.option(
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
 
 
+def _allow(ctx: click.Context, _param: click.Parameter, is_allowed: bool) -> None:
+    """Note that the file of a command may name code."""
+    ctx.meta[ALLOWED] = is_allowed
+
+
+ALLOWED = "desim.allow_import"
+"""Where a command notes that."""
+ALLOW_IMPORT = click.option(
+    "--allow-import",
+    is_flag=True,
+    expose_value=False,
+    callback=_allow,
+    help="Trust the file, and --set: let it name code to be run (module:name), and files outside of its folder.",
+)
+
+
+def is_import_allowed() -> bool:
+    """Return whether the command that runs was given `ALLOW_IMPORT`."""
+    return bool(click.get_current_context().meta.get(ALLOWED))
+
+
+def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) -> float | None:
+    try:
+        return limit if limit is None else checked(limit)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from error
+
+
+TIMEOUT = click.option(
+    "--timeout",
+    type=float,
+    metavar="SECONDS",
+    callback=_limit,
+    help="End a run after this wall time, and say what each pursuer waits for.",
+)
+
+
 def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
     """Return what a file says and its scenario; see `valid`."""
     from desim.scenario_file import read
     from desim.source import ScenarioError
 
     try:
-        source = read(file, overrides)
+        source = read(file, overrides, allow_import=is_import_allowed())
     except ScenarioError as error:
         refuse(str(error))
     except OSError as error:
@@ -63,22 +103,39 @@ def valid(source: "Source") -> "Scenario":
         refuse(str(error))
     for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
-        click.echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
+        say(f"warning: {source.where(place)}: {key}: {why}", err=True)
     return scenario
 
 
 def make_folder(folder: Path) -> None:
     """Make the output folder, or end the program if it cannot be written."""
-    from desim.analysis.folder import can_plot
+    from desim.folder import can_plot
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / ".writable").touch()
+        fresh(folder / ".writable").touch()
         (folder / ".writable").unlink()
     except OSError as error:
         refuse(f"--out {folder}: cannot be written: {error.strerror}")
     if not can_plot():
-        click.echo("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+        say("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+
+
+def put(page: bytes, path: Path) -> None:
+    """Write a page, in folders that are made if need be; end the program if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh(path).write_bytes(page)
+    except OSError as error:
+        refuse(f"{path}: cannot be written: {error.strerror}")
+
+
+def page_at(out: Path | None, usual: Path) -> Path:
+    """Return where a page goes; end the program if the name that was asked for is of something else."""
+    try:
+        return usual if out is None else files(out, [".html"], [".html"])[0]
+    except ValueError as error:
+        refuse(f"--out {error}")
 
 
 def folder_for(scenario: "Scenario", out: Path | None) -> Path:
@@ -105,14 +162,19 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
         with workers_for(jobs if cluster is None else cluster) as workers:
             yield workers
     except KeyboardInterrupt:
-        click.echo(f"interrupted: {len(store)} runs are in {store.path}; the same command goes on", err=True)
+        say(f"interrupted: {len(store)} runs are in {store.path}; the same command goes on", err=True)
         sys.exit(INTERRUPTED)
     except RunError as error:
-        click.echo(f"{error}{len(store)} runs are in {store.path}", err=True)
+        say(f"{error}{len(store)} runs are in {store.path}", err=True)
         sys.exit(FAILED)
+
+
+def say(text: str, *, err: bool = False, end: str = "\n") -> None:
+    """Print a text, of which a stranger may have written any part."""
+    click.echo(visible(text) + end, nl=False, err=err)
 
 
 def refuse(text: str) -> NoReturn:
     """End the program: what it was given is wrong."""
-    click.echo(text, err=True)
+    say(text, err=True)
     sys.exit(WRONG_INPUT)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from desim.cli.look import page_at, put
-from desim.cli.options import STORE, refuse, storing
+from desim.cli.options import page_at, put, refuse, say, storing
+from desim.names import STORE
 
 
 @click.command()
@@ -21,7 +21,7 @@ def report(folder: Path, out: Path | None) -> None:
     _check_merged(folder)
     try:
         with storing(folder):
-            study = Study.read(folder, STORE)
+            study = Study.read(folder)
         page = page_of(study).encode()
     except ModuleNotFoundError as error:
         refuse(f"a report needs {error.name}: pip install 'pursuit-desim[plot]'")
@@ -29,7 +29,7 @@ def report(folder: Path, out: Path | None) -> None:
         refuse(str(error))
     put(page, path)
     groups = study.result.groups
-    click.echo(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
+    say(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
 
 
 def _check_merged(folder: Path) -> None:

@@ -26,7 +26,7 @@ SECOND = 1_000_000_000
 class Phase(IntEnum):
     """What happens first among the events of one instant: the SimPy priority of each kind of event.
 
-    Decisions add the pursuer's id to their priority: the lowest id decides first. SimPy's own bookkeeping
+    Decisions add the node's id to their priority: the lowest id decides first. SimPy's own bookkeeping
     (priorities 0 and 1) precedes everything, so a process resumes within the phase of the event it waited for.
     """
 
@@ -39,9 +39,9 @@ class Phase(IntEnum):
     CAPTURE = 4 << 32
     """The motion that led up to this instant is judged: capture, then the horizon."""
     DECISION = 5 << 32
-    """Pursuers decide and speak."""
+    """Nodes decide and speak."""
     HEARTBEAT = 6 << 32
-    """Pursuers repeat what they do."""
+    """Nodes repeat what they said."""
     MOTION = 7 << 32
     """Headings are recomputed."""
     SAMPLE = 8 << 32
@@ -67,11 +67,19 @@ class Clock(simpy.Environment):
         """Run as SimPy does, but let the garbage collector look less often meanwhile.
 
         What a simulation keeps is no garbage: to look at all of it time and again takes a third of a large one's time.
+
+        Raises:
+            BaseException: what a process raised, with what was noted on it; SimPy itself raises a copy.
         """
         usual = gc.get_threshold()
         gc.set_threshold(*RARELY)
         try:
             return super().run(until)
+        except BaseException as error:
+            first = error.__cause__
+            if type(first) is type(error) and first.args == error.args:
+                raise first from first.__cause__
+            raise
         finally:
             gc.set_threshold(*usual)
 

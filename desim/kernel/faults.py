@@ -14,7 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
-from desim.value import Coordinate, Extent, Length, OneOf, Period, Rate, Time, Truth, Value
+from desim.value import Box, Coordinate, Extent, Length, OneOf, Period, Rate, Time, Truth, Value
 
 
 class _Window(Value):
@@ -38,7 +38,7 @@ class Crash(_Window):
 
     kind: Literal["crash"] = "crash"
     node: Node
-    """Who: the number of the pursuer."""
+    """Which node: in a pursuit, the number of the pursuer."""
     scope: Literal["radio", "robot"] = "robot"
     """radio: it neither sends nor receives; robot: it does not move or decide either."""
     memory: Truth = True
@@ -149,15 +149,8 @@ class RandomPlan(Value):
         "jamming",
     )
     """What may happen."""
-    box: tuple[Coordinate, Coordinate] = (0.0, 20.0)
+    box: Box = (0.0, 20.0)
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
-
-    @field_validator("box")
-    @classmethod
-    def _ascending(cls, box: tuple[float, float]) -> tuple[float, float]:
-        if box[1] < box[0]:
-            raise ValueError(f"should ascend (got {box[0]:g} and {box[1]:g})")
-        return box
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that begin before the horizon, s, in order of time."""

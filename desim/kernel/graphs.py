@@ -14,6 +14,8 @@ from desim.value import OneOf, Truth, Value, beside
 if TYPE_CHECKING:
     import networkx as nx
 
+MOST_NAMES = 10
+"""How many nodes a text about a graph names."""
 Node = Annotated[int, Field(ge=0, strict=True)]
 
 
@@ -126,7 +128,7 @@ class Edges(Value):
     file: str | None = None
     """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read at once."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
-    """Number of nodes; if absent, that of the team."""
+    """Number of nodes; if absent, that of the network."""
     directed: Truth = False
     """Whether an edge is one-way."""
 
@@ -169,6 +171,7 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
 
     try:
         if file.suffix == ".graphml":
+            _check_plain(file.read_bytes())
             return nx.read_graphml(file, node_type=int)
         data = json.loads(file.read_text(encoding="utf-8"))
         return nx.node_link_graph(data, edges="edges" if "edges" in data else "links")  # the key before networkx 3.4
@@ -178,17 +181,35 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
         raise ValueError(f"{file} is not a graph in node-link JSON (.json) or GraphML (.graphml): {error}") from error
 
 
+def _check_plain(xml: bytes) -> None:
+    """Raise ValueError if XML declares a document type: its entities and defaults can stand for any amount of text."""
+    from xml.parsers.expat import ParserCreate
+
+    def refuse(*_: object) -> None:
+        raise ValueError("it should declare no document type (<!DOCTYPE ...>)")
+
+    parser = ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(xml, True)
+
+
 def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     """Return a networkx graph as the fields of `Edges`."""
     size = len(graph)
     if set(graph) != set(range(size)):
-        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {sorted(graph, key=str)}")
+        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {_some(graph)}")
     edges = [
         {"src": int(src), "dst": int(dst)}
         | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
         for src, dst, own in graph.edges(data=True)
     ]
     return {"edges": edges, "nodes": size, "directed": graph.is_directed()}
+
+
+def _some(graph: "nx.Graph[Any]") -> str:
+    """Return the nodes of a graph as a text that fits in a line, and is no longer for a long name."""
+    names = [repr(node)[:20] for node in sorted(graph, key=str)[:MOST_NAMES]]
+    return f"[{', '.join([*names, *(['...'] if len(graph) > MOST_NAMES else [])])}]"
 
 
 def as_model(name: str, value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from math import inf
 
 import simpy
 
@@ -10,6 +9,7 @@ from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.events import Trace
 from desim.kernel.faults import Began, Crash, Fault, Over, Partition
 from desim.kernel.network import Network
+from desim.value import LONGEST
 
 Hook = Callable[[Crash], object]
 
@@ -45,7 +45,7 @@ def inject(
         if trace is not None:
             trace.append(Began(env.now, fault))
         end = _open(fault, network, crashed, recovered)
-        if fault.until < inf:
+        if fault.until <= LONGEST:  # no run is longer
             Instant(env, nanoseconds(fault.until), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.kernel.hops import Hops
 from desim.kernel.seeds import ROOM
-from desim.value import OneOf, Positive, Speed, Time, Truth, Value, beside
+from desim.value import OneOf, Speed, Time, Truth, Value, beside
 
 Floats = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ class Gamma(_Drawn):
     kind: Literal["gamma"] = "gamma"
     offset: Time = 0.0
     """Fixed part, s."""
-    shape: Positive = 2.0
+    shape: Annotated[float, Field(gt=0, le=1e6, strict=True)] = 2.0
     """Shape k, the number of stages."""
     scale: Time = 0.01
     """Scale theta, the mean of a stage, s."""

@@ -17,14 +17,14 @@ from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.kernel.air import Air
-from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
 from desim.kernel.positions import Locator
-from desim.kernel.records import Arrival, Mark, Record, Records, Table, each
+from desim.kernel.records import Arrival, Mark, Record, Records, Table, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.travel import Travel
 from desim.kernel.wire import size_of
@@ -95,11 +95,10 @@ class Network:
         self._conditions = conditions
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
-        self._processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         self._medium = links.medium
         self._air: Air[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
-            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._processing)
+            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._travel.processing)
         self._may_lose = conditions is not None or not self._travel.lossless or self._air is not None
         self._records = Records(env, size, mark)
         self._ports: dict[str, list[Inbox]] = {}
@@ -197,7 +196,7 @@ class Network:
 
     @cached_property
     def typical_latency(self) -> float:
-        """The mean one-way latency over the links of the first senders, airtime and queues left out, s."""
+        """The mean one-way latency over the links of the first senders, with processing but no airtime or queues, s."""
         return self._travel.typical_latency()
 
     # What happens to them.
@@ -351,7 +350,8 @@ class Network:
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
-        deaf = self._air is not None and self._air.transmitted(node, self._env.now - self._processing, end - begin)
+        left = self._env.now - self._travel.processing
+        deaf = self._air is not None and self._air.transmitted(node, left, end - begin)
         return "half_duplex" if deaf else None
 
     def _lose(self, flight: Flight, nodes: list[int], cause: Cause) -> None:
@@ -366,12 +366,12 @@ class Network:
         number, src, created, size, receivers, content = flight[:6]
         now, fates = self._env.now, arrival
         if causes:
-            arrivals = iter(each(arrival, len(receivers)))
+            arrivals = iter(per_receiver(arrival, len(receivers)))
             fates = [LOST if node in causes else next(arrivals) for node in receivers]
         if isinstance(content, Record):
             fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
             event = Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
             self._trace.append_message(event)
         else:
-            for node, arrives in zip(receivers, each(fates, len(receivers)), strict=True):
+            for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
                 self._trace.append_message(Sent(now, number, src, node, arrives, created, size, content.body))

@@ -87,7 +87,7 @@ class Records:
         mark: what `marked` looks for; nothing if None.
     """
 
-    def __init__(self, env: Clock, size: int, mark: Mark | None = None):
+    def __init__(self, env: Clock, size: int, mark: Mark | None):
         self._env, self._size, self._mark = env, size, mark
         self._common = Common(mark)
         # What does not reach all alike is kept per reader, in the order of departure: what has not been looked at, what
@@ -117,7 +117,7 @@ class Records:
             self._common.note((arrival, record))
             return
         waiting = self._waiting
-        for node, when in zip(receivers, each(arrival, len(receivers)), strict=True):
+        for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pile = waiting[node]
             pile.append(when)  # twice, in less time than `extend` takes
             pile.append(record)
@@ -253,7 +253,7 @@ def _is_newer(heard: Heard, table: Table) -> bool:
     return known is None or known[1].seq < heard[1].seq
 
 
-def each(arrival: Arrival, receivers: int) -> Iterable[int]:
+def per_receiver(arrival: Arrival, receivers: int) -> Iterable[int]:
     """Return the arrival at each of so many receivers."""
     return repeat(arrival, receivers) if isinstance(arrival, int) else arrival
 

@@ -16,7 +16,7 @@ from desim.kernel.reach import Disk, Reach, bound
 from desim.kernel.seeds import ROOM, pair_luck
 
 Truths = NDArray[np.bool_]
-FEW = 400
+SMALL_NETWORK = 400
 """Up to so many nodes it is faster to take the distances to all than to find those that may be near."""
 
 
@@ -70,7 +70,7 @@ class Topology:
         self._circles: list[Nodes] = []
         if self._positions is not None and not self._complete:
             self._circles = [_circle(node, self._lists[node]) for node in nodes.tolist()]
-        elif self._positions is not None and size > FEW and bound(self._reach, range) < inf:
+        elif self._positions is not None and size > SMALL_NETWORK and bound(self._reach, range) < inf:
             self._cells = Cells(self._positions, bound(self._reach, range), now)
 
     def linked(self, node: int) -> list[int]:

@@ -4,6 +4,7 @@ Models that draw independently of the hop are asked for a block of draws at a ti
 a list and not a call of numpy.
 """
 
+from math import inf
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from desim.kernel.latency import Constant, Independent
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.positions import Locator
-from desim.kernel.records import Arrival, each
+from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import stream
 from desim.value import LONGEST
 
@@ -53,7 +54,8 @@ class Travel:
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
-        self._fixed = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
+        self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
+        """Of every message at both ends together, ns."""
         self._latency, self._loss = _begun(links.latency, size), _begun(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
@@ -64,8 +66,9 @@ class Travel:
         self._own_latency, self._own_loss = own["latency"], own["loss"]
         self._order, self._own_order = links.order, own["order"]
         self._last: dict[tuple[int, int], int] = {}  # when the last message of each link that keeps its order arrives
-        self._lossless = isinstance(links.loss, Bernoulli) and links.loss.p == 0.0
-        self.lossless = self._lossless and not self._own_loss
+        self._lossless = _never_loses(links.loss)
+        own_models = (model for to in self._own_loss.values() for model in to.values())
+        self.lossless = self._lossless and all(map(_never_loses, own_models))
         """Whether the links never lose anything."""
         # Latencies that are always the same need no models asked, and nothing overtakes.
         self._constant = None
@@ -95,7 +98,7 @@ class Travel:
         Raises:
             ValueError: if the latency model answers with what is not a time.
         """
-        start = now + airtime + self._fixed
+        start = now + airtime + self.processing
         if self._constant is not None:
             return start + self._constant
         own = self._own_latency.get(src, {})
@@ -113,7 +116,7 @@ class Travel:
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
     def typical_latency(self) -> float:
-        """Return the mean one-way latency over the links of the first senders, without airtime, s.
+        """Return the mean one-way latency over the links of the first senders, processing included but no airtime, s.
 
         It is measured on at least a thousand draws, if there are links, that the messages of the run do not share.
         """
@@ -123,7 +126,7 @@ class Travel:
         found: list[int] = []
         for src in list(range(size)) * rounds:
             dst = sorted(self._graph.adj[src])
-            found += each(like_this.arrivals(src, dst, 0, 0, TYPICAL_SIZE), len(dst))
+            found += per_receiver(like_this.arrivals(src, dst, 0, 0, TYPICAL_SIZE), len(dst))
             if len(found) > 10_000:
                 break
         return sum(found) / len(found) / SECOND if found else 0.0
@@ -133,7 +136,7 @@ class Travel:
         own = self._own_order.get(src)
         if self._order == "overtaking" and not own:
             return arrival
-        last, arrivals = self._last, list(each(arrival, len(dst)))
+        last, arrivals = self._last, list(per_receiver(arrival, len(dst)))
         for k, node in enumerate(dst):
             if (own.get(node, self._order) if own else self._order) == "fifo":
                 arrivals[k] = last[src, node] = max(arrivals[k], last.get((src, node), 0))
@@ -174,6 +177,10 @@ def _begun(model: Any, size: int) -> Any:
     return model.begin(size) if hasattr(model, "begin") else model
 
 
+def _never_loses(model: object) -> bool:
+    return isinstance(model, Bernoulli) and model.p == 0.0
+
+
 def _own(links: Links, graph: "nx.Graph[int]") -> dict[str, Own]:
     """Return the models of links that are not like the rest: of the edges of the graph, then of `links.link`."""
     found: dict[str, Own] = {"latency": {}, "loss": {}, "order": {}}
@@ -195,15 +202,15 @@ def _own(links: Links, graph: "nx.Graph[int]") -> dict[str, Own]:
 
 
 def _checked(delays: Any) -> Any:
-    """Return delays in s as whole ns: one number, or a list.
+    """Return delays in s as whole ns: one number, or a list; none is longer than a run can be.
 
     Raises:
         ValueError: if one of them is not a time.
     """
     given = np.asarray(delays, dtype=float)
-    if not ((given >= 0.0) & (given <= LONGEST)).all():
-        raise ValueError(f"latencies should be from 0 to {LONGEST:g} s, got {delays}")
-    return np.rint(given * SECOND).astype(np.int64).tolist()
+    if not ((given >= 0.0) & (given < inf)).all():
+        raise ValueError(f"latencies should be times >= 0 s, got {delays}")
+    return np.rint(np.minimum(given, LONGEST) * SECOND).astype(np.int64).tolist()
 
 
 def _times(answer: Any, count: int) -> Arrival:

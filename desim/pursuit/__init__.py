@@ -1,1 +1,1 @@
-"""The pursuit game and its players: mathematics over numpy, but for the agent that plays it."""
+"""The game, its players, and what each of them may know; nothing of runs."""

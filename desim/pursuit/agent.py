@@ -22,7 +22,7 @@ from desim.kernel.seeds import stream
 from desim.pursuit.belief import Belief, Beliefs, Whereabouts
 from desim.pursuit.surroundings import Surroundings, Whole
 from desim.pursuit.utility import Mean, Scope, Utility
-from desim.pursuit.word import Announcements, Assignment, LocatedAssignment, TimedAssignment
+from desim.pursuit.word import PAYLOADS, Announcements, LocatedAssignment
 
 Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""
@@ -39,6 +39,7 @@ class Said:
     claim: Any = None
     """What its protocol announces in place of the payload."""
     restarts: int = 0
+    """How often it has started anew, without memory."""
 
 
 class Agent:
@@ -47,16 +48,17 @@ class Agent:
     Attributes:
         id: 0 .. team_size - 1.
         rng: the stream of its decisions.
+        whole: the world as it is, past the network: for omniscient benchmarks only.
 
     Args:
         pursuer: its id.
         env: the clock of the simulation.
         world: what it senses and acts on.
-        whole: the same as it is, for omniscient benchmarks.
+        whole: the same as it is.
         network: by which it talks.
         seed: of its random streams.
         announcements: what it tells the others, and when.
-        clock: its own; a right one if None.
+        clock: its own.
     """
 
     def __init__(
@@ -67,18 +69,18 @@ class Agent:
         whole: Whole,
         network: Network,
         seed: int,
-        announcements: Announcements | None = None,
-        *,
-        clock: NodeClock | None = None,
+        announcements: Announcements,
+        clock: NodeClock,
     ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
-        self._env, self._world, self._whole, self._network, self._seed = env, world, whole, network, seed
-        self._announcements = announcements or Announcements()
+        self.whole = whole
+        self._env, self._world, self._network, self._seed = env, world, network, seed
+        self._announcements = announcements
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
-        self._clock = clock or NodeClock(env)
+        self._clock = clock
         self._said = Said((self.action,) if self._announcements.warm_start else None)
-        self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.assignment)
+        self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.announcement)
         self._streams: dict[str, np.random.Generator] = {}
 
     def in_phase(self, phase: Phase) -> Self:
@@ -113,7 +115,7 @@ class Agent:
 
     @property
     def action(self) -> int:
-        """Which evader it chases, 1 .. M, or 0 if it stays; where there is one evader, whether it chases."""
+        """Which evader it chases, 1 .. M, or 0 if it stays."""
         return self._world.action(self.id)
 
     def evaders(self) -> Sequence[int]:
@@ -233,7 +235,10 @@ class Agent:
 
     @property
     def latency(self) -> float:
-        """The mean one-way latency of the network, airtime and queues left out, s: what its designer would know."""
+        """The mean one-way latency L of the network, s: what its designer would know.
+
+        Processing at both ends is included, airtime and queues are not.
+        """
         return self._network.typical_latency
 
     def airtime(self, body: Any) -> float:
@@ -253,28 +258,11 @@ class Agent:
     # What it does.
 
     def assign(self, action: int) -> None:
-        """Chase an evader (its number, or True if there is one) or stay (0) from now on.
+        """Chase an evader (its number) or stay (0) from now on.
 
         Who may not chase it (`Scenario.prune`) stays whatever it wants.
         """
         self._world.order(self.id, action)
-
-    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
-        """Return everyone's time of capture as it is, past the network: for omniscient benchmarks only, s."""
-        return self._whole.capture_times(evader)
-
-    def command(self, pursuer: int, action: int) -> None:
-        """Let another pursuer do something, at once and past the network: for omniscient benchmarks only."""
-        self._whole.order(pursuer, action)
-
-    def profile(self) -> Sequence[int]:
-        """Return what everybody does, past the network: for omniscient benchmarks only."""
-        return self._whole.profile()
-
-    def broken(self) -> Sequence[int]:
-        """Return who is broken, past the network: for omniscient benchmarks only."""
-        found: list[int] = self._whole.broken().nonzero()[0].tolist()
-        return found
 
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
@@ -285,7 +273,7 @@ class Agent:
     def tell(self) -> None:
         """Tell the others its action, whether or not it has changed."""
         self._said.news = self._news()
-        self._announcements.spread.tell(self, self.assignment())
+        self._announcements.spread.tell(self, self.announcement())
 
     def claim(self, body: Any) -> None:
         """From now on announce this in place of the payload.
@@ -296,20 +284,16 @@ class Agent:
 
     def presume(self) -> None:
         """Let everyone know its action from the start."""
-        self._network.presume(self.id, self.assignment(), self._clock.stamp)
+        self._network.presume(self.id, self.announcement(), self._clock.stamp)
 
-    def assignment(self) -> Any:
+    def announcement(self) -> Any:
         """Return what it would announce now."""
-        payload = self._announcements.payload
-        if self._said.claim is not None:
-            return self._said.claim
-        if payload == "action":
-            return Assignment(self.action)
-        if payload == "time":
-            chased = self.evaders() if not self.action else [int(self.action)]
-            return TimedAssignment(self.action, min(map(self.capture_time, chased), default=inf))
-        place = self._world.place(self.id)
-        return LocatedAssignment(self.action, place.real, place.imag, self.speed)
+        claim = self._said.claim
+        return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if claim is None else claim
+
+    def located(self) -> LocatedAssignment:
+        """Return what it would announce now if the payload were "state"."""
+        return LocatedAssignment.said_by(self.id, self._world)
 
     def record(self, body: Any) -> Record:
         """Return the next record of its own, for who spreads it by other means than `publish`."""
@@ -364,6 +348,13 @@ class Agent:
         """Return an event that happens as soon as there is mail."""
         return self._network.inbox(self.id, port).arrival(self._turn)
 
+    def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
+        """Do something every period (s) of its own clock, from a random phase on, which the stream of a name gives."""
+        first = self.now + self.stream(name).uniform(0.0, period)
+        for k in count():
+            yield self.at(first + k * period)
+            act()
+
     # How it speaks.
 
     def _news(self) -> Any:
@@ -373,11 +364,3 @@ class Agent:
 
 Behaviour = Callable[[Agent], Process]
 """A protocol: the process that a pursuer runs."""
-
-
-def heartbeats(me: Agent, period: float) -> Process:
-    """Repeat what a pursuer does, every period (s) of its own clock, from a random phase on."""
-    first = me.now + me.stream("heartbeat").uniform(0.0, period)
-    for k in count():
-        yield me.at(first + k * period)
-        me.tell()

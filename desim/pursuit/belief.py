@@ -13,6 +13,7 @@ from desim.kernel.records import Record, Table
 from desim.pursuit.state import Floats, Points
 from desim.pursuit.surroundings import Surroundings
 from desim.pursuit.word import Announcements, LocatedAssignment, TimedAssignment
+from desim.value import LONGEST
 
 
 class Belief(NamedTuple):
@@ -129,7 +130,7 @@ class Beliefs:
         if limit == "auto":
             flight = self._network.typical_latency + self._network.airtime(self._announcement())
             limit = 3.0 * period + 2.0 * flight if period < inf else inf
-        return limit if limit == inf else self._clock.span(limit)
+        return inf if limit > LONGEST else self._clock.span(limit)  # no run is longer
 
     def _time(self, record: Record, evader: int) -> float:
         """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""
@@ -150,4 +151,4 @@ class Beliefs:
             return place
         age = max(self._clock.stamp - record.sent, 0)
         exact = self._announcements.reckoning == "exact"
-        return self._world.reckoned(place, body.speed, age, int(body.active), exact=exact)
+        return self._world.reckoned(place, body.speed, age, body.active, exact=exact)

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.outlook import Outlook
 from desim.pursuit.state import Floats, Points, State, coordinates
-from desim.value import Coordinate, Limit, OneOf, Period, Value
+from desim.value import Coordinate, Limit, OneOf, Period, Unsigned, Value
 
 
 def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -139,7 +139,7 @@ class Diffusion(Value):
     """Wander: the heading is anything at first, and then a Brownian motion, whatever the pursuers do."""
 
     kind: Literal["diffusion"] = "diffusion"
-    sigma: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.5
+    sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
     """After a time t the heading has turned by an angle of standard deviation sigma sqrt(t), rad/sqrt(s)."""
 
     def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:

@@ -30,7 +30,7 @@ class Decided(NamedTuple):
     t: int
     pursuer: int
     active: int
-    """Whether it chases; where there are several evaders, which it chases: 1 .. M, or 0."""
+    """Which evader it chases, 1 .. M, or 0."""
 
 
 class Halted(NamedTuple):

@@ -46,11 +46,6 @@ def gain(own: float, others: Sequence[float], reward: float) -> float:
     return (sum(others) / n - own) / (n + 1) if n else reward - own
 
 
-def best_response(own: float, others: Sequence[float], reward: float) -> bool:
-    """Return whether being active is strictly better; see `gain`."""
-    return gain(own, others, reward) > 0.0
-
-
 Gain = Callable[[float, Sequence[float], float], float]
 """What a pursuer gains by being active, as a function of its own time of capture, those of others and the reward."""
 Hearing = Sequence[Collection[int]]
@@ -118,9 +113,8 @@ def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
     """
     if not np.isfinite(phi).all():
         raise ValueError(f"all times of capture should be finite, got {list(phi)}")
-    u = np.array([potential(phi, profile, reward) for profile in profiles(len(phi))]) / tau
-    weight = np.exp(u - u.max())
-    return np.asarray(weight / weight.sum())
+    heights = [potential(phi, profile, reward) for profile in profiles(len(phi))]
+    return np.array(logit(heights, 1.0 / tau))
 
 
 def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]:

@@ -64,7 +64,7 @@ class ConstantBearing(Value):
         return np.where(meets, bearings * (along + 1j * seen.imag), toward(aims, speeds))
 
 
-def courses(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
+def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
     """Return the velocities that a law gives, m/s; the arguments as in `Guidance`.
 
     Raises:
@@ -76,28 +76,8 @@ def courses(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: F
     return velocities
 
 
-def course(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float) -> complex:
-    """Return the velocity that a law gives one pursuer, m/s; as `courses`."""
+def guided_velocity(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float) -> complex:
+    """Return the velocity that a law gives one pursuer, m/s; as `guided_velocities`."""
     if isinstance(law, PurePursuit):  # the same, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
-    return complex(courses(law, np.array([gap]), np.array([aim]), flight, np.array([speed]))[0])
-
-
-def apollonius_circle(pursuer: complex, evader: complex, ratio: float) -> tuple[complex, float]:
-    """Return the centre and the radius of the circle of points that both reach at the same time, m.
-
-    With k = v_e / v_p the points x with |x - x_e| = k |x - x_p|: centre (x_e - k^2 x_p) / (1 - k^2), radius
-    k d / |1 - k^2|. The evader is inside if it is the slower.
-
-    Args:
-        pursuer: position, m.
-        evader: position, m.
-        ratio: k = v_e / v_p.
-
-    Raises:
-        ValueError: if the ratio is negative, or is 1, for then the points lie on a line.
-    """
-    if ratio < 0.0 or ratio == 1.0:
-        raise ValueError(f"the ratio of speeds should be at least 0 and not 1, got {ratio}")
-    rest = 1.0 - ratio**2
-    return (evader - ratio**2 * pursuer) / rest, ratio * abs(evader - pursuer) / abs(rest)
+    return complex(guided_velocities(law, np.array([gap]), np.array([aim]), flight, np.array([speed]))[0])

@@ -16,7 +16,17 @@ from desim.pursuit.word import records_in
 
 
 class Mind:
-    """One evader's perception and choice in one run."""
+    """One evader's perception and choice in one run.
+
+    Args:
+        strategy: how it chooses.
+        rng: the stream of its choices, its alone.
+        speed: how fast it moves, m/s.
+        speeds: (N,) of the pursuers, m/s.
+        radius: distance at which it is captured, m.
+        sight: how far it sees pursuers, m.
+        reaction: how old what it sees is, s.
+    """
 
     def __init__(
         self,
@@ -29,7 +39,6 @@ class Mind:
         sight: float = inf,
         reaction: float = 0.0,
     ):
-        """Arguments: see `desim.scenario.Evader`, `Outlook`; `rng` is the evader's alone."""
         self._strategy, self._rng = strategy, rng
         self._speed, self._speeds, self._radius, self._sight = speed, speeds, radius, sight
         self._memory = Memory(nanoseconds(reaction)) if nanoseconds(reaction) else None
@@ -97,8 +106,7 @@ class Eavesdropper:
         if newer and action is not None and action != self._actions.get(record.src, 0):
             self._actions[record.src], self._changed[record.src] = action, record.seq
         if self._changed.get(record.src) == record.seq:
-            arrivals = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
-            self._until = max((self._until, *arrivals))
+            self._until = max([self._until, *(arrival for _, arrival in event.fates())])
 
 
 class Memory:

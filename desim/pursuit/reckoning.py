@@ -9,14 +9,14 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.clock import seconds
-from desim.pursuit.guidance import Guidance, course
+from desim.pursuit.guidance import Guidance, guided_velocity
 from desim.pursuit.motion import SMALLEST
 
 MOST_RETRACINGS = 10_000
 """How many teammates' paths are remembered between two times that somebody asks for them."""
 
 
-class Sight(NamedTuple):
+class Leg(NamedTuple):
     """What pursuers see of the evader during a motion step."""
 
     begun: int
@@ -33,7 +33,7 @@ class Sight(NamedTuple):
         return self.evader + self.flight * seconds(t - self.begun)
 
 
-class Sightings:
+class Path:
     """What was seen of the path of the evader: the present motion step and, if it remembers, all before it.
 
     Steps are seen, and places asked for, in the order of time.
@@ -42,18 +42,18 @@ class Sightings:
         last: what is seen during the present step.
     """
 
-    last: Sight
+    last: Leg
 
     def __init__(self, law: Guidance, *, remembers: bool = True):
         self._law, self._remembers = law, remembers
-        self._sights: list[Sight] = []
+        self._legs: list[Leg] = []
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
 
     def see(self, t: int, evader: complex, aim: complex, flight: complex) -> None:
-        """See the evader as a step begins; the arguments as in `Sight`."""
-        self.last = Sight(t, evader, aim, flight)
+        """See the evader as a step begins; the arguments as in `Leg`."""
+        self.last = Leg(t, evader, aim, flight)
         if self._remembers:
-            self._sights.append(self.last)
+            self._legs.append(self.last)
 
     def place(self, position: complex, speed: float, since: int, now: int) -> complex:
         """Return where a pursuer is now (ns) that was at a position (m) at an instant (ns) and has chased since, m.
@@ -64,12 +64,12 @@ class Sightings:
         assert self._remembers
         known = (position, speed, since)
         began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
-        first = bisect_right(self._sights, t, key=itemgetter(0)) - 1
-        last = bisect_left(self._sights, now, key=itemgetter(0))  # the evader may have been captured since
-        ends = [sight.begun for sight in self._sights[first + 1 : last]] + [now]
-        for sight, end in zip(self._sights[first:], ends, strict=False):  # none yet at the start
+        first = bisect_right(self._legs, t, key=itemgetter(0)) - 1
+        last = bisect_left(self._legs, now, key=itemgetter(0))  # the evader may have been captured since
+        ends = [leg.begun for leg in self._legs[first + 1 : last]] + [now]
+        for leg, end in zip(self._legs[first:], ends, strict=False):  # none yet at the start
             began, origin = t, place
-            velocity = course(self._law, sight.at(t) - place, sight.aim - place, sight.flight, speed)
+            velocity = guided_velocity(self._law, leg.at(t) - place, leg.aim - place, leg.flight, speed)
             place += velocity * seconds(end - t)
             t = end
         self._retracings[known] = (began, origin)

@@ -7,7 +7,6 @@ knows which evaders have been captured.
 """
 
 from collections.abc import Collection, Iterable
-from itertools import count
 from math import inf, pi, sqrt
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from desim.kernel.clock import NodeClock, seconds
 from desim.kernel.network import Network
-from desim.pursuit.agent import Agent, Process
 from desim.pursuit.reckoning import nearer
 from desim.pursuit.surroundings import Whole
 from desim.value import Extent, Limit, Period, Truth, Value
@@ -86,7 +84,7 @@ class Sighting(NamedTuple):
         return complex(self.velocity_x, self.velocity_y)
 
 
-class Estimate(NamedTuple):
+class Guess(NamedTuple):
     """Where an evader is believed to be."""
 
     place: complex
@@ -122,7 +120,7 @@ class Watch:
             self._places[row, seeing] = self._world.evader(evader)
             self._velocities[row, seeing] = self._world.velocity(evader)
 
-    def blind(self, actions: NDArray[np.integer] | NDArray[np.bool_]) -> list[int]:
+    def blind(self, actions: NDArray[np.int64]) -> list[int]:
         """Return who does not see now what it chases, given what everybody chases."""
         unseen = np.zeros(self._world.size, dtype=bool)
         for evader in self._world.evaders():
@@ -178,10 +176,10 @@ class Sight:
         own = self._clock.at(when)
         return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
 
-    def estimate(self, evader: int) -> Estimate | None:
+    def estimate(self, evader: int) -> Guess | None:
         """Return where it believes an evader to be; None if it has never heard of it, or has lost it and stays."""
         if self.sees(evader):
-            return Estimate(self._world.evader(evader), self._world.velocity(evader))
+            return Guess(self._world.evader(evader), self._world.velocity(evader))
         sighting, sensing = self.newest(evader), self._sensing
         if sighting is None:
             return None
@@ -190,13 +188,13 @@ class Sight:
         slack = self._world.evader_speed(evader) * age if worst else 0.0
         velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
         if age <= sensing.lost_after:
-            return Estimate(sighting.place + velocity * age, velocity, slack)
+            return Guess(sighting.place + velocity * age, velocity, slack)
         if sensing.when_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
         arm = np.exp(2j * pi * self._id / self.size)  # so that who is equally fast goes another way
         off = complex(arm * spiral(self.speed(self._id) * (age - sensing.lost_after), apart))
-        return Estimate(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
+        return Guess(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
 
     def report(self) -> None:
         """Tell the neighbours the newest sightings that are not too old."""
@@ -223,12 +221,12 @@ class Sight:
 
     # What it makes of that, as its agent's surroundings.
 
-    def evader(self, evader: int = 1) -> complex:
+    def evader(self, evader: int) -> complex:
         """Return where it believes an evader to be, m; nan if it does not know."""
         estimate = self.estimate(evader)
         return NOWHERE if estimate is None else estimate.place
 
-    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+    def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader where it is believed to be, s; inf if that is unknown."""
         if self.sees(evader) or evader not in self._world.evaders():
             return self._world.capture_times(evader)
@@ -237,19 +235,19 @@ class Sight:
             return (inf,) * self.size
         return self._world.capture_times_at(estimate.place, estimate.slack, evader)
 
-    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+    def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the times of capture of some pursuers, s; as `capture_times`."""
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
-    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
+    def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
         estimate = self.estimate(evader)
         if estimate is None:
             return inf
         return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.slack, evader)
 
-    def may_chase(self, pursuer: int, evader: int = 1) -> bool:
+    def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""
         return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
 
@@ -257,7 +255,7 @@ class Sight:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         return (0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader)))
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
 
         Straight towards where the evader is believed to be, for nobody has seen its whole path.
@@ -268,14 +266,6 @@ class Sight:
         if estimate is None or self._world.frozen:
             return position
         return nearer(position, estimate.place, speed * seconds(age))
-
-
-def reports(me: Agent, sight: Sight, period: float) -> Process:
-    """Report what a pursuer has seen, every period (s) of its own clock, from a random phase on."""
-    first = me.now + me.stream("sightings").uniform(0.0, period)
-    for k in count():
-        yield me.at(first + k * period)
-        sight.report()
 
 
 def spiral(length: float, apart: float) -> complex:

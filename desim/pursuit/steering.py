@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.clock import seconds
-from desim.pursuit.guidance import Guidance, course, courses
+from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import Floats, Points
-from desim.pursuit.target import FEW, Target
+from desim.pursuit.target import SINGLY, Target
 
 if TYPE_CHECKING:
     from desim.pursuit.sensing import Watch
 
-Actions = NDArray[np.int64] | NDArray[np.bool_]
+Actions = NDArray[np.int64]
 """(N,) which evader each pursuer chases, 1 .. M, or 0."""
 
 
@@ -47,7 +47,7 @@ class Steering:
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
         self._chases: list[tuple[int, Target]] | None = None  # who chases whom, if they are few
-        if len(moving) <= FEW:
+        if len(moving) <= SINGLY:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
@@ -64,19 +64,19 @@ class Steering:
             state = target.state(now)
             flight, place = target.flight(state, handover=handover), state.evader
             if self._evader_first:
-                target.seen.see(now, place, place + flight * duration, flight)
+                target.path.see(now, place, place + flight * duration, flight)
             else:
-                target.seen.see(now, place, place, players.velocities.item(target.player))
+                target.path.see(now, place, place, players.velocities.item(target.player))
             velocities[target.player] = flight
         if self._chases is None:
-            velocities[: len(self._actions)] = self._courses()
+            velocities[: len(self._actions)] = self._all_velocities()
         else:
             where, speed = players.places().item, self._speed
             for pursuer, target in self._chases:
-                here, (_, place, aim, flight) = where(pursuer), target.seen.last
-                velocities[pursuer] = course(law, place - here, aim - here, flight, speed[pursuer])
+                here, (_, place, aim, flight) = where(pursuer), target.path.last
+                velocities[pursuer] = guided_velocity(law, place - here, aim - here, flight, speed[pursuer])
         for pursuer in self.watch.blind(self._actions) if self.watch is not None else ():
-            velocities[pursuer] = self._course_blind(pursuer, duration)
+            velocities[pursuer] = self._blind_velocity(pursuer, duration)
         players.go(velocities)
 
     def turn(self, pursuer: int, now: int, until: int) -> None:
@@ -91,25 +91,25 @@ class Steering:
         if not evader:
             velocities[pursuer] = 0j
         elif self.watch is not None and not self.watch.sights[pursuer].sees(evader):
-            velocities[pursuer] = self._course_blind(pursuer, seconds(until - now))
+            velocities[pursuer] = self._blind_velocity(pursuer, seconds(until - now))
         else:
-            here, sight = self._players.place(pursuer), self._targets[evader - 1].seen.last
-            gap, speed = sight.at(now) - here, self._speed[pursuer]
-            velocities[pursuer] = course(self._law, gap, sight.aim - here, sight.flight, speed)
+            here, leg = self._players.place(pursuer), self._targets[evader - 1].path.last
+            gap, speed = leg.at(now) - here, self._speed[pursuer]
+            velocities[pursuer] = guided_velocity(self._law, gap, leg.aim - here, leg.flight, speed)
         self._players.go(velocities)
 
-    def _courses(self) -> Points:
+    def _all_velocities(self) -> Points:
         """Return the (N,) velocities of the pursuers at the beginning of a step, each chasing what it sees, m/s."""
-        actions, sights = self._actions, [target.seen.last for target in self._targets]
+        actions, legs = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.places()[: len(actions)], self._paces
-        if len(sights) == 1:
-            _, place, aim, flight = sights[0]
-            return courses(self._law, place - pursuers, aim - pursuers, flight, paces)
+        if len(legs) == 1:
+            _, place, aim, flight = legs[0]
+            return guided_velocities(self._law, place - pursuers, aim - pursuers, flight, paces)
         chased = np.maximum(actions, 1) - 1
-        places, aims, flights = (np.array([sight[k] for sight in sights])[chased] for k in (1, 2, 3))
-        return courses(self._law, places - pursuers, aims - pursuers, flights, paces)
+        places, aims, flights = (np.array([leg[k] for leg in legs])[chased] for k in (1, 2, 3))
+        return guided_velocities(self._law, places - pursuers, aims - pursuers, flights, paces)
 
-    def _course_blind(self, pursuer: int, duration: float) -> complex:
+    def _blind_velocity(self, pursuer: int, duration: float) -> complex:
         """Return the velocity of a pursuer that chases an evader which it does not see, m/s.
 
         It does not go beyond where the evader is believed to be at the end of the step, in so many s.
@@ -120,4 +120,4 @@ class Steering:
             return 0j
         gap = estimate.place - self._players.place(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
-        return course(self._law, gap, aim, estimate.velocity, min(self._speed[pursuer], abs(aim) / duration))
+        return guided_velocity(self._law, gap, aim, estimate.velocity, min(self._speed[pursuer], abs(aim) / duration))

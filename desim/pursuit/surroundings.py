@@ -30,19 +30,19 @@ class Surroundings(Protocol):
         """Return which evader a pursuer chases, or 0."""
         ...
 
-    def capture_times(self, evader: int = 1) -> tuple[float, ...]:
+    def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
         ...
 
-    def capture_times_of(self, pursuers: Collection[int], evader: int = 1) -> list[float]:
+    def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
         ...
 
-    def capture_time_from(self, pursuer: int, position: complex, evader: int = 1) -> float:
+    def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
         """Return the time of capture of a pursuer if it were at a position (m), s."""
         ...
 
-    def may_chase(self, pursuer: int, evader: int = 1) -> bool:
+    def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer has the choice to chase an evader."""
         ...
 
@@ -58,7 +58,7 @@ class Surroundings(Protocol):
         """Return the (N,) positions of the pursuers, m."""
         ...
 
-    def evader(self, evader: int = 1) -> complex:
+    def evader(self, evader: int) -> complex:
         """Return the position of an evader, m."""
         ...
 
@@ -67,7 +67,7 @@ class Surroundings(Protocol):
         """The distance at which an evader is captured, m."""
         ...
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int = 1, *, exact: bool) -> complex:
+    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
         """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m."""
         ...
 
@@ -120,6 +120,6 @@ class Whole(Surroundings, Protocol):
         """Return the time of capture of a pursuer over a distance (m), s."""
         ...
 
-    def may_chase(self, pursuer: int, evader: int = 1, view: Surroundings | None = None) -> bool:
+    def may_chase(self, pursuer: int, evader: int, view: Surroundings | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader, by the times of capture of a view if given."""
         ...

@@ -12,11 +12,11 @@ from desim.pursuit.capture import RadialTime
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.motion import first_contact, within
 from desim.pursuit.perception import Mind
-from desim.pursuit.reckoning import Sightings
+from desim.pursuit.reckoning import Path
 from desim.pursuit.state import Floats, Points, State
 from desim.value import FARTHEST
 
-FEW = 16
+SINGLY = 16
 """Up to so many pursuers it is faster to ask for each by itself than for all at once."""
 
 
@@ -27,7 +27,7 @@ class Target:
         number: 1 .. M, which is the action of a pursuer that chases it.
         speed: m/s.
         mind: how it chooses its heading.
-        seen: its path, as pursuers see it.
+        path: its path, as pursuers see it.
         players: where everyone is: the N pursuers, then the evaders in order.
         speeds: (N,) of the pursuers, m/s.
         radius: distance at which it is captured, m.
@@ -43,13 +43,13 @@ class Target:
         number: int,
         speed: float,
         mind: Mind,
-        seen: Sightings,
+        path: Path,
         *,
         players: Kinematics,
         speeds: Floats,
         radius: float,
     ):
-        self.number, self.speed, self.seen = number, speed, seen
+        self.number, self.speed, self.path = number, speed, path
         self._size, self._radius = len(speeds), radius
         self.player = self._size + number - 1
         self._mind, self._players = mind, players
@@ -92,7 +92,7 @@ class Target:
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
         """Return the times of capture of some pursuers now (ns), s; inf once it has been captured."""
-        if len(pursuers) > FEW or self.captured is not None:
+        if len(pursuers) > SINGLY or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         if self._players.are_known:

@@ -1,12 +1,14 @@
 """What pursuers tell each other: what an announcement says, when it is made, and when it is no longer believed."""
 
-from typing import Annotated, Any, Literal, NamedTuple
+from math import inf
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import Discriminator, Field, Tag
 
 from desim.kernel.events import Broadcast, Sent
 from desim.kernel.records import Record
-from desim.kernel.wire import size_of
+from desim.kernel.wire import HEADER, NUMBER
+from desim.pursuit.surroundings import Surroundings
 from desim.value import Extent, OneOf, Period, Truth, Value
 
 
@@ -14,7 +16,12 @@ class Assignment(NamedTuple):
     """Payload "action": what a pursuer does. 24 bytes."""
 
     active: int
-    """Which evader it chases, 1 .. M, or 0; a truth if there is one."""
+    """Which evader it chases, 1 .. M, or 0."""
+
+    @classmethod
+    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+        """Return what a pursuer says now, by what it senses."""
+        return cls(world.action(pursuer))
 
 
 class TimedAssignment(NamedTuple):
@@ -23,6 +30,13 @@ class TimedAssignment(NamedTuple):
     active: int
     capture_time: float
     """Of the evader it chases or, if it stays, of the one it would capture first, s."""
+
+    @classmethod
+    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+        """Return what a pursuer says now, by what it senses."""
+        action = world.action(pursuer)
+        phi = [world.capture_times_of([pursuer], evader)[0] for evader in ([action] if action else world.evaders())]
+        return cls(action, min(phi, default=inf))
 
 
 class LocatedAssignment(NamedTuple):
@@ -36,6 +50,20 @@ class LocatedAssignment(NamedTuple):
     speed: float
     """m/s"""
 
+    @classmethod
+    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+        """Return what a pursuer says now, by what it senses."""
+        place = world.place(pursuer)
+        return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
+
+
+PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
+    "action": Assignment,
+    "time": TimedAssignment,
+    "state": LocatedAssignment,
+}
+"""What can be announced (`Announcements.payload`)."""
+
 
 class Relayed(NamedTuple):
     """Word of others, or of oneself, that is passed on."""
@@ -45,7 +73,7 @@ class Relayed(NamedTuple):
     """How many more hops it may take, this one included."""
 
 
-def chases(body: Any) -> bool:
+def tells_of_chase(body: Any) -> bool:
     """Return whether it is the word of one that chases; what protocols publish beside announcements is not."""
     return bool(getattr(body, "active", False))
 
@@ -88,21 +116,16 @@ class Announcements(Value):
         Annotated[Extent, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
     ] = "auto"
     """How long after its last word arrived a teammate is believed active, s; "auto" is 3 heartbeats and twice the
-    typical latency, or inf without heartbeats."""
+    typical latency and airtime of an announcement, or inf without heartbeats."""
     warm_start: Truth = True
     """Whether everyone knows at first who is active; if not, nobody has heard of anybody."""
     spread: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How word spreads beyond those who hear it first."""
 
     @property
-    def size(self) -> int:
-        """Bytes of an announcement."""
-        said = {
-            "action": Assignment(True),
-            "time": TimedAssignment(True, 0.0),
-            "state": LocatedAssignment(True, 0, 0, 0),
-        }
-        return size_of(said[self.payload])
+    def payload_size(self) -> int:
+        """Bytes of a payload; what an auction announces in its place takes `claim_size`."""
+        return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
 
     @property
     def beats(self) -> bool:

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from desim.analysis.metrics import summary
+from desim.guards import visible
 from desim.simulation import Result, run
 from desim.study.driver import Simulate, Task, drive
 from desim.study.workers import workers_for
@@ -42,7 +43,7 @@ def run_many(
     measured: list[Any] = [None] * len(tasks)
     bar: tqdm[Any]
     with (
-        tqdm(total=len(tasks), desc=label, unit="run", disable=None) as bar,
+        tqdm(total=len(tasks), desc=visible(label), unit="run", disable=None) as bar,
         workers_for(jobs if len(tasks) > 1 else 1) as workers,
         closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):

@@ -16,6 +16,7 @@ from desim.analysis.metrics import summary
 from desim.scenario import Scenario
 from desim.simulation import Result, run
 from desim.study.workers import Workers
+from desim.timeout import within
 
 Task = tuple[Scenario, int]
 """A scenario and the seed to run it with."""
@@ -51,6 +52,16 @@ Outcomes = Generator[tuple[int, Outcome], None, None]
 """The position of each task and what became of it."""
 HandOut = Callable[[list[int]], Future[Any]]
 """Hands the tasks at some positions to a worker."""
+
+
+def simulation(timeout: float | None, simulate: Simulate = run) -> Simulate:
+    """Return what makes a run, and raises TimedOut if it takes longer than a time, s."""
+    return simulate if timeout is None else partial(_in_time, timeout, simulate)
+
+
+def _in_time(timeout: float, simulate: Simulate, scenario: Scenario, seed: int) -> Result:
+    with within(timeout):
+        return simulate(scenario, seed)
 
 
 def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary, simulate: Simulate = run) -> Outcomes:

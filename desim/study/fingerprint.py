@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from desim.provenance import NUMERICS
+from desim.environment import NUMERICS
 from desim.study.foreign import OURS
 
 ATOMS = {NoneType, bool, int, float, complex, str, bytes}

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from functools import partial
-from types import FunctionType
 from typing import Any
 
 from pydantic import BaseModel
+
+from desim.value import home_of
 
 OURS = {"desim", "protocols", "builtins", "functools"}
 """The packages whose classes and functions are no strangers."""
@@ -39,10 +40,9 @@ def strangers(value: Any) -> Iterator[Any]:
     """Yield the functions, and the classes of models, that are called in a value and do not belong to desim."""
     for each in parts(value):
         if is_strange(each):
-            yield each if isinstance(each, FunctionType) else type(each)
+            yield home_of(each)
 
 
 def is_strange(value: Any) -> bool:
     """Return whether a function, or the class of an object, does not belong to desim."""
-    home = value if isinstance(value, FunctionType) else type(value)
-    return home.__module__.partition(".")[0] not in OURS
+    return str(home_of(value).__module__).partition(".")[0] not in OURS

@@ -13,6 +13,7 @@ from desim.scenario import Scenario
 from desim.source import ScenarioError
 from desim.study.fingerprint import Fingerprint, UntoldError
 from desim.study.foreign import is_strange, strangers
+from desim.value import import_name
 
 UNSWEPT = ("seed", "name", "sweep")
 """What does not tell one configuration from another."""
@@ -44,7 +45,7 @@ def code(scenario: Scenario) -> dict[str, str]:
     """Return a hash of the source of each class and function in a scenario that is not desim's, by its name."""
     sources: dict[str, set[str]] = {}  # several lambdas have one name
     for home in strangers(scenario):
-        sources.setdefault(f"{home.__module__}:{home.__qualname__}", set()).add(_source(home))
+        sources.setdefault(import_name(home), set()).add(_source(home))
     return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from desim.analysis.metrics import METRICS, words
 from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Figure, styled
 from desim.analysis.statistics import Estimate
-from desim.study.explain import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation
+from desim.guards import visible
+from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation
 from desim.study.result import SweepResult, text
 from desim.study.units import unit_of
 
@@ -22,7 +23,7 @@ APART = 0.012
 MOST_TICKS = 8
 """How many values of a key have a tick of their own."""
 MOST_ABREAST = 3
-"""How many panels of a phase diagram stand side by side, at most."""
+"""How many panels stand side by side, at most."""
 PAGE = 9.4
 """The width of what has many panels, in."""
 LETTER = 0.075
@@ -46,7 +47,7 @@ def means(result: SweepResult, metric: str) -> Figure:
     height = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
     with styled(figsize=(6.4, height)) as figure:
         axes = figure.add_subplot()
-        axes.set_title(f"{result.name}, 95 % intervals", fontsize=9, parse_math=False)
+        axes.set_title(visible(f"{result.name}, 95 % intervals"), fontsize=9, parse_math=False)
         if abscissa is None:
             axes.set_xlabel(title)
             _draw_rows(axes, result, metric)
@@ -57,7 +58,7 @@ def means(result: SweepResult, metric: str) -> Figure:
     return figure
 
 
-def multiples(result: SweepResult, metrics: Sequence[str], columns: int = 3) -> Figure:
+def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
     """Draw several metrics by configuration, each as `means` does, in small panels with one legend.
 
     Raises:
@@ -66,7 +67,7 @@ def multiples(result: SweepResult, metrics: Sequence[str], columns: int = 3) -> 
     if not metrics:
         raise ValueError("there should be at least one metric to draw")
     abscissa = next(iter(swept_numbers(result)), None)
-    columns = min(columns, len(metrics))
+    columns = min(MOST_ABREAST, len(metrics))
     rows = -(-len(metrics) // columns)
     height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
     names = list(_lines(result, metrics[0], abscissa)) if abscissa else []
@@ -113,8 +114,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
     over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}
     for group, found in zip(result.groups, result.estimates(metric), strict=True):
-        others = ", ".join(f"{key} = {text(each)}" for key, each in group.settings.items() if key not in (x, y))
-        panel = panels.setdefault(others, np.full((len(over[y]), len(over[x])), nan))
+        panel = panels.setdefault(group.in_words(but=(x, y)), np.full((len(over[y]), len(over[x])), nan))
         panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
     known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
@@ -128,7 +128,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
             _draw_map(axes, panel, colours)
-            axes.set_title(others, fontsize=8, parse_math=False)
+            axes.set_title(visible(others), fontsize=8, parse_math=False)
             axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
             axes.set_xticks(range(len(over[x])), map(text, over[x]))
             axes.set_yticks(range(len(over[y])), map(text, over[y]))
@@ -258,7 +258,7 @@ def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
 
 def _literal(name: str) -> str:
     """Return a text that matplotlib draws as it is: neither as mathematics, nor, because of a "_", not at all."""
-    return name.replace("$", r"\$").replace("_", " _", name.startswith("_"))
+    return visible(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
 
 
 def waterfall(found: Explanation) -> Figure:
@@ -269,7 +269,7 @@ def waterfall(found: Explanation) -> Figure:
         ):
             draw_waterfall(axes, cost)
             axes.set_ylabel(EXPLAINED[metric].replace(", s", " (s)"))
-        title = f"{found.name}: what imperfections cost, {found.runs} runs of equal seeds"
+        title = f"{visible(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
         figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 
@@ -290,7 +290,9 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
         _mark(axes, at, level, step.mean, "+.2f")
         level += step.mean.mean
     _mark(axes, last, 0.0, cost.as_it_is, ".2f")
-    axes.set_xticks(range(len(names)), names, fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_xticks(
+        range(len(names)), list(map(_literal, names)), fontsize=8, rotation=35, ha="right", rotation_mode="anchor"
+    )
     axes.margins(y=0.08)
 
 

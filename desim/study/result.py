@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from desim.analysis.metrics import COMMON, METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
-from desim.analysis.tables import aligned, as_json, json_number, with_half_width
+from desim.analysis.tables import aligned, as_json, html_table, json_number, with_half_width
 from desim.study.store import Row, Store, StoreError
 
 if TYPE_CHECKING:
@@ -32,6 +32,10 @@ class Group:
     def values(self, metric: str) -> list[Any]:
         """Return a metric of each run that did not fail; None where it does not exist."""
         return [getattr(row.summary, metric) for row in self.rows if row.summary is not None]
+
+    def in_words(self, but: Sequence[str] = ()) -> str:
+        """Return the settings, but for some keys, as a text of one line."""
+        return ", ".join(f"{key} = {text(each)}" for key, each in self.settings.items() if key not in but)
 
     @property
     def failed(self) -> list[Row]:
@@ -117,8 +121,7 @@ class SweepResult:
     def _compared(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
         """Yield the table of differences, if there is something to compare, and its title."""
         if self.common and len(self.groups) > 1:
-            first = ", ".join(f"{key} = {text(each)}" for key, each in self.groups[0].settings.items())
-            yield f"difference from {first}, run by run with the same seed", self._gaps(metrics)
+            yield f"difference from {self.groups[0].in_words()}, run by run with the same seed", self._gaps(metrics)
 
     def _failures(self) -> Iterator[str]:
         if self.failed:
@@ -272,18 +275,3 @@ def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
     if kinds <= {int, float} and kinds != {int}:
         return values, None, "float64"
     return [each if each is None else text(each) for each in values], None, "str"
-
-
-def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text, of which the first is the head, as a table of HTML."""
-    head, *body = rows
-    lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
-    return f"<table><caption>{_html(title)}</caption>{lines}</table>"
-
-
-def _html_row(cells: Sequence[str], tag: str) -> str:
-    return f"<tr>{''.join(f'<{tag}>{_html(cell)}</{tag}>' for cell in cells)}</tr>"
-
-
-def _html(text: str) -> str:
-    return html.escape(text).replace("+-", "&plusmn;")

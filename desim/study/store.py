@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, Literal, ParamSpec, Self, TypeVar
 
 from desim.analysis.metrics import COMMON, Summary, plain
-from desim.study.cells import Cell
+from desim.study.configurations import Cell
 
 Status = Literal["ok", "error", "crashed"]
 FORMAT = "1"
@@ -106,6 +106,8 @@ class Store:
         self.path: Any = path or "the store in memory"
         if must_exist and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
+        if path and path.is_symlink():  # a stranger's folder may have one to whatever it wants changed
+            raise StoreError(f"{path}: is a link, and would be written to: name the folder of the store itself")
         self._open(path)
 
     @_naming_the_file
@@ -245,9 +247,9 @@ def _differs(name: str, one: str, other: str) -> str:
     return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {one}, is {other}"
 
 
-def flat(table: Any, above: str = "") -> dict[str, Any]:
-    """Return what is in a table and its tables, by dotted key."""
-    inner = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list) else None
-    if inner is None:
-        return {above.removesuffix("."): table}
-    return {key: each for name, value in inner for key, each in flat(value, f"{above}{name}.").items()}
+def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
+    """Return what is in tables and lists, and in those in them, by dotted key; one that `opens` denies is one value."""
+    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
+    if inner is None or not opens(node):
+        return {above.removesuffix("."): node}
+    return {key: each for name, value in inner for key, each in flat(value, opens, f"{above}{name}.").items()}

@@ -13,14 +13,15 @@ from typing import Any, Self
 
 from tqdm import tqdm
 
-from desim import provenance
+from desim import environment
 from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import runs_needed
+from desim.guards import visible
 from desim.scenario import Scenario
 from desim.scenario_file import validate
 from desim.source import Source
-from desim.study.cells import Cell, Grid, cells
-from desim.study.driver import drive
+from desim.study.configurations import Cell, Grid, cells
+from desim.study.driver import drive, simulation
 from desim.study.identity import code, tables
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
@@ -84,7 +85,7 @@ class Plan:
             "seeds": "common" if self.common else "independent",
             "root seed": self.root,
             "scenario": {key: each for key, each in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)},
-            "the code of desim": provenance.code(),
+            "the code of desim": environment.code(),
             **{f"the code of {name}": each for name, each in codes.items()},
         }
 
@@ -133,6 +134,7 @@ def sweep(
     store: str | Path | None = None,
     until: tuple[str, float] | None = None,
     fail_fast: bool = False,
+    timeout: float | None = None,
 ) -> SweepResult:
     """Run each configuration of a grid over a scenario, many times, and return what was measured.
 
@@ -152,6 +154,7 @@ def sweep(
         until: a metric and the half width of its 95 % interval at which a configuration has runs enough; it is first
             looked at after 30, and `reps`, or 10,000 if None, are the most.
         fail_fast: whether the first run that fails ends the sweep.
+        timeout: wall time after which a run has failed, s; see `desim.timeout`.
 
     Raises:
         ScenarioError: with all that is wrong with the grid.
@@ -165,7 +168,7 @@ def sweep(
     plan = Plan.of(scenario, grid, MOST_RUNS if until and reps is None else reps, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.enter(kept)
-        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast)
+        return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 
 
 def carry_out(
@@ -176,8 +179,12 @@ def carry_out(
     until: tuple[str, float] | None = None,
     shard: tuple[int, int] = (1, 1),
     fail_fast: bool = False,
+    timeout: float | None = None,
 ) -> SweepResult:
-    """Do what a plan says and its store does not have yet; runs that failed before are tried again."""
+    """Do what a plan says and its store does not have yet; runs that failed before are tried again.
+
+    A run that takes longer than `timeout`, s, has failed.
+    """
     if until is not None:
         check_target(*until)
         if shard != (1, 1):
@@ -188,18 +195,20 @@ def carry_out(
         jobs = [(cell, k) for cell, k in jobs if (cell.key, k) not in done]
         if not jobs:
             return SweepResult.of(store, [cell.key for cell in plan.cells])
-        _run(jobs, plan, store, workers, fail_fast)
+        _run(jobs, plan, store, workers, fail_fast, timeout)
         done |= {(cell.key, k) for cell, k in jobs}
 
 
-def _run(jobs: Sequence[Job], plan: Plan, store: Store, workers: Workers, fail_fast: bool) -> None:
+def _run(
+    jobs: Sequence[Job], plan: Plan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
+) -> None:
     """Do some runs, and write down each as it ends."""
     seeds = [plan.seed(cell, k) for cell, k in jobs]
     tasks = [(cell.scenario, seed) for (cell, _), seed in zip(jobs, seeds, strict=True)]
     bar: tqdm[Any]
     with (
-        tqdm(total=len(jobs), desc=plan.base.name, unit="run", disable=None) as bar,
-        closing(drive(tasks, workers)) as outcomes,
+        tqdm(total=len(jobs), desc=visible(plan.base.name), unit="run", disable=None) as bar,
+        closing(drive(tasks, workers, simulate=simulation(timeout))) as outcomes,
     ):
         for at, outcome in outcomes:
             (cell, k), seed = jobs[at], seeds[at]

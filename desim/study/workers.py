@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
+from desim.guards import SHELTER
 from desim.study.shipping import Call, called, packed
 
 Returned = TypeVar("Returned")
@@ -197,7 +198,9 @@ def _pool(count: int) -> Executor:
 
     if os.name == "posix":
         resource_tracker.ensure_running()  # or `_deaf` would start it, which makes us hear again
-    return get_reusable_executor(max_workers=count, initializer=_serve, initargs=(os.getpid(),))  # type: ignore[no-any-return]
+    return get_reusable_executor(  # type: ignore[no-any-return]
+        max_workers=count, initializer=_serve, initargs=(os.getpid(),), env=SHELTER
+    )
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:

@@ -1,1 +1,1 @@
-"""Looking at a finished run."""
+"""Looking at results: at a finished run, or at a sweep."""

@@ -15,20 +15,17 @@ from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
-from desim.analysis.reading import captures, ended, started
+from desim.analysis.reading import Floats, Integers, Truths, captures, ended, messages_recorded, started
+from desim.guards import fresh
 from desim.kernel.clock import nanoseconds, seconds
-from desim.kernel.events import Broadcast, Sent
 from desim.simulation import Result
 from desim.view.passages import passages
-from desim.view.pursuit import HUES, Look, Paths, stints
+from desim.view.paths import HUES, Look, Paths, stints
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 WIDTH, HEIGHT = 4.8, 5.4
 """Of a frame, in."""
 PAD = 0.1
@@ -41,7 +38,7 @@ HOLD = 1500
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
 """What is left of the hue of an evader in who chases it beside others, if there are several evaders."""
-FEW = 6
+MOST_NAMED = 6
 """Up to so many evaders are in the legend."""
 SHORT = 0.02
 """How far before its receiver the cross of a lost message stands, in widths of the picture."""
@@ -82,7 +79,7 @@ def animate(
         )
     first, *rest = frames(result, times)
     pauses = [pause] * len(rest) + [HOLD]
-    first.save(path, "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+    first.save(fresh(path), "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
     return len(times)
 
 
@@ -174,7 +171,7 @@ class _Stage:
         (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
         (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:FEW])]
+        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:MOST_NAMED])]
         shown += [self._dots] if len(self._flown.left) else []
         shown += [self._crosses] if self._flown.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
@@ -278,9 +275,7 @@ class _Flights:
         short: how far before its receiver a message is lost, m.
     """
 
-    def __init__(
-        self, left: Integers, until: Integers, lost: NDArray[np.bool_], source: Floats, target: Floats, short: float
-    ):
+    def __init__(self, left: Integers, until: Integers, lost: Truths, source: Floats, target: Floats, short: float):
         self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
         self._short = short
 
@@ -303,8 +298,7 @@ class _Flights:
 
 def _flights(result: Result, paths: Paths, short: float) -> _Flights:
     """Return the messages of a run, none if they were not recorded; for `short` see `_Flights`."""
-    told = any(isinstance(event, Broadcast | Sent) for event in result.trace)
-    own = passages(result) if told else []
+    own = passages(result) if messages_recorded(result) else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
     source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
     for pursuer in range(paths.pursuers.shape[1]):

@@ -9,9 +9,11 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from desim.analysis.plots import Axes
+from desim.analysis.reading import Floats
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 Place = tuple[float, float]
+SIZE = 6.0
+"""Of the type, points."""
 WIDTH, HEIGHT = 0.66, 0.85
 """Of a digit with a little room, in units of the size of its type."""
 MARKER = 2.5
@@ -24,7 +26,6 @@ def label_points(
     names: Sequence[str],
     *,
     avoid: Sequence[Place] = (),
-    size: float = 6.0,
     **look: Any,
 ) -> list[Text]:
     """Write a short name beside each place, where it covers least: no place, no other name, no edge of the axes.
@@ -36,7 +37,6 @@ def label_points(
         places: (x, y), in the units of the axes.
         names: of the places.
         avoid: more places.
-        size: of the type, points.
         look: more of the text's properties.
     """
     assert isinstance(axes.figure, Figure)
@@ -46,12 +46,12 @@ def label_points(
     frame = np.array(axes.bbox.extents) * points
     texts: list[Text] = []
     for name, place, anchor in zip(names, places, everything, strict=False):
-        boxes = _beside(anchor, WIDTH * size * len(name), HEIGHT * size)
+        boxes = _beside(anchor, WIDTH * SIZE * len(name), HEIGHT * SIZE)
         costs = [sum(_common(box, each) for each in taken) + _area(box) - _common(box, frame) for box in boxes]
         best = boxes[int(np.argmin(costs))]
         taken.append(best)
         x, y = (best[:2] - anchor).tolist()
-        text = axes.annotate(name, place, (x, y), textcoords="offset points", fontsize=size, **look)
+        text = axes.annotate(name, place, (x, y), textcoords="offset points", fontsize=SIZE, **look)
         text.set_in_layout(False)
         texts.append(text)
     return texts

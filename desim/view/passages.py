@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from desim.analysis.activity import action, moves, relays
-from desim.analysis.reading import ended, messages, started
+from desim.analysis.reading import ended, require_messages, started
 from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
 from desim.kernel.faults import Began, Fault, Over
 from desim.simulation import Result
@@ -43,6 +43,7 @@ def passages(result: Result) -> list[Passage]:
     Raises:
         ValueError: if messages were sent and not recorded.
     """
+    require_messages(result)
     found: dict[tuple[int, int], Passage] = {}
     never = ended(result).t + 1
     for event in result.trace:
@@ -53,8 +54,6 @@ def passages(result: Result) -> list[Passage]:
             passage = found[event.flight, event.dst]
             left = min(passage.left, event.t)
             found[event.flight, event.dst] = passage._replace(left=left, until=event.t, cause=event.cause)
-    if not found and messages(result).sent:
-        raise ValueError("messages were sent and not recorded: set record.messages = true")
     return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
 
 
@@ -64,18 +63,14 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Passage]:
         for dst in event.dst:
             yield Passage(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
         return
-    receivers, arrivals = (
-        (event.dst, event.arrival) if isinstance(event, Broadcast) else ((event.dst,), (event.arrival,))
-    )
-    alike = len(arrivals) == 1
-    for dst, arrival in zip(receivers, arrivals * len(receivers) if alike else arrivals, strict=True):
+    for dst, arrival in event.fates():
         yield Passage(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
 
 
 def news(body: Any) -> int | None:
     """Return what a message says that its sender does: which evader it chases, or 0; None if nothing."""
     said = getattr(body, "active", None)
-    return int(said) if isinstance(said, int) else None
+    return said if isinstance(said, int) else None
 
 
 class Spell(NamedTuple):
@@ -96,7 +91,7 @@ class Chase(NamedTuple):
 
 def chasing(result: Result) -> list[list[Chase]]:
     """Return when each pursuer chased which evader, in order of time."""
-    actions, end = list(map(int, started(result).active)), ended(result).t
+    actions, end = list(started(result).active), ended(result).t
     since = [0] * len(actions)
     found: list[list[Chase]] = [[] for _ in actions]
     for change, before in moves(result):

@@ -11,17 +11,18 @@ The pursuers are the threads of one process; each receiver is a process, whose t
 
 import json
 from collections.abc import Iterable, Iterator
-from math import inf, isfinite, nextafter
+from math import inf, nextafter
 from pathlib import Path
 from typing import Any
 
 from desim.analysis.activity import action, changes, chases, decisions, moves
-from desim.analysis.reading import ended, has_several, started
+from desim.analysis.reading import ended, has_several, messages_recorded, started
+from desim.guards import fresh
 from desim.kernel.clock import SECOND
-from desim.kernel.events import Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation import Result
+from desim.value import plain_number
 from desim.view.passages import chasing, outages, passages, takeovers
 
 PURSUERS = 1
@@ -36,10 +37,10 @@ Entry = dict[str, Any]
 
 def trace_events(result: Result) -> list[Entry]:
     """Return a run as trace events, names first and then in order of time; messages if they were recorded."""
-    told = any(isinstance(event, Broadcast | Sent | Queued | Lost) for event in result.trace)
-    timed = [*_slices(result), *_instants(result), *_counts(result), *(_messages(result) if told else ())]
+    told = list(_messages(result)) if messages_recorded(result) else []
+    timed = [*_slices(result), *_instants(result), *_counts(result), *told]
     timed.sort(key=lambda entry: entry["ts"])  # stable, so that what begins and ends at once begins first
-    return [*_names(len(started(result).active), told), *timed]
+    return [*_names(len(started(result).active), bool(told)), *timed]
 
 
 def perfetto(result: Result) -> str:
@@ -51,7 +52,7 @@ def perfetto(result: Result) -> str:
 
 def write(result: Result, path: Path) -> None:
     """Write the timeline of a run to a file."""
-    path.write_text(perfetto(result), encoding="utf-8", newline="\n")
+    fresh(path).write_text(perfetto(result), encoding="utf-8", newline="\n")
 
 
 def _names(size: int, told: bool) -> Iterator[Entry]:
@@ -154,7 +155,7 @@ def _microseconds(t: int) -> float | int:
 def _plain(value: Any) -> Any:
     """Return a value as what JSON has; of a body that it does not know, the `repr`."""
     if isinstance(value, float):
-        return value if isfinite(value) else repr(value)
+        return plain_number(value)
     if value is None or isinstance(value, str | int):
         return value
     if hasattr(value, "_asdict"):

@@ -13,24 +13,33 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from desim.analysis.activity import Change, Released, action, moves
-from desim.analysis.course import positions_known
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.reading import captures, ended, has_several, messages, reading, started
+from desim.analysis.reading import (
+    Floats,
+    captures,
+    ended,
+    has_several,
+    lacks_messages,
+    messages,
+    positions_known,
+    reading,
+    samples,
+    started,
+)
 from desim.kernel.clock import SECOND, seconds
-from desim.kernel.events import MESSAGES
+from desim.kernel.complete import is_complete
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.reach import Disk
 from desim.kernel.topology import Topology
-from desim.pursuit.events import Captured, Decided, Halted, Sampled, Started
+from desim.pursuit.events import Captured, Decided, Halted
 from desim.simulation import Result
 from desim.view.passages import outages, passages, takeovers
 
-Floats = NDArray[np.float64]
 LATEST = 2**32 - 1
 """The last tick of a column."""
 DECIDED, HALTED, RELEASED = range(3)
@@ -63,7 +72,7 @@ def lacks(result: Result) -> Iterator[str]:
         )
     if not _falls(result.scenario.network):
         yield "The reach does not fall with the distance everywhere, so who hears whom is not shown."
-    if not _has_messages(result):
+    if lacks_messages(result):
         yield (
             f"Messages were not recorded: the {messages(result).sent:,} that were sent are not shown, nor what was "
             "believed. Set record.messages = true."
@@ -73,8 +82,6 @@ def lacks(result: Result) -> Iterator[str]:
 def _about(result: Result) -> str:
     """Return a run in a line."""
     end, scenario = ended(result), result.scenario
-    rule = scenario.protocol
-    protocol = getattr(rule, "kind", None) or getattr(rule, "__name__", type(rule).__name__)
     players, which = f"{len(started(result).active)} pursuers", ""
     outcome = {
         "captured": f"captured by {end.capturer} after {seconds(end.t):.2f} s",
@@ -89,12 +96,7 @@ def _about(result: Result) -> str:
             "horizon": f" within {seconds(end.t):g} s",
             "stopped": f", stopped after {seconds(end.t):.2f} s",
         }
-    return f"{players}, {protocol}, seed {result.seed}: {which}{outcome[end.reason]}"
-
-
-def _has_messages(result: Result) -> bool:
-    told = any(isinstance(event, MESSAGES) for event in result.trace)
-    return told or not messages(result).sent
+    return f"{players}, {scenario.protocol_name}, seed {result.seed}: {which}{outcome[end.reason]}"
 
 
 class _Ticks(NamedTuple):
@@ -146,7 +148,7 @@ def _document(result: Result) -> Document:
     """Return all that the page shows."""
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = _Ticks.fit(end.t)
-    told = _has_messages(result)
+    told = not lacks_messages(result)
     return {
         "tick": ticks.length / SECOND,
         "end": ticks.last,
@@ -159,7 +161,7 @@ def _document(result: Result) -> Document:
         "arcs": _arcs(result),
         "reach": _reach(result),
         "speeds": list(start.speeds),
-        "active": [int(active) for active in start.active],
+        "active": list(start.active),
         "path": _path(result, ticks),
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
@@ -173,8 +175,7 @@ def _arcs(result: Result) -> str | None:
     """Return the pairs (speaker, hearer) that the graph links; None if it links everybody to everybody."""
     size = len(started(result).active)
     graph = result.scenario.network.graph(size)
-    every = size * (size - 1) // (1 if graph.is_directed() else 2)
-    return None if graph.number_of_edges() == every else _column(sorted(graph.to_directed().edges), "<u2")
+    return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 
 def _reach(result: Result) -> Document:
@@ -225,14 +226,9 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     return found
 
 
-def _samples(result: Result) -> list[Started | Sampled]:
-    """Return when it is known where everyone was."""
-    return [started(result), *(() if result.scenario.motion.frozen else result.trace.of(Sampled))]
-
-
 def _places(result: Result) -> Floats:
     """Return the (samples, N + M, 2) places of everyone, pursuers first, m."""
-    return np.array([[*each.pursuers, *each.evaders] for each in _samples(result)])
+    return np.array([[*each.pursuers, *each.evaders] for each in samples(result)])
 
 
 def _per_metre(places: Floats) -> float:
@@ -251,7 +247,7 @@ def _path(result: Result, ticks: _Ticks) -> Document:
     shifts = np.diff(units, axis=0)
     kind = "<i2" if np.abs(shifts).max(initial=0) < 2**15 else "<i4"
     return {
-        "t": ticks([each.t for each in _samples(result)]),
+        "t": ticks([each.t for each in samples(result)]),
         "per_metre": per_metre,
         "start": _column(units[0], "<i4"),
         "bits": 8 * np.dtype(kind).itemsize,

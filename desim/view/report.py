@@ -5,8 +5,7 @@ It holds no script and asks for nothing. Its pictures are inline SVG that takes 
 
 import json
 import re
-import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
@@ -16,9 +15,11 @@ from xml.etree import ElementTree
 
 from desim import provenance
 from desim.analysis.metrics import METRICS
-from desim.study.explain import Explanation
+from desim.names import STORE
+from desim.study.asked import commands, wanted
+from desim.study.explanation import Explanation
 from desim.study.result import SHOWN, SweepResult, text
-from desim.study.store import Store
+from desim.study.store import Store, flat
 from desim.study.units import unit_of
 
 if TYPE_CHECKING:
@@ -49,20 +50,21 @@ class Study:
     """What imperfections cost, if that was asked."""
 
     @classmethod
-    def read(cls, folder: Path, store: str = "sweep.sqlite") -> Self:
+    def read(cls, folder: Path) -> Self:
         """Return what is in a folder of `desim sweep`, of `desim explain`, or of both.
 
         Raises:
             OSError: if something cannot be read, or there is no store (StoreError).
             ValueError: if something is not what it should be (ProvenanceError, ...).
         """
-        with Store(folder / store, must_exist=True) as kept:
+        with Store(folder / STORE, must_exist=True) as kept:
             result, about = SweepResult.of(kept), kept.about
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or json.loads(about["scenario"])
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
-        fixed = {key: each for key, each in _leaves(scenario) if not f"{key}.".startswith(swept)}
+        found = flat(scenario, _has_keys).items()
+        fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}
         return cls(result, fixed, made, _explanation(folder))
 
     @property
@@ -117,8 +119,8 @@ def report(study: Study) -> str:
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
         failures=failures[:MOST_FAILURES],
         more_failures=len(failures) - MOST_FAILURES,
-        commands=[] if made is None else _commands(made),
-        asked=None if made is None else _asked(made),
+        commands=[] if made is None else commands(made),
+        asked=None if made is None else wanted(made),
         origin={} if made is None else _origin(made),
         **{name: figure and _inline(figure, name) for name, figure in pictures.items()},
     )
@@ -135,56 +137,20 @@ def _explanation(folder: Path) -> Explanation | None:
     return None
 
 
-def _leaves(node: Any, above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield what is in a table and its tables, by dotted key; a list of numbers or texts is one value."""
-    if isinstance(node, dict) and node:
-        for key, each in node.items():
-            yield from _leaves(each, f"{above}{key}.")
-    elif isinstance(node, list) and any(isinstance(each, dict) for each in node):
-        for k, each in enumerate(node):
-            yield from _leaves(each, f"{above}{k}.")
-    else:
-        yield above.removesuffix("."), json.dumps(node, ensure_ascii=False)
+def _has_keys(node: Any) -> bool:
+    """Return whether a table, or a table in a list, has keys; a list of numbers or texts is one value."""
+    return any(isinstance(each, dict) for each in node) if isinstance(node, list) else bool(node)
 
 
 def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
     """Yield each different traceback: what was raised, the whole, and which runs raised it."""
     runs: dict[tuple[str, str], list[str]] = {}
     for group in result.groups:
-        settings = ", ".join(f"{key} = {text(each)}" for key, each in group.settings.items())
         for row in group.failed:
-            runs.setdefault((row.error, row.traceback), []).append(f"{settings}; seed {row.seed} ({row.status})")
+            runs.setdefault((row.error, row.traceback), []).append(
+                f"{group.in_words()}; seed {row.seed} ({row.status})"
+            )
     yield from ((error, trace, which) for (error, trace), which in runs.items())
-
-
-def _commands(made: provenance.Document) -> list[str]:
-    """Return what was typed to make all that is there, and where, as a shell reads it."""
-    lines: list[str] = []
-    before = None
-    for each in (*made.get("earlier", ()), made):
-        place = each.get("cwd")
-        if place is not None and place != before:
-            lines.append(shlex.join(["cd", str(place)]))
-        lines.append(_command(each["argv"]))
-        before = place
-    return lines
-
-
-def _command(argv: Sequence[str]) -> str:
-    program, *arguments = map(str, argv) if argv else ("desim",)
-    path = Path(program)
-    if path.name == "desim":
-        return shlex.join(["desim", *arguments])
-    if path.name == "__main__.py":
-        return shlex.join(["python", "-m", path.parent.name, *arguments])
-    return shlex.join([program, *arguments])
-
-
-def _asked(made: provenance.Document) -> int | None:
-    """Return how many runs there should be, if that was said beforehand."""
-    is_until = any(str(each).startswith("--until") for each in made["argv"])
-    open_ended = made["what"] != "sweep" or is_until or made.get("earlier")
-    return None if open_ended else int(made["runs"])
 
 
 def _origin(made: provenance.Document) -> dict[str, str]:

@@ -15,12 +15,13 @@ import numpy as np
 from desim.analysis.activity import changes, chases, decisions, moves
 from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
 from desim.analysis.reading import ended, has_several, started
+from desim.guards import visible
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation import Result
 from desim.view.passages import Passage, Spell, chasing, news, outages, passages
-from desim.view.pursuit import HALO, Look
+from desim.view.paths import HALO, Look
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -38,7 +39,7 @@ WIDE = 12.0
 """From this width on there is room for larger type, cm."""
 PALE = "#8c8c8c"
 """What says that somebody is inactive; lighter in grey than what says the contrary."""
-FEW = 10
+MOST_SHOWN = 10
 """Up to so many pursuers are all drawn if nobody says which."""
 
 
@@ -79,7 +80,7 @@ def spacetime(
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        axes.set_title(f"{result.scenario.name}, seed {result.seed}", parse_math=False)
+        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
         handles, labels = axes.get_legend_handles_labels()
         found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
         figure.legend(
@@ -95,7 +96,7 @@ def spacetime(
 def _busiest(result: Result) -> list[int]:
     """Return the pursuers to draw: all if they are few, else those that changed action most often, ascending."""
     size, most = len(started(result).active), 6
-    if size <= FEW:
+    if size <= MOST_SHOWN:
         return list(range(size))
     count = np.bincount([change.pursuer for change in changes(result)], minlength=size)
     return sorted(np.argsort(-count, kind="stable")[:most].tolist())

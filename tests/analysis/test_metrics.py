@@ -30,7 +30,8 @@ from desim.analysis.metrics import (
 )
 from desim.analysis.reading import ended, reading, remembered
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import Broadcast, Tally, Trace
+from desim.kernel.events import Tally, Trace
+from desim.kernel.faults import Began, Jamming
 from desim.pursuit.events import Decided, Ended, Halted, Started
 from desim.pursuit.word import Announcements
 from desim.scenario import Recording, Scenario, Team
@@ -264,7 +265,7 @@ def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
 
 def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     before = summary(relay)
-    relay.trace.append_message(Broadcast(0, 0, 0, 1, (1, 2), (0,), 0, 16, None))
+    relay.trace.append(Began(0, Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)))
     assert summary(relay) == before
 
 

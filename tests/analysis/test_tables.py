@@ -289,6 +289,9 @@ def test_a_protocol_of_ones_own_is_called_by_its_name():
         def __call__(self, me):
             yield me.at(0.0)
 
-    for protocol, called in ((daydream, "daydream"), (Idler(), "Idler")):
+    class Kindless(Idler):
+        kind = None
+
+    for protocol, called in ((daydream, "daydream"), (Idler(), "Idler"), (Kindless(), "Kindless")):
         scenario = SCENARIO.model_copy(update={"protocol": protocol})
         assert run_table(scenario, CAUGHT, 1.0).splitlines()[0] == f"relay: 3 pursuers, {called}, seed 7"

@@ -15,6 +15,11 @@ def test_three_tenths_and_thirty_hundredths_are_the_same_instant():
     assert seconds(300_000_000) == 0.3
 
 
+def test_a_time_in_seconds_is_the_nearest_nanosecond_not_the_one_before():
+    """In floats 1.001 * 10^9 = 1000999999.9999999."""
+    assert nanoseconds(1.001) == 1_001_000_000
+
+
 def test_a_million_ticks_of_a_tenth_do_not_drift():
     """sum of 0.1 s as floats is off by 1e-6 s after 10^6 ticks; k x period is not."""
     clock = Clock()
@@ -87,3 +92,38 @@ def test_the_garbage_collector_looks_rarely_during_a_run_and_as_before_after_it(
         clock.run()
     assert seen == [RARELY]
     assert gc.get_threshold() == usual != RARELY
+
+
+def test_what_a_process_raises_comes_out_as_it_is():
+    class ParticularError(Exception):
+        def __init__(self, code, *, reason="none"):
+            super().__init__(code)
+            self.reason = reason
+
+    def process():
+        yield Instant(env, 5, 0)
+        error = ParticularError(7, reason="rust")
+        error.add_note("a note")
+        raise error
+
+    env = Clock()
+    env.process(process())
+    with pytest.raises(ParticularError) as raised:
+        env.run()
+    assert raised.value.reason == "rust"
+    assert raised.value.__notes__ == ["a note"]
+
+
+def test_what_was_raised_from_something_else_is_not_replaced_by_it():
+    def process():
+        yield Instant(env, 5, 0)
+        try:
+            raise KeyError("first")
+        except KeyError as error:
+            raise ValueError("second") from error
+
+    env = Clock()
+    env.process(process())
+    with pytest.raises(ValueError, match="second") as raised:
+        env.run()
+    assert isinstance(raised.value.__cause__, KeyError)

@@ -1,52 +1,33 @@
-"""The trace: what is kept, what is shown, how it is written."""
+"""The trace: what is kept, and what is shown to whom; and what events tell of messages."""
 
-import json
-import tracemalloc
-from math import inf, nan
-from typing import NamedTuple
-
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace, TraceFile, events_of
-from desim.kernel.faults import Began, Crash
-from desim.kernel.records import Record
-from desim.pursuit.events import Decided, Ended, Started
+from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
 
 pytestmark = pytest.mark.own_trace
 
 
-def test_times_are_written_in_seconds_and_never_is_null():
-    trace = Trace()
-    trace.append(Broadcast(1_500_000_000, 7, 0, 1, (1, 2), (2_000_000_000, LOST), 1_000_000_000, 24, [True]))
-    trace.append(Tally(2_000_000_000, 2, 1, 1, 0, {"loss": 1}, 1, 24, 0.25))
-    first, last = map(json.loads, trace.lines())
-    assert first == {
-        "event": "Broadcast",
-        "t": 1.5,
-        "flight": 7,
-        "src": 0,
-        "seq": 1,
-        "dst": [1, 2],
-        "arrival": [2.0, None],
-        "created": 1.0,
-        "size": 24,
-        "body": [True],
-    }
-    assert last == {
-        "event": "Tally",
-        "t": 2.0,
-        "sent": 2,
-        "delivered": 1,
-        "lost": 1,
-        "in_flight": 0,
-        "lost_by": {"loss": 1},
-        "transmissions": 1,
-        "bytes_sent": 24,
-        "utilisation": 0.25,
-    }
+@pytest.mark.parametrize(
+    ("dst", "arrival", "fates"),
+    [
+        ((1, 2), (5, LOST), [(1, 5), (2, LOST)]),
+        ((1, 2), (5,), [(1, 5), (2, 5)]),
+        ((1,), (5,), [(1, 5)]),
+        ((), (), []),
+    ],
+)
+def test_a_broadcast_tells_when_it_reaches_whom_also_if_all_are_alike(dst, arrival, fates):
+    assert list(Broadcast(0, 0, 0, 1, dst, arrival, 0, 24, None).fates()) == fates
+
+
+def test_a_broadcast_without_a_time_for_each_receiver_is_refused():
+    with pytest.raises(ValueError, match="shorter"):
+        list(Broadcast(0, 0, 0, 1, (1, 2, 3), (5, 6), 0, 24, None).fates())
+
+
+def test_a_message_to_one_tells_when_it_reaches_that_one():
+    assert list(Sent(0, 0, 0, 1, 5, 0, 24, None).fates()) == [(1, 5)]
+    assert list(Sent(0, 0, 0, 1, LOST, 0, 24, None).fates()) == [(1, LOST)]
 
 
 def test_watchers_see_messages_that_are_not_kept():
@@ -70,219 +51,3 @@ def test_only_a_watcher_that_returns_true_stops_the_run():
 def test_a_trace_that_nobody_wants_messages_of_says_so():
     assert not Trace(messages=False).wants_messages
     assert Trace([print], messages=False).wants_messages
-
-
-class Word(NamedTuple):
-    active: bool
-    place: tuple[float, ...]
-
-
-class Words(NamedTuple):
-    records: tuple[Record, ...]
-
-
-KINDS = {kind.__name__: kind for kind in (Queued, Broadcast, Sent, Lost, Tally)}
-TIMES = st.integers(0, 2**51)  # 26 days: half a nanosecond is more than what a float of seconds is off
-NODES = st.integers(0, 50)
-NUMBERS = st.floats(allow_nan=False)
-WORDS = st.builds(Word, st.booleans(), st.lists(NUMBERS, max_size=3).map(tuple))
-RECORDS = st.builds(Record, NODES, NODES, TIMES, WORDS)
-BODIES = st.one_of(
-    st.none(), st.text(), NUMBERS, WORDS, st.builds(Words, st.lists(RECORDS, max_size=3).map(tuple)), st.tuples(WORDS)
-)
-ARRIVALS = st.lists(st.just(LOST) | TIMES, max_size=4).map(tuple)
-EVENTS = st.one_of(
-    st.builds(Queued, TIMES, NODES, NODES, st.lists(NODES).map(tuple), NODES),
-    st.builds(Broadcast, TIMES, NODES, NODES, NODES, st.lists(NODES).map(tuple), ARRIVALS, TIMES, NODES, BODIES),
-    st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, BODIES),
-    st.builds(Lost, TIMES, NODES, NODES, NODES, st.sampled_from(["loss", "reach"])),
-    st.builds(Tally, TIMES, *[NODES] * 4, st.just({"loss": 3}), NODES, NODES, NUMBERS),
-)
-
-
-@given(st.lists(EVENTS))
-def test_a_trace_that_was_written_is_read_again(events):
-    trace = Trace()
-    for event in events:
-        trace.append(event)
-    again = Trace.read(trace.lines(), KINDS)
-    assert again.events == events
-    assert [type(event) for event in again] == [type(event) for event in events]
-    assert list(again.lines()) == list(trace.lines())
-
-
-class Unknown:
-    """What JSON has no word for."""
-
-    def __repr__(self):
-        return "<Unknown \u2713>"
-
-
-class Told(NamedTuple):
-    said: object
-    word: Word
-
-    def plain(self):
-        return {"says": repr(self.said)}
-
-
-NASTY = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.text()
-    | st.sampled_from(
-        [nan, inf, -inf, 1e300, -0.0, np.float64(0.1), np.float64(nan), np.int64(3), np.bool_(True), np.arange(2)]
-    )
-    | st.sampled_from([Unknown(), {1}, b"x", 1j, Crash(node=1, at=2.0), (), [], {}]),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.lists(inner, max_size=3).map(tuple)
-        | st.dictionaries(st.text(max_size=3), inner, max_size=3)
-        | st.builds(Words, st.lists(inner, max_size=3).map(tuple))
-        | st.builds(Record, NODES, NODES, TIMES, inner)
-        | st.builds(Told, inner, WORDS)
-    ),
-    max_leaves=8,
-)
-WRITTEN = st.one_of(
-    EVENTS,
-    st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, NASTY),
-    st.builds(Began, TIMES, st.just(Crash(node=1, at=2.0))),
-    st.builds(Started, TIMES, st.tuples(st.floats(), st.floats()), st.just(()), st.just((1.0,)), st.just((True, 2))),
-    st.builds(Started, TIMES, st.just((0.0, 1.0)), st.just(()), st.just(()), st.just(()), st.just(((nan, 2.0),))),
-    st.builds(Decided, TIMES, NODES, st.booleans() | NODES),
-    st.builds(Ended, TIMES, st.just("captured"), st.none() | NODES),
-)
-
-
-def straightforward(event):
-    """Return an event as a line of JSON, from tables of tables."""
-
-    def tabled(value):
-        if hasattr(value, "_asdict"):
-            return {name: tabled(each) for name, each in value._asdict().items()}
-        return [tabled(each) for each in value] if isinstance(value, tuple | list) else value
-
-    def in_seconds(time):
-        if isinstance(time, tuple):
-            return [in_seconds(each) for each in time]
-        return None if time == LOST else time / 1e9
-
-    def plain(name, value):
-        if name in {"t", "arrival", "created"}:
-            return in_seconds(value)
-        if hasattr(value, "plain"):
-            return value.plain()
-        return tabled(value) if name == "body" else value
-
-    defaults = event._field_defaults
-    fields = {
-        name: plain(name, value)
-        for name, value in event._asdict().items()
-        if name not in defaults or value != defaults[name]
-    }
-    return json.dumps({"event": type(event).__name__} | fields, default=repr) + "\n"
-
-
-@given(st.lists(WRITTEN, max_size=4))
-def test_a_line_says_just_what_the_tables_of_an_event_say(events):
-    trace = Trace()
-    trace.events += events
-    assert list(trace.lines()) == list(map(straightforward, events))
-
-
-def beating(count):
-    """Yield so many messages, no two alike."""
-    return (Sent(k, k, 0, 1, k + 5, k, 24, Word(True, (k / 7,))) for k in range(count))
-
-
-def test_a_file_has_the_lines_of_a_trace_and_the_events_come_back_one_by_one(tmp_path):
-    path, trace = tmp_path / "trace.jsonl", Trace()
-    with TraceFile(path) as file:
-        watched = Trace([file], messages=False)
-        for event in beating(3):
-            trace.append_message(event)
-            watched.append_message(event)
-    assert path.read_bytes() == "".join(trace.lines()).encode()
-    assert list(watched) == []
-    trace.write(tmp_path / "at the end")
-    assert (tmp_path / "at the end").read_bytes() == path.read_bytes()
-    found = events_of(iter([*trace.lines(), "broken"]), KINDS)
-    assert [next(found) for _ in range(3)] == trace.events
-    with pytest.raises(ValueError, match="line 4 is no event"):
-        next(found)
-
-
-def interrupted(path):
-    with TraceFile(path) as file:
-        file(next(beating(1)))
-        assert path.read_text() == "of an earlier run"
-        raise KeyboardInterrupt
-
-
-def test_a_file_bears_its_name_only_when_it_is_complete(tmp_path):
-    path = tmp_path / "trace.jsonl"
-    path.write_text("of an earlier run")
-    with pytest.raises(KeyboardInterrupt):
-        interrupted(path)
-    assert path.read_text() == "of an earlier run"
-    assert (tmp_path / "trace.jsonl.part").read_text().count("\n") == 1
-    with TraceFile(str(path)):
-        pass
-    assert [each.name for each in tmp_path.iterdir()] == ["trace.jsonl"]
-    assert path.read_text() == ""
-
-
-def test_a_file_keeps_nothing_in_memory(tmp_path):
-    """Eight times as many messages take no more of it, where a trace takes eight times as much."""
-
-    def peak(watch, count):
-        tracemalloc.start()
-        for event in beating(count):
-            watch(event)
-        size = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return size
-
-    with TraceFile(tmp_path / "trace.jsonl") as file:
-        peak(file, 100)  # the buffer, and how such events are written
-        few, many = peak(file, 300), peak(file, 2400)
-        assert many < 1.1 * few + 10_000
-    few, many = (peak(Trace().append, count) for count in (300, 2400))
-    assert many > 6 * few
-
-
-def test_what_a_body_says_has_its_names_also_inside_of_it():
-    trace = Trace()
-    trace.append(Sent(0, 0, 0, 1, 5, 0, 24, Words((Record(3, 1, 7, Word(True, (1.0, 2.0))),))))
-    (record,) = Trace.read(trace.lines(), KINDS).events[0].body.records
-    assert (record.src, record.seq, record.sent) == (3, 1, 7)
-    assert (record.body.active, record.body.place) == (True, (1.0, 2.0))
-
-
-@pytest.mark.parametrize("name", ["a b", "class", "_c"])
-def test_a_table_with_a_key_that_is_no_name_stays_one(name):
-    trace = Trace()
-    trace.append(Sent(0, 0, 0, 1, 5, 0, 24, {"a": 1, name: [3]}))
-    assert Trace.read(trace.lines(), KINDS).events[0].body == {"a": 1, name: (3,)}
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "{",
-        "7",
-        "[]",
-        "{}",
-        '{"event": "Eaten", "t": 0}',
-        '{"event": "Queued", "t": 0.0}',
-        '{"event": "Queued", "t": "x"}',
-    ],
-)
-def test_a_line_that_is_no_event_is_named(line):
-    trace = Trace()
-    trace.append(Lost(0, 0, 0, 1, "loss"))
-    with pytest.raises(ValueError, match=r"^line 2 is no event: "):
-        Trace.read([*trace.lines(), line], KINDS)

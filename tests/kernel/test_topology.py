@@ -128,7 +128,7 @@ def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
 @contextmanager
 def many(few=0):
     """Let more nodes than so few be many."""
-    with patch.object(topology_module, "FEW", few):
+    with patch.object(topology_module, "SMALL_NETWORK", few):
         yield
 
 

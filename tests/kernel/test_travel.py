@@ -167,6 +167,9 @@ def test_bursts_of_a_link_of_its_own_go_on_from_message_to_message():
 
 def test_an_ideal_network_loses_nothing_and_says_so():
     assert travel(Links()).lossless
+    assert travel(Links(link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
+    assert not travel(Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])).lossless
+    assert not travel(Links(loss=Bernoulli(p=0.1), link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
     assert travel(Links()).losses(0, [1, 2], 0, 24) is None
     assert not travel(Links(loss=Bernoulli(p=0.1))).lossless
 
@@ -293,6 +296,11 @@ def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
     assert typical == pytest.approx(0.05, abs=5 * 0.05 / sqrt(1200))
     assert abs(2 * typical - 0.05) > 5 * 0.05 / sqrt(1200)
     assert trip.arrivals(0, [1, 2], 0, 0, 24) == same.arrivals(0, [1, 2], 0, 0, 24)
+
+
+def test_the_typical_latency_includes_the_processing_at_both_ends():
+    links = Links(latency=Constant(value=0.1), processing=Processing(sender=0.02, receiver=0.03))
+    assert travel(links).typical_latency() == pytest.approx(0.15)
 
 
 def test_the_loss_of_a_link_of_its_own_does_not_change_its_latencies():

@@ -229,6 +229,7 @@ def test_a_claim_takes_the_bytes_of_its_numbers(auction, size):
     """16 of header and 8 for each of action, winner, bid, and the four stamps if there are any."""
     result = frozen(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision"))
     assert {word.size for word in result.trace.of(Broadcast)} == {size}
+    assert auction().claim_size(4, 1) == size
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -299,6 +300,7 @@ def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, sch
 def test_a_claim_to_several_evaders_takes_a_winner_and_a_bid_of_each(auction, size):
     result = run(easy(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision")))
     assert {word.size for word in result.trace.of(Broadcast)} == {size}
+    assert auction().claim_size(6, 3) == size
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -355,7 +357,7 @@ def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
 def test_what_is_told_is_understood(action, bids):
     claim = Claim(*claim_fields(action, bids))
     assert bids_of(claim) == bids
-    assert claim.active == (action if len(bids) > 1 else bool(action))
+    assert claim.active == action
 
 
 # Trouble on the network.

@@ -9,17 +9,18 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
-from desim.kernel.events import Sent
 from desim.kernel.faults import Crash, Partition, RandomPlan
 from desim.kernel.graphs import Complete, Grid, Star
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Bitrate
 from desim.pursuit.events import Decided
 from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Team
 from protocols.mutex import Later, LocalMutex, Reply, Request, Section
 from protocols.schedules import Poisson
+from tests.protocols.traffic import Storm, bodies
 
 SECOND = 1_000_000_000
 EXPLORING = not settings.default.derandomize
@@ -58,10 +59,6 @@ def flips(schedule, links, log=None):
         yield from schedule(me, revise)
 
     return protocol
-
-
-def bodies(result, kind):
-    return [sent for sent in result.trace.of(Sent) if isinstance(sent.body, kind)]
 
 
 LATENCIES = pytest.mark.parametrize(
@@ -119,6 +116,15 @@ def test_a_decision_takes_two_messages_per_neighbour(graph):
     assert not bodies(result, Later)
 
 
+def test_a_request_is_answered_once_though_its_answer_had_to_wait():
+    result = run(frozen(flips(LocalMutex(), Complete()(7)), latency=0.1), 0)
+    asked = Counter((each.src, each.dst, each.body.stamp) for each in bodies(result, Request))
+    answered = Counter((each.dst, each.src, each.body.stamp) for each in bodies(result, Reply))
+    assert bodies(result, Later)
+    assert answered
+    assert not answered - asked
+
+
 @pytest.mark.parametrize("latency", [0.1, 1.0])
 def test_a_decision_takes_a_round_trip(latency):
     """Two latencies after its first request is sent, at the earliest; and one alone needs just that."""
@@ -148,6 +154,20 @@ def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
     found = horizon / len(result.trace.of(Decided))
     (slot,) = slots
     assert 0.8 * slot < found < 1.33 * slot
+
+
+def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
+    """Among 5 each asks 4, in 16 + 16 bytes, and is answered in 16 + 16 + 24, so 352 bytes; no longer than 5 L."""
+    slots = set()
+
+    def protocol(me):
+        slots.add(LocalMutex(rate=5.0).mean_slot(me))
+        yield me.sleep(0.0)
+
+    slow = Links(latency=Constant(value=0.02), medium=Bitrate(bitrate=9600.0))
+    run(Scenario(horizon=0.1, team=Team(count=5), protocol=protocol, network=slow), 0)
+    (slot,) = slots
+    assert slot == pytest.approx((1.0 / 5.0 + 2.0 * 0.02 + 352 * 8 / 9600) / 5)
 
 
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
@@ -230,16 +250,6 @@ def test_no_storm_ends_in_a_deadlock():
         mistaken[seed] = sum(believed != true for believed, true in log[len(log) - len(late) :])
     assert {seed: who for seed, who in stuck.items() if who} == {}
     assert {seed: number for seed, number in mistaken.items() if number} == {}
-
-
-class Storm:
-    """Independent losses until a time, s; then none."""
-
-    def __init__(self, p, until):
-        self._p, self._until = p, until
-
-    def __call__(self, hops, rng):
-        return rng.random(len(hops.dst)) < (self._p if hops.now < self._until else 0.0)
 
 
 def test_the_graphs_of_these_tests_are_connected():

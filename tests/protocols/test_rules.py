@@ -567,7 +567,7 @@ def test_a_claim_is_announced_in_place_of_the_payload_when_its_news_changes():
             for k, news in enumerate([7, 7, 8]):
                 me.claim(Claim(False, news, f"claim {k}"))
                 me.announce()
-                said.append(me.assignment().text)
+                said.append(me.announcement().text)
                 yield me.sleep(0.25)
             return
         for k in range(3):
@@ -861,7 +861,7 @@ def test_if_who_would_be_late_is_pruned_nobody_is_ordered_to_chase_in_vain(kind)
 
             def watch(event, seen=seen, prune=prune):
                 if isinstance(event, Decided) and event.active:
-                    late[prune] += seen[0].capture_times()[event.pursuer] >= seen[0].time_left()
+                    late[prune] += seen[0].whole.capture_times(1)[event.pursuer] >= seen[0].time_left()
 
             watched = scenario.model_copy(update={"protocol": protocol})
             start, _ = ever_active(run(watched, None, watch))

@@ -14,7 +14,7 @@ from desim.cli import main
 from desim.kernel.seeds import stream
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
-from desim.pursuit.game import best_response
+from desim.pursuit.game import gain
 from desim.scenario import Motion, Team
 from desim.warnings import warnings
 from protocols.sap import SpatialAdaptivePlay
@@ -132,7 +132,7 @@ def all_respond(phi, profile):
     def others(i):
         return [phi[j] for j, active in enumerate(profile) if active and j != i]
 
-    return tuple(best_response(phi[i], others(i), 30.0) for i in range(len(phi)))
+    return tuple(gain(phi[i], others(i), 30.0) > 0.0 for i in range(len(phi)))
 
 
 def one_by_one(phi, profile):

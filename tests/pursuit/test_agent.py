@@ -14,10 +14,9 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
-from desim.pursuit.agent import Assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
-from desim.pursuit.word import Announcements
+from desim.pursuit.word import Announcements, Assignment
 from desim.scenario import Evader, Motion, Recording, Team
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
@@ -90,7 +89,7 @@ def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants():
 def test_nobody_commands_a_pursuer_that_does_not_exist():
     def protocol(me):
         yield me.at(0.5)
-        me.command(-1, True)
+        me.whole.order(-1, True)
 
     with pytest.raises(ValueError, match="there is no pursuer -1"):
         play(protocol)
@@ -100,8 +99,8 @@ def test_an_agent_knows_itself_and_its_team():
     def protocol(me):
         yield me.sleep(0.25)
         assert (me.now, me.team_size, me.action) == (0.25, 3, False)
-        assert me.capture_times() == pytest.approx([0.9, 1.9, 3.9])
-        assert me.capture_time() == me.capture_times()[me.id]
+        assert me.whole.capture_times(1) == pytest.approx([0.9, 1.9, 3.9])
+        assert me.capture_time() == me.whole.capture_times(1)[me.id]
         assert me.stream("x").random() != me.shared_stream("x").random()
         done.append((me.id, me.shared_stream("x").random()))
 
@@ -363,3 +362,17 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, spread, 
     )
     assert len(checked) > 200
     assert len(chased) > 10
+
+
+def test_what_is_repeated_happens_every_period_from_a_phase_of_the_named_stream_on():
+    def protocol(me):
+        yield me.at(0.5)
+        yield from me.repeat(lambda: seen.append((me.id, me.now)), 0.3, "chores")
+
+    seen = []
+    play(protocol, horizon=2.0)
+    phases = [stream(0, "chores", pursuer).uniform(0.0, 0.3) for pursuer in range(3)]
+    for pursuer, phase in enumerate(phases):
+        times = [time for who, time in seen if who == pursuer]
+        assert times == pytest.approx([0.5 + phase + 0.3 * k for k in range(len(times))], abs=1e-9)
+        assert len(times) == 5

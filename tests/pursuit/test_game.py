@@ -10,7 +10,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from desim.pursuit.game import (
-    best_response,
     equilibria,
     gain,
     gibbs,
@@ -84,14 +83,11 @@ def test_the_relay_pursuer_is_the_least_and_first():
 
 def test_a_pursuer_that_cannot_capture_never_gains_and_never_counts():
     assert gain(inf, [], 5.0) == gain(inf, [1.0], 5.0) == -inf
-    assert not best_response(inf, [], 5.0)
     assert potential([inf, 2.0], [True, True], 5.0) == potential([inf, 2.0], [False, True], 5.0) == 3.0
 
 
 def test_a_lone_pursuer_chases_if_it_can_be_in_time():
-    assert best_response(4.0, [], 5.0)
-    assert not best_response(6.0, [], 5.0)
-    assert not best_response(5.0, [], 5.0)
+    assert [gain(own, [], 5.0) for own in (4.0, 5.0, 6.0)] == [1.0, 0.0, -1.0]
     assert potential([4.0], [False], 5.0) == 0.0
 
 
@@ -176,6 +172,11 @@ def test_the_greedy_set_breaks_ties_by_number():
     assert greedy_maximal_independent_set([2.0, 2.0, 1.0], 5.0, [[1], [0], []]) == (True, False, True)
     assert greedy_maximal_independent_set([5.0, 4.0], 5.0, [[1], [0]]) == (False, True)
     assert greedy_maximal_independent_set([5.0, inf], 5.0, [[], []]) == (False, False)
+
+
+def test_in_the_greedy_set_whom_one_hears_counts_and_not_by_whom_one_is_heard():
+    assert greedy_maximal_independent_set([1.0, 2.0], 5.0, [[1], []]) == (True, True)
+    assert greedy_maximal_independent_set([1.0, 2.0], 5.0, [[], [0]]) == (True, False)
 
 
 def test_on_a_path_of_three_the_local_mean_has_no_equilibrium():

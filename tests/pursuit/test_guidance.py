@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from desim import Scenario, run
 from desim.pursuit import guidance
 from desim.pursuit.events import Ended
-from desim.pursuit.guidance import ConstantBearing, PurePursuit, apollonius_circle
+from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion import toward
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 
@@ -87,36 +87,27 @@ def test_pure_pursuit_is_straight_to_the_aim_whatever_the_evader_does():
 def test_the_course_of_one_is_exactly_that_of_the_team(gap, aim, flight, speed):
     for law in (PurePursuit(), ConstantBearing(), lambda gaps, aims, w, v: toward(aims, v)):
         team = np.full(5, gap), np.full(5, aim), flight, np.full(5, speed)
-        assert (guidance.courses(law, *team) == guidance.course(law, gap, aim, flight, speed)).all()
+        assert (guidance.guided_velocities(law, *team) == guidance.guided_velocity(law, gap, aim, flight, speed)).all()
 
 
 # The circle of Apollonius.
 
 
-def test_the_circle_of_apollonius_by_numbers():
-    """k = 1/2, pursuer at 0, evader at 3: between them 2 is reached by both at once, and beyond the evader 6."""
-    centre, radius = apollonius_circle(0j, 3 + 0j, 0.5)
-    assert (centre, radius) == (pytest.approx(4 + 0j), pytest.approx(2.0))
-    centre, radius = apollonius_circle(3 + 0j, 0j, 2.0)  # the same with the roles exchanged
-    assert (centre, radius) == (pytest.approx(4 + 0j), pytest.approx(2.0))
-
-
-@pytest.mark.parametrize("ratio", [1.0, -0.1])
-def test_without_a_circle_there_is_an_error(ratio):
-    with pytest.raises(ValueError, match=f"ratio of speeds should be at least 0 and not 1, got {ratio}"):
-        apollonius_circle(0j, 1 + 0j, ratio)
-
-
 @given(plane, plane, st.floats(0.05, 0.95), st.floats(0.0, 6.28))
 def test_constant_bearing_meets_the_evader_on_the_circle_of_apollonius(pursuer, evader, ratio, angle):
-    """Whatever the heading of the evader: the pursuer at speed 1 has come as far as the evader has, over k."""
+    """Whatever the heading of the evader: the pursuer at speed 1 has come as far as the evader has, over k.
+
+    With k = v_e / v_p the points x with |x - x_e| = k |x - x_p| lie on the circle round (x_e - k^2 x_p) / (1 - k^2) of
+    radius k d / (1 - k^2).
+    """
     assume(abs(evader - pursuer) > 1e-2)
     flight = ratio * np.exp(1j * angle)
     velocity = course(evader - pursuer, flight, 1.0)
     time = abs(evader - pursuer) / abs(velocity - flight)
     point = pursuer + velocity * time
     assert point == pytest.approx(evader + flight * time, abs=1e-8)
-    centre, radius = apollonius_circle(pursuer, evader, ratio)
+    centre = (evader - ratio**2 * pursuer) / (1.0 - ratio**2)
+    radius = ratio * abs(evader - pursuer) / (1.0 - ratio**2)
     assert abs(point - centre) == pytest.approx(radius, rel=1e-8, abs=1e-8)
 
 

@@ -70,7 +70,7 @@ def test_frozen_players_stay_and_places_are_not_to_be_written_to():
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["state known", "state unknown"])
-@pytest.mark.parametrize("count", [1, target.FEW, target.FEW + 1])
+@pytest.mark.parametrize("count", [1, target.SINGLY, target.SINGLY + 1])
 def test_times_of_capture_of_some_are_those_of_all(known, count):
     """One of the pursuers is too slow; the evader runs, so that nobody is where it was."""
     speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
@@ -79,9 +79,9 @@ def test_times_of_capture_of_some_are_those_of_all(known, count):
     env.run(until=1_234_567_891)
     some = list(range(count))
     if known:
-        world.capture_times()
-    few = world.capture_times_of(some)
-    assert few == list(world.capture_times()[:count])
+        world.capture_times(1)
+    few = world.capture_times_of(some, 1)
+    assert few == list(world.capture_times(1)[:count])
     assert few[0] == inf
     assert all(0.0 < each < inf for each in few[1:])
 
@@ -97,8 +97,8 @@ def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, eva
     play = partial(run, base.model_copy(update={"protocol": SpatialAdaptivePlay(schedule=schedule)}))
     traces = []
     for few in (0, 5, 99):
-        monkeypatch.setattr(steering, "FEW", few)
-        monkeypatch.setattr(target, "FEW", few)
+        monkeypatch.setattr(steering, "SINGLY", few)
+        monkeypatch.setattr(target, "SINGLY", few)
         traces.append(list(play().trace))
     assert traces[0] == traces[1] == traces[2]
     assert len(traces[0]) > 600

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, run, summary
-from desim.kernel.graphs import Edges
+from desim.kernel.graphs import Edges, Link
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
@@ -274,6 +274,13 @@ def test_it_moves_for_exactly_as_long_as_word_of_a_change_is_in_flight():
 def test_word_of_what_was_said_before_is_no_change():
     assert way((1.0, 0, 1), (1.3, 0, 1), (3.0, 0, 1)) == LATENCY
     assert way((1.0, 0, 1), (1.3, 1, 0)) == LATENCY
+
+
+def test_word_that_arrives_early_does_not_end_that_which_is_still_in_flight():
+    """That of pursuer 0 is on its way to pursuer 2 until 1.5 s, that of pursuer 1 until 1.15 s."""
+    quick = [Link(src=1, dst=node, latency=Constant(value=0.05)) for node in (0, 2)]
+    links = Links(latency=Constant(value=LATENCY), link=quick)
+    assert way((1.0, 0, 1), (1.1, 1, 1), network=links) == LATENCY
 
 
 def test_what_everybody_does_at_first_is_known():

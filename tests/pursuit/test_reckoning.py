@@ -1,4 +1,4 @@
-"""Dead reckoning without a simulator: sights are made by hand, and chases have closed forms."""
+"""Dead reckoning without a simulator: legs are made by hand, and chases have closed forms."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.motion import toward
-from desim.pursuit.reckoning import MOST_RETRACINGS, Sight, Sightings, nearer
+from desim.pursuit.reckoning import MOST_RETRACINGS, Leg, Path, nearer
 
 LAWS = [PurePursuit(), ConstantBearing()]
 STEP = nanoseconds(0.25)
@@ -18,11 +18,11 @@ plane = st.builds(complex, numbers, numbers)
 
 def straight_run(law, evader, flight, until, *, ahead=True):
     """Return what is seen in steps of 0.25 s of an evader that keeps its velocity; aimed at is where a step ends."""
-    seen = Sightings(law)
+    path = Path(law)
     for t in range(0, until + 1, STEP):
         at = evader + flight * seconds(t)
-        seen.see(t, at, at + (flight * seconds(STEP) if ahead else 0.0), flight)
-    return seen
+        path.see(t, at, at + (flight * seconds(STEP) if ahead else 0.0), flight)
+    return path
 
 
 def turning(seed, until):
@@ -37,36 +37,36 @@ def turning(seed, until):
 
 def fresh(law, seed, question, now):
     """Return the answer of one who has never been asked before."""
-    seen = Sightings(law)
-    for sight in turning(seed, now):
-        seen.see(*sight)
-    return seen.place(*question, now)
+    path = Path(law)
+    for leg in turning(seed, now):
+        path.see(*leg)
+    return path.place(*question, now)
 
 
-def test_a_sight_goes_on_straight():
+def test_a_leg_goes_on_straight():
     """From (1, 2) at 1 s with (4, -2) m/s: (2, 1.5) a quarter of a second later."""
-    sight = Sight(SECOND, 1.0 + 2.0j, 5.0j, 4.0 - 2.0j)
-    assert sight.at(SECOND) == 1.0 + 2.0j
-    assert sight.at(SECOND + STEP) == 2.0 + 1.5j
+    leg = Leg(SECOND, 1.0 + 2.0j, 5.0j, 4.0 - 2.0j)
+    assert leg.at(SECOND) == 1.0 + 2.0j
+    assert leg.at(SECOND + STEP) == 2.0 + 1.5j
 
 
 @pytest.mark.parametrize("remembers", [True, False])
 def test_the_present_step_is_what_was_seen_last(remembers):
-    seen = Sightings(PurePursuit(), remembers=remembers)
-    seen.see(0, 1j, 2j, 1.0)
-    assert seen.last == (0, 1j, 2j, 1.0)
-    seen.see(STEP, 3j, 4j, 5.0)
-    assert seen.last == (STEP, 3j, 4j, 5.0)
+    path = Path(PurePursuit(), remembers=remembers)
+    path.see(0, 1j, 2j, 1.0)
+    assert path.last == (0, 1j, 2j, 1.0)
+    path.see(STEP, 3j, 4j, 5.0)
+    assert path.last == (STEP, 3j, 4j, 5.0)
 
 
 def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
-    seen = Sightings(PurePursuit(), remembers=False)
+    path = Path(PurePursuit(), remembers=False)
     for k in range(100):
-        seen.see(k, 0j, 0j, 0j)
-    assert not seen._sights
-    assert seen.last.begun == 99
+        path.see(k, 0j, 0j, 0j)
+    assert not path._legs
+    assert path.last.begun == 99
     with pytest.raises(AssertionError):
-        seen.place(1j, 1.0, 0, 5)
+        path.place(1j, 1.0, 0, 5)
 
 
 # Closed forms.
@@ -88,9 +88,9 @@ def test_an_evader_that_runs_straight_is_met_on_one_course(ahead, since, age):
 
     When the chase begins the evader is 10 m to the east, running north.
     """
-    seen = straight_run(ConstantBearing(), 10.0 + 0j, 3j, since + age, ahead=ahead)
+    path = straight_run(ConstantBearing(), 10.0 + 0j, 3j, since + age, ahead=ahead)
     start = 3j * (since / SECOND)
-    assert seen.place(start, 5.0, since, since + age) == pytest.approx(start + (4.0 + 3.0j) * (age / SECOND), abs=1e-9)
+    assert path.place(start, 5.0, since, since + age) == pytest.approx(start + (4.0 + 3.0j) * (age / SECOND), abs=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -98,8 +98,8 @@ def test_an_evader_that_runs_straight_is_met_on_one_course(ahead, since, age):
 def test_a_tail_chase_is_a_straight_line(law, ahead):
     """Behind an evader that runs away at 1 m/s, 5 m ahead: 2 m/s for 3.1 s are 6.2 m, under both laws."""
     now = nanoseconds(3.1)
-    seen = straight_run(law, 5.0 + 0j, 1.0 + 0j, now, ahead=ahead)
-    assert seen.place(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
+    path = straight_run(law, 5.0 + 0j, 1.0 + 0j, now, ahead=ahead)
+    assert path.place(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
 
 
 def test_pure_pursuit_aims_anew_at_every_step():
@@ -109,11 +109,11 @@ def test_pure_pursuit_aims_anew_at_every_step():
     towards (3, 3).
     """
     now = nanoseconds(0.56)
-    seen = straight_run(PurePursuit(), 3.0 + 0j, 4j, now)
+    path = straight_run(PurePursuit(), 3.0 + 0j, 4j, now)
     expected = 0j
     for length, aim in [(0.5, 3.0 + 1.0j), (1.0, 3.0 + 2.0j), (0.24, 3.0 + 3.0j)]:
         expected += length * (aim - expected) / abs(aim - expected)
-    assert seen.place(0j, 4.0, STEP // 2, now) == pytest.approx(expected, abs=1e-12)
+    assert path.place(0j, 4.0, STEP // 2, now) == pytest.approx(expected, abs=1e-12)
     assert abs(expected - 1.74 * (3.0 + 3.0j) / abs(3.0 + 3.0j)) > 0.1
 
 
@@ -121,10 +121,10 @@ def test_pure_pursuit_aims_anew_at_every_step():
 def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
     """It stands still at (4, 0) for a step and then, as if it had jumped, at (1, 3): 1 m east, then 1 m north."""
     for position, since in [(0j, 0), (0.5 + 0j, STEP // 2), (1.0 + 0j, STEP)]:
-        seen = Sightings(law)
-        seen.see(0, 4.0 + 0j, 4.0 + 0j, 0j)
-        seen.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j)
-        assert seen.place(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
+        path = Path(law)
+        path.see(0, 4.0 + 0j, 4.0 + 0j, 0j)
+        path.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j)
+        assert path.place(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
 
 
 def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece():
@@ -136,18 +136,18 @@ def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece(
         return toward(gaps, speeds) * 0.0 + speeds
 
     now = 2 * STEP - 1
-    seen = straight_run(law, 3.0 + 0j, 4j, now)
-    assert seen.place(1j, 2.0, STEP // 2, now) == pytest.approx(0.75 + 1.0j, abs=1e-8)
+    path = straight_run(law, 3.0 + 0j, 4j, now)
+    assert path.place(1j, 2.0, STEP // 2, now) == pytest.approx(0.75 + 1.0j, abs=1e-8)
     assert told == [([3.0 - 0.5j], [3.0 + 0j], 4j, [2.0]), ([2.75 + 0j], [2.75 + 1j], 4j, [2.0])]
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
     """A clock that is ahead lets word seem older than the pursuit: 1 s of chase, not 3."""
-    assert Sightings(law).place(3j, 1.0, -SECOND, 0) == 3j
-    seen = straight_run(law, 9.0 + 0j, 0j, SECOND)
-    assert seen.place(3j, 1.0, SECOND, SECOND) == 3j
-    assert seen.place(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
+    assert Path(law).place(3j, 1.0, -SECOND, 0) == 3j
+    path = straight_run(law, 9.0 + 0j, 0j, SECOND)
+    assert path.place(3j, 1.0, SECOND, SECOND) == 3j
+    assert path.place(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
 
 
 # Going on from the last question.
@@ -158,11 +158,11 @@ def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
 def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed, since, later):
     """Bit by bit: it goes on from the beginning of a step, so that no piece of a path is ever cut in two."""
-    seen, sights, question = Sightings(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
+    path, legs, question = Path(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
     for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
-        while sights and sights[0][0] <= now:
-            seen.see(*sights.pop(0))
-        assert seen.place(*question, now) == fresh(law, seed, question, now)
+        while legs and legs[0][0] <= now:
+            path.see(*legs.pop(0))
+        assert path.place(*question, now) == fresh(law, seed, question, now)
 
 
 def test_going_on_looks_at_no_step_that_is_over():
@@ -173,42 +173,42 @@ def test_going_on_looks_at_no_step_that_is_over():
         asked.append(1)
         return toward(aims, speeds)
 
-    seen, (*sights, newest) = Sightings(law), turning(0, 12 * STEP)
-    for sight in sights:
-        seen.see(*sight)
+    path, (*legs, newest) = Path(law), turning(0, 12 * STEP)
+    for leg in legs:
+        path.see(*leg)
     pieces = []
     for steps in (11.2, 11.7, 12.5):
         if steps > 12:
-            seen.see(*newest)
+            path.see(*newest)
         asked.clear()
-        seen.place(0j, 1.0, 0, round(steps * STEP))
+        path.place(0j, 1.0, 0, round(steps * STEP))
         pieces.append(len(asked))
     assert pieces == [12, 1, 2]
 
 
 def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
     for question in [(1j, 1.0, 0), (2j, 1.0, 0), (1j, 2.0, 0), (1j, 1.0, STEP + 7)]:
-        seen = Sightings(PurePursuit())
-        for sight in turning(3, 5 * STEP):
-            seen.see(*sight)
-        seen.place(1j, 1.0, 0, 5 * STEP)
-        assert seen.place(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
+        path = Path(PurePursuit())
+        for leg in turning(3, 5 * STEP):
+            path.see(*leg)
+        path.place(1j, 1.0, 0, 5 * STEP)
+        assert path.place(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
 
 
 def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longest_ago_goes():
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
-    seen, (now, *later) = Sightings(PurePursuit()), turning(4, 5 * STEP)
-    seen.see(*now)
-    paths = [(complex(k), 1.0, 0) for k in range(MOST_RETRACINGS + 1)]
-    for path in [*paths[:-1], paths[0], paths[-1]]:
-        seen.place(*path, STEP // 2)
-    assert len(seen._retracings) == MOST_RETRACINGS
-    assert paths[0] in seen._retracings
-    assert paths[1] not in seen._retracings
-    for sight in later:
-        seen.see(*sight)
-    assert seen.place(*paths[1], 5 * STEP) == fresh(PurePursuit(), 4, paths[1], 5 * STEP)
-    assert len(seen._retracings) == MOST_RETRACINGS
+    path, (now, *later) = Path(PurePursuit()), turning(4, 5 * STEP)
+    path.see(*now)
+    questions = [(complex(k), 1.0, 0) for k in range(MOST_RETRACINGS + 1)]
+    for question in [*questions[:-1], questions[0], questions[-1]]:
+        path.place(*question, STEP // 2)
+    assert len(path._retracings) == MOST_RETRACINGS
+    assert questions[0] in path._retracings
+    assert questions[1] not in path._retracings
+    for leg in later:
+        path.see(*leg)
+    assert path.place(*questions[1], 5 * STEP) == fresh(PurePursuit(), 4, questions[1], 5 * STEP)
+    assert len(path._retracings) == MOST_RETRACINGS
 
 
 # Without the path of the evader.

@@ -16,9 +16,10 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.trace_file import line_of
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.sensing import NOWHERE, PORT, Estimate, Sensing, Sighting, Watch, spiral
+from desim.pursuit.sensing import NOWHERE, PORT, Guess, Sensing, Sighting, Watch, spiral
 from desim.pursuit.word import Announcements
 from desim.scenario import Capture, Evader, Motion, Recording, Team
 from desim.world import World
@@ -82,7 +83,7 @@ def test_who_never_sees_anything_never_moves(estimate):
 
 def late_by(estimate, runs):
     """Return by how much believed times of capture exceed the true ones, wherever there is a belief from memory."""
-    behaviour, found = looks(lambda me: (me.capture_time(), me.capture_times()[me.id], me.may_chase()))
+    behaviour, found = looks(lambda me: (me.capture_time(), me.whole.capture_times(1)[me.id], me.may_chase()))
     sensing = Sensing(radius=2.0, estimate=estimate, lost_after=2.0)
     wild = Evader(strategy=Diffusion(sigma=1.0), speed=2.0)
     keys = {
@@ -337,7 +338,7 @@ def test_a_sighting_from_the_future_is_of_now(estimate):
     rig = Rig(Sensing(radius=3.0, estimate=estimate), evader=HIDDEN)
     rig.tell(sighting(10.0, 3.0, velocity=0.9 + 0j))
     velocity = 0.9 + 0j if estimate == "constant_velocity" else 0j
-    assert rig.one.estimate(1) == Estimate(10.0 + 0j, velocity, 0.0)
+    assert rig.one.estimate(1) == Guess(10.0 + 0j, velocity, 0.0)
 
 
 def test_an_older_report_does_not_replace_a_newer_one():
@@ -390,20 +391,20 @@ def test_the_bound_is_of_any_position():
     """Reported 10 m away 2 s ago: (|10 - 4| + 0.9 x 2 - 0.1) / 0.1 s from 4 m on, (10 + 1.8 - 0.1) / 0.1 s from 0."""
     rig = Rig(Sensing(radius=3.0, estimate="worst_case"), evader=HIDDEN).until(2.0)
     rig.tell(sighting(10.0, 0.0))
-    assert rig.one.capture_time_from(0, 4.0 + 0j) == pytest.approx(77.0)
-    assert rig.one.capture_time_from(0, 0j) == rig.one.capture_times()[0] == pytest.approx(117.0)
-    assert rig.other.capture_time_from(0, 0j) == inf
+    assert rig.one.capture_time_from(0, 4.0 + 0j, 1) == pytest.approx(77.0)
+    assert rig.one.capture_time_from(0, 0j, 1) == rig.one.capture_times(1)[0] == pytest.approx(117.0)
+    assert rig.other.capture_time_from(0, 0j, 1) == inf
 
 
 def test_a_teammate_that_chases_is_reckoned_towards_where_the_evader_is_believed_to_be():
     """It was at -3 m, at 1 m/s: after 2 s at -1 m, and never beyond the evader at 7 m."""
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(2.0)
     for exact in (True, False):
-        assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, exact=exact) == -3.0  # it has not heard of any
+        assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == -3.0  # it has not heard of any
     rig.tell(sighting(7.0, 1.0))
     for exact in (True, False):
-        assert rig.one.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, exact=exact) == pytest.approx(-1.0)
-        assert rig.one.reckoned(-3.0 + 0j, 1.0, 90 * SECOND, exact=exact) == pytest.approx(7.0)
+        assert rig.one.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == pytest.approx(-1.0)
+        assert rig.one.reckoned(-3.0 + 0j, 1.0, 90 * SECOND, 1, exact=exact) == pytest.approx(7.0)
 
 
 @pytest.fixture
@@ -456,9 +457,9 @@ def test_it_heads_for_where_it_believes_the_evader_to_be_at_the_end_of_the_step(
 def test_who_would_be_late_is_judged_by_what_it_believes(x, able):
     """Of 8 s: (0.5 - 0.1) / 0.1 = 4 s are enough, 49 s are not; to where the evader is it would be 399 s."""
     rig = Rig(Sensing(radius=0.2, estimate="hold"), evader=HIDDEN, prune="infeasible")
-    assert rig.one.evader() is NOWHERE
+    assert rig.one.evader(1) is NOWHERE
     rig.tell(sighting(x, 0.0))
-    assert rig.one.may_chase(0) == able
+    assert rig.one.may_chase(0, 1) == able
     rig.world.order(0, 1)
     assert rig.world.action(0) == able
 
@@ -483,7 +484,7 @@ def test_nobody_runs_past_the_place_where_it_believes_the_evader_to_be():
 def test_limited_sight_is_reproducible(schedule):
     protocol = desim.scenario.PROTOCOLS.choices()["sap"](schedule=schedule)
     base = scenario(Sensing(radius=3.0), protocol=protocol)
-    first, again = (list(desim.run(base, 5).trace.lines()) for _ in range(2))
+    first, again = (list(map(line_of, desim.run(base, 5).trace)) for _ in range(2))
     assert first == again
 
 

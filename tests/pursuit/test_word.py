@@ -17,6 +17,7 @@ from desim.kernel.events import Broadcast
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
+from desim.kernel.medium import Bitrate
 from desim.pursuit.word import Announcements, LocatedAssignment
 from desim.scenario import Evader, Motion, Recording, Team
 
@@ -118,7 +119,7 @@ def test_the_state_of_who_stands_still_stays_exact(reckoning):
         me.publish(LocatedAssignment(active=True, x=3.0, y=0.0, speed=0.0))
 
     seen = {}
-    looks = [(t, 2, lambda me: (me.believed()[1], me.capture_times()[1])) for t in (0.5, 1.234, 7.5)]
+    looks = [(t, 2, lambda me: (me.believed()[1], me.whole.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)]
     announce = {"payload": "state", "reckoning": reckoning}
     play(script((0.0, 1, stand), *looks, seen=seen), announce, evader=Evader(position=(0.0, 1.0), speed=0.5))
     for told, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):
@@ -166,11 +167,13 @@ def reckonings(order, step, seed, reckoning="exact"):
     def look(me):
         world = me._world
         for j, (_, record) in me.heard().items():
-            gap = abs(world.state().evader - world.place(j))
+            gap = abs(world.state(1).evader - world.place(j))
             chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
             if chased_since and gap > 3.0 * step + 0.5:
                 age = nanoseconds(me.now) - record.sent
-                place = world.reckoned(complex(*record.body[1:3]), record.body.speed, age, exact=reckoning == "exact")
+                place = world.reckoned(
+                    complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact"
+                )
                 inside = turned[j] % h != 0 and turned[j] // h == record.sent // h
                 rows.append((abs(place - world.place(j)), seconds(age), gap, inside))
 
@@ -216,7 +219,7 @@ def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
     def look(me):
         for _, record in me.heard().values():
             _, x, y, speed = record.body
-            ahead = abs(me._world.state().evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
+            ahead = abs(me._world.state(1).evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
             seen.append((me.believed()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
 
     acts = [
@@ -353,6 +356,13 @@ def test_a_teammate_is_forgotten_after_so_long_without_its_word(announce, until)
         assert found is None
     else:
         assert found == pytest.approx(until, abs=0.0011)
+
+
+def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
+    """3 T + 2 (L + A) after arrival, where 24 bytes take A = 0.04 s at 4800 bit/s."""
+    slow = Links(latency=Constant(value=0.25), medium=Bitrate(bitrate=4800.0))
+    announce = {"trigger": "heartbeat", "heartbeat": 0.2}
+    assert last_trusted(announce, network=slow) == pytest.approx(0.6 + 2 * (0.25 + 0.04), abs=0.0011)
 
 
 @pytest.mark.parametrize(("announce", "memory"), [({"forget_after": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])

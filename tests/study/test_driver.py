@@ -31,7 +31,7 @@ pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a w
 @pytest.fixture
 def scenario(tmp_path):
     """Return a scenario in which nothing goes wrong yet."""
-    return load(sweeps.write(tmp_path / "in", losses=(0.2,), reps=40))
+    return load(sweeps.write(tmp_path / "in", losses=(0.2,), reps=40), allow_import=True)
 
 
 def wrong(scenario, how, *bad):
@@ -100,7 +100,7 @@ def test_the_crash_of_the_seventh_of_forty_runs_is_a_row_of_the_same_table_every
     file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=40, bad=(6,), how="exit")
     told = []
     for name, options in {"processes": ("-j", 2), "cluster": ("--cluster", cluster)}.items():
-        made = command("sweep", file, "-o", tmp_path / name, *options)
+        made = command("sweep", file, "--allow-import", "-o", tmp_path / name, *options)
         assert made.exit_code == FAILED, made.output
         assert "1 runs failed; the same command tries them again" in made.stderr
         assert command("export", tmp_path / name, tmp_path / name / "runs.csv").exit_code == 0
@@ -203,7 +203,7 @@ def test_what_cannot_be_pickled_is_an_error_of_each_run_that_would_need_it(scena
 
 @pytest.mark.slow
 def test_an_executor_that_breaks_ends_the_sweep_and_what_was_done_is_kept(tmp_path):
-    scenario = load(sweeps.write(tmp_path / "in", losses=(0.2,), bad=(30,), how="exit", reps=40))
+    scenario = load(sweeps.write(tmp_path / "in", losses=(0.2,), bad=(30,), how="exit", reps=40), allow_import=True)
     with (
         ProcessPoolExecutor(2) as executor,
         pytest.raises(BrokenExecutor, match=r"ProcessPoolExecutor.* takes no more work: give a number of workers"),

@@ -24,7 +24,8 @@ from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.scenario import Motion, Recording, Team
 from desim.scenario_file import read, validate
-from desim.study.explain import AS_IT_IS, EXPLAINED, IDEAL, Cost, Saving, Variants
+from desim.study.explain import Variants
+from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.pictures import waterfall
 from desim.study.store import Row, Store, StoreError
@@ -475,7 +476,7 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
         (tmp_path / "mine_of_explain.py").write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
         sys.modules.pop("mine_of_explain", None)
         importlib.invalidate_caches()
-        return validate(read(file))
+        return validate(read(file, allow_import=True))
 
     store = tmp_path / "s.sqlite"
     assert explain(scenario(1), 2, store=store) == explain(scenario(1), 2, store=store)
@@ -534,7 +535,7 @@ def sometimes(me):
 @pytest.fixture
 def without_pictures(monkeypatch):
     """They take a second."""
-    monkeypatch.setattr("desim.analysis.folder.can_plot", lambda: False)
+    monkeypatch.setattr("desim.folder.can_plot", lambda: False)
 
 
 @pytest.fixture
@@ -619,7 +620,7 @@ def test_a_folder_is_taken_as_it_is(file, tmp_path):
 
 
 def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
-    result = command(file, "-n", 2, "--set", "protocol.kind=wrong_in_explain:always")
+    result = command(file, "-n", 2, "--allow-import", "--set", "protocol.kind=wrong_in_explain:always")
     assert result.exit_code == 3
     assert result.stdout == ""
     assert "with every seed a run failed; the first: RuntimeError: for good\n" in result.stderr
@@ -631,7 +632,9 @@ def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
 @pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("as_json", [False, True])
 def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file, as_json):
-    result = command(file, "-n", 6, "--set", "protocol.kind=wrong_in_explain:sometimes", *["--json"] * as_json)
+    result = command(
+        file, "-n", 6, "--allow-import", "--set", "protocol.kind=wrong_in_explain:sometimes", *["--json"] * as_json
+    )
     assert result.exit_code == 3
     document = json.loads((file.parent / "out/late/explain/explain.json").read_text())
     assert document["runs"] + document["failed"] == 6

@@ -8,6 +8,7 @@ import networkx as nx
 import pytest
 
 from desim import Scenario, load, run
+from desim.grid import Sweep
 from desim.kernel.events import Broadcast, Queued, Sent, Tally
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
 from desim.kernel.graphs import Edge, Edges, Grid, Link, Ring, Star
@@ -20,7 +21,7 @@ from desim.pursuit.events import Started
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.utility import Component
 from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Recording, Sweep, Team
+from desim.scenario import Motion, Recording, Team
 from desim.study.imperfections import (
     IMPERFECTIONS,
     without_faults,

@@ -23,7 +23,7 @@ def exported(out):
 
 def finish(file, out, *options):
     """Let a sweep go on to its end; return what it prints."""
-    made = command("sweep", file, "-o", out, *options)
+    made = command("sweep", file, "--allow-import", "-o", out, *options)
     assert made.exit_code == 0, made.output
     return made.stdout
 
@@ -48,7 +48,7 @@ def test_a_sweep_whose_driver_is_killed_five_times_ends_with_the_table_of_an_unb
     store, counts = out / "sweep.sqlite", [0]
     for life in range(5):
         mark = f"{tmp_path}/{life}"
-        driver = sweeps.start("sweep", file, "-o", out, "-j", 2, mark=mark)
+        driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "-j", 2, mark=mark)
         if life == 0:
             wait_for(store.exists)
         else:
@@ -79,7 +79,7 @@ def interrupted(process, mark):
 def test_a_sweep_that_is_interrupted_says_so_in_a_line_and_goes_on(tmp_path, jobs):
     file = sweeps.write(tmp_path / "in", pause=0.05, reps=30)
     out, mark = tmp_path / "out", str(tmp_path)
-    driver = sweeps.start("sweep", file, "-o", out, "-j", jobs, mark=mark)
+    driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "-j", jobs, mark=mark)
     wait_for(lambda: sweeps.count(out / "sweep.sqlite") >= 5)
     told = interrupted(driver, mark)
     done = sweeps.count(out / "sweep.sqlite")
@@ -95,7 +95,7 @@ def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
     """They are there as soon as there are three processes: the driver and what looks after their semaphores, too."""
     file = sweeps.write(tmp_path / "in", pause=0.05, reps=60)
     mark = str(tmp_path)
-    driver = sweeps.start("sweep", file, "-o", tmp_path / "out", "-j", 2, mark=mark)
+    driver = sweeps.start("sweep", file, "--allow-import", "-o", tmp_path / "out", "-j", 2, mark=mark)
     wait_for(lambda: len(sweeps.marked(mark)) >= 3)
     time.sleep(delay)
     (line,) = interrupted(driver, mark).splitlines()
@@ -106,7 +106,7 @@ def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
 def test_many_runs_of_one_scenario_are_interrupted_in_the_same_way(tmp_path):
     file = sweeps.write(tmp_path / "in", pause=0.1)
     mark = str(tmp_path)
-    driver = sweeps.start("run", file, "-n", 100, "-j", 2, mark=mark)
+    driver = sweeps.start("run", file, "--allow-import", "-n", 100, "-j", 2, mark=mark)
     wait_for(lambda: len(sweeps.marked(mark)) >= 5)
     time.sleep(0.5)
     assert interrupted(driver, mark) == "interrupted\n"
@@ -116,7 +116,7 @@ def test_many_runs_of_one_scenario_are_interrupted_in_the_same_way(tmp_path):
 def test_a_sweep_on_a_cluster_is_interrupted_in_the_same_way(tmp_path, cluster):
     file = sweeps.write(tmp_path / "in", pause=0.05, reps=30)
     out, mark = tmp_path / "out", str(tmp_path)
-    driver = sweeps.start("sweep", file, "-o", out, "--cluster", cluster, mark=mark)
+    driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "--cluster", cluster, mark=mark)
     wait_for(lambda: sweeps.count(out / "sweep.sqlite") >= 5)
     (line,) = interrupted(driver, mark).splitlines()
     assert line.startswith("interrupted: ")

@@ -16,6 +16,7 @@ from desim.scenario import Scenario, Team
 from desim.simulation import run
 from desim.study.result import SHOWN, Group, SweepResult
 from desim.study.store import Row, Store, StoreError
+from tests.command import strict_json
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 TRACE = 'Traceback (most recent call last):\n  File "x.py", line 1\nValueError: no <b> today\n'
@@ -65,13 +66,6 @@ ONE_RUN = SweepResult("one", ("x",), (group({"x": True}, ok(0, captured=False, c
 NOTHING = SweepResult("empty", ("x",), (group({"x": 1}), group({"x": 2})))
 ALL = {"plain": PLAIN, "failing": FAILING, "all failed": ALL_FAILED, "one run": ONE_RUN, "nothing": NOTHING}
 every = pytest.mark.parametrize("result", ALL.values(), ids=ALL)
-
-
-def strict_json(text):
-    def refuse(constant):
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 # Means and differences.

@@ -14,9 +14,10 @@ import pytest
 from desim import run, summary
 from desim import sweep as sweep_of_package
 from desim.analysis.statistics import estimate, paired, runs_needed
+from desim.grid import Sweep
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.scenario import Scenario, Sweep, Team
+from desim.scenario import Scenario, Team
 from desim.scenario_file import read
 from desim.source import ScenarioError
 from desim.study import sweep as module
@@ -318,7 +319,7 @@ def test_a_store_is_not_continued_with_other_code_of_a_rule(tmp_path, monkeypatc
         module_file.write_text(f"def mine(me):\n    return iter(({number},)[1:])\n")
         sys.modules.pop("mine_of_sweep", None)
         importlib.invalidate_caches()
-        return sweep(read(file), reps=1, store=tmp_path / "s.sqlite")
+        return sweep(read(file, allow_import=True), reps=1, store=tmp_path / "s.sqlite")
 
     assert swept(1) == swept(1)
     with pytest.raises(StoreError, match=r"the code of mine_of_sweep:mine was"):

@@ -37,7 +37,7 @@ def command(*args):
 def told_by_a_command(out, *options):
     """Return all that a sweep tells: what it prints, exports and stores."""
     file = sweeps.write(out.parent / "in")
-    made = command("sweep", file, "-o", out, *options)
+    made = command("sweep", file, "--allow-import", "-o", out, *options)
     assert made.exit_code == 0, made.output
     assert command("export", out, out / "runs.csv").exit_code == 0
     return made.stdout, (out / "runs.csv").read_bytes(), sweeps.rows(out / "sweep.sqlite")
@@ -53,12 +53,15 @@ def test_a_sweep_tells_the_same_wherever_it_is_done(tmp_path, cluster):
     assert len(configurations) == 2
     assert len(runs) == len(table.splitlines()) - 1 == 40
     assert len({run[5] for run in runs}) == 40  # no two runs are the same
-    assert command("sweep", tmp_path / "in" / "coins.toml", "-o", tmp_path / "other", "-s", 1).stdout != here[0]
+    assert (
+        command("sweep", tmp_path / "in" / "coins.toml", "--allow-import", "-o", tmp_path / "other", "-s", 1).stdout
+        != here[0]
+    )
 
 
 @pytest.mark.slow
 def test_a_sweep_has_the_same_rows_by_executors_of_one_s_own(tmp_path):
-    scenario = load(sweeps.write(tmp_path / "in", reps=10))
+    scenario = load(sweeps.write(tmp_path / "in", reps=10), allow_import=True)
     here = desim.sweep(scenario)
     with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
         assert desim.sweep(scenario, executor=threads) == here
@@ -139,7 +142,7 @@ def test_what_lies_beside_a_file_travels_and_what_is_installed_does_not(tmp_path
 
 
 def test_strangers_are_found_in_models_lists_and_partial_calls(tmp_path):
-    scenario = load(sweeps.write(tmp_path))
+    scenario = load(sweeps.write(tmp_path), allow_import=True)
     coin = type(scenario.protocol)
 
     def measure(_):
@@ -211,7 +214,7 @@ def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, 
     monkeypatch.setattr(places, "PATIENCE", 1.0)
     address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
     begin = time.monotonic()
-    made = command("sweep", sweeps.write(tmp_path), "-o", tmp_path / "out", "--cluster", address)
+    made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
     assert time.monotonic() - begin < 4.0
     assert made.exit_code == 2
     assert made.stdout == ""
@@ -223,7 +226,7 @@ def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:1", "tcp://127.0.0.1:port", ""])
 def test_a_malformed_address_is_told_of(tmp_path, monkeypatch, address):
     monkeypatch.setattr(places, "PATIENCE", 1.0)
-    made = command("sweep", sweeps.write(tmp_path), "-o", tmp_path / "out", "--cluster", address)
+    made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
     assert made.exit_code == 2
     (line,) = made.stderr.splitlines()
     assert line.startswith(f"{address}: no scheduler answers")
@@ -248,7 +251,7 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
         while not note.exists():
             time.sleep(0.05)
         address = json.loads(note.read_text())["address"]
-        made = command("sweep", file, "-o", out, "--cluster", address)
+        made = command("sweep", file, "--allow-import", "-o", out, "--cluster", address)
         assert (made.exit_code, made.stdout) == (2, "")
         assert made.stderr == f"{address}: has no workers within 2 s\n"
         with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
@@ -261,7 +264,7 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
             killer = threading.Thread(target=kill)
             killer.start()
             monkeypatch.setattr(places, "PATIENCE", 10.0)  # for the worker to start
-            made = command("sweep", file, "-o", out, "--cluster", address)
+            made = command("sweep", file, "--allow-import", "-o", out, "--cluster", address)
             killer.join()
             worker.kill()
     assert (made.exit_code, made.stdout) == (2, "")
@@ -281,7 +284,7 @@ def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
         address = json.loads(note.read_text())["address"]
         with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
             monkeypatch.setattr(places, "PATIENCE", 5.0)
-            made = command("sweep", file, "-o", tmp_path / "out", "--cluster", address)
+            made = command("sweep", file, "--allow-import", "-o", tmp_path / "out", "--cluster", address)
             worker.kill()
         scheduler.kill()
     assert made.exit_code == 2

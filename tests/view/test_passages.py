@@ -9,7 +9,7 @@ from desim.kernel.clock import SECOND
 from desim.kernel.faults import Began, Jamming, Over
 from desim.pursuit.events import Decided
 from desim.view.passages import Chase, Passage, Spell, chasing, news, outages, passages, takeovers
-from desim.view.pursuit import stints
+from desim.view.paths import stints
 from scenarios.study import SCENARIOS
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 

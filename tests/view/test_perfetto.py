@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim import load, run, summary
+from desim import Scenario, load, run, summary
+from desim.scenario import Recording
 from desim.view.passages import chasing, passages
-from desim.view.perfetto import _microseconds, perfetto, trace_events, write
+from desim.view.perfetto import PURSUERS, _microseconds, perfetto, trace_events, write
+from protocols.centralised import Centralised
 from scenarios.study import SCENARIOS
 from tests.view.by_hand import MS, history, pair
 
@@ -318,7 +320,7 @@ def test_of_two_evaders_it_is_told_who_chases_which_and_how_many_do():
 
 def test_what_a_message_says_how_long_it_waited_and_what_became_of_it_is_told():
     found = {(each["ph"], each.get("id")): each.get("args") for each in json.loads(perfetto(history()))["traceEvents"]}
-    assert found["b", "1.0"] == {"bytes": 32, "says": ["token", "inf"], "waited (s)": 0.05}
+    assert found["b", "1.0"] == {"bytes": 32, "says": ["token", "Infinity"], "waited (s)": 0.05}
     assert found["b", "0.1"] == {"bytes": 24, "says": {"active": True}}
     assert found["e", "1.0"] == {"fate": "lost: crash"}
     assert found["e", "3.0"] == {"fate": "in flight"}
@@ -330,6 +332,11 @@ def test_a_nanosecond_is_not_lost():
 
     odd = Decided(123 * MS + 457, 2, False)
     assert next(each["ts"] for each in trace_events(history(odd)) if each["name"] == "decides as before") == 123_000.457
+
+
+def test_where_nobody_sends_a_message_there_are_no_processes_for_them():
+    scenario = Scenario(protocol=Centralised(), horizon=0.1, record=Recording(messages=True))
+    assert {entry["pid"] for entry in trace_events(run(scenario))} == {PURSUERS}
 
 
 def test_without_recorded_messages_the_pursuers_remain():

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 
 from desim import Scenario, load, run
 from desim.analysis.activity import relays
-from desim.analysis.folder import write
+from desim.analysis.age import belief_error
 from desim.analysis.reading import ended, messages, started
-from desim.analysis.word import belief_error
 from desim.cli import main
+from desim.folder import write
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Began, Crash, Jamming, Partition

@@ -4,10 +4,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+TRACE = "trace.jsonl"
+"""The events of a run."""
+STORE = "sweep.sqlite"
+"""The runs of a sweep."""
 PICTURES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; the first two are made if nobody says which."""
 OF_A_RUN = (
-    *("trace.jsonl", "summary.json", "scenario.toml", "run.json"),
+    *(TRACE, "summary.json", "scenario.toml", "run.json"),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "pursuit.gif"),
 )

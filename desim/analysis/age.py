@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.analysis.activity import action, changes
-from desim.analysis.knowledge import Integers, Pieces, knowledge
-from desim.analysis.reading import ended, remembered, started
+from desim.analysis.knowledge import Pieces, knowledge
+from desim.analysis.reading import Floats, Integers, ended, remembered, started
 from desim.kernel.clock import SECOND
 from desim.pursuit.events import Decided
 from desim.simulation import Result
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +148,7 @@ class _Doing:
 
 def _doings(result: Result) -> Iterator[_Doing]:
     """Yield what each pursuer did."""
-    actions = [[(0, int(active))] for active in started(result).active]
+    actions = [[(0, active)] for active in started(result).active]
     for change in changes(result):
         actions[change.pursuer].append((change.t, action(change)))
     options = np.arange(len(started(result).evaders) + 1)[:, None]

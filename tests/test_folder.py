@@ -8,10 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from desim import provenance
-from desim.analysis.folder import can_plot, events, read, simulate, simulate_below, write, write_below
 from desim.analysis.metrics import plain, summary
 from desim.cli import main
+from desim.folder import can_plot, events, read, simulate, simulate_below, write, write_below
 from desim.kernel.events import MESSAGES
+from desim.kernel.trace_file import line_of
 from desim.pursuit.events import Captured
 from desim.scenario import Recording, Scenario, Team
 from desim.scenario_file import dump, load
@@ -43,7 +44,7 @@ def test_the_numbers_in_the_folder_are_those_of_the_summary(result, tmp_path):
 
 def test_the_trace_in_the_folder_is_that_of_the_run(result, tmp_path):
     write(result, tmp_path)
-    assert (tmp_path / "trace.jsonl").read_bytes() == "".join(result.trace.lines()).encode()
+    assert (tmp_path / "trace.jsonl").read_bytes() == "".join(map(line_of, result.trace)).encode()
 
 
 def test_the_scenario_in_the_folder_has_the_seed_of_the_run(result, tmp_path):
@@ -122,7 +123,7 @@ FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring"
 @pytest.mark.parametrize(("name", "evaders"), [*((name, 1) for name in FILES), ("relay", 3), ("reckoning", 3)])
 def test_a_run_that_was_written_is_read_again(name, evaders, tmp_path):
     """The same events, and the same numbers from them: beliefs too, which come from what was relayed."""
-    file = Path(__file__).parents[2] / "scenarios" / f"{name}.toml"
+    file = Path(__file__).parent.parent / "scenarios" / f"{name}.toml"
     pack = [f"evader.count={evaders}", "evader.box=[1, 19]", "team.speeds=4.0"] if evaders > 1 else []
     result = run(load(file, ["horizon=1.5", "record.messages=true", *pack]), seed=8)
     assert bool(result.trace.of(Captured)) == (evaders > 1)
@@ -145,7 +146,7 @@ def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_th
     assert not [event for event in result.trace if isinstance(event, MESSAGES)]
     write(result, tmp_path / "a", simulated_there=True)
     whole = run(WITH_MESSAGES, 5).trace
-    assert (tmp_path / "a" / "trace.jsonl").read_bytes() == "".join(whole.lines()).encode()
+    assert (tmp_path / "a" / "trace.jsonl").read_bytes() == "".join(map(line_of, whole)).encode()
     assert list(events(tmp_path / "a")) == whole.events
     assert names(tmp_path / "a") == DATA | PICTURES
 

@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from desim.grid import Sweep
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.scenario import Scenario, Sweep, Team
+from desim.scenario import Scenario, Team
 from desim.scenario_file import load, read
 from desim.source import ScenarioError, Source
-from desim.study import cells as module
-from desim.study.cells import cells, label
+from desim.study import configurations as module
+from desim.study.configurations import cells, label
 from desim.study.identity import code, identity
 from desim.value import Value
 from protocols.best_response import BestResponse
@@ -405,7 +406,7 @@ def other_process(folder: Path, seed: int, kind: str = "mine_of_cells:Mine") -> 
     path.write_text(f'{BASE}protocol = {{ kind = "{kind}" }}\n')
     script = (
         "import sys; from desim.scenario_file import load; from desim.study.identity import identity;"
-        "print(identity(load(sys.argv[1])))"
+        "print(identity(load(sys.argv[1], allow_import=True)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(path)],

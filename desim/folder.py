@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Container, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,15 +11,15 @@ from pydantic import TypeAdapter
 
 from desim import provenance
 from desim.analysis.metrics import Summary, plain, summary
-from desim.analysis.names import OF_A_RUN
-from desim.kernel.events import MESSAGES, Event, Kinds, Tally, Trace, TraceFile, events_of
+from desim.guards import fresh
+from desim.kernel.events import MESSAGES, Event, Tally, Trace
 from desim.kernel.faults import FAULTS, Began, Over
+from desim.kernel.trace_file import Kinds, TraceFile, events_of
+from desim.names import OF_A_RUN, TRACE
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.scenario import Scenario
 from desim.scenario_file import dump, validate
 from desim.simulation import Result, run
-
-TRACE = "trace.jsonl"
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
@@ -26,8 +27,11 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
     if scenario.record.messages != "file":
         return run(scenario, seed)
     folder.mkdir(parents=True, exist_ok=True)
+    fresh(folder / f"{TRACE}.part")
     with TraceFile(folder / TRACE) as trace:
-        return run(scenario, seed, trace)
+        result = run(scenario, seed, trace)
+        clear(folder)  # before the trace has its name, or it might be read with the run.json of another run
+        return result
 
 
 def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
@@ -41,7 +45,8 @@ def write(
     """Write a run to a folder and return its numbers.
 
     trace.jsonl, summary.json, scenario.toml and run.json; trajectory.svg and .png if positions were recorded and
-    matplotlib (the extra `plot`) is installed. What is there of another run is removed: see `clear`.
+    matplotlib (the extra `plot`) is installed. What is there of another run is removed: see `clear`. run.json comes
+    last: where it is, all is, also if the program was killed.
 
     Args:
         result: of the run.
@@ -54,17 +59,19 @@ def write(
     is_there = simulated_there and result.scenario.record.messages == "file"
     clear(folder, {TRACE} if is_there else ())
     if not is_there:
-        result.trace.write(folder / TRACE)
+        with TraceFile(folder / TRACE) as file:
+            for event in result.trace:
+                file(event)
     (folder / "summary.json").write_text(json.dumps(plain(numbers), indent=2) + "\n", encoding="utf-8")
     resolved = result.scenario.model_copy(update={"seed": result.seed})
     (folder / "scenario.toml").write_text(dump(resolved), encoding="utf-8")
     if made is None:
         made = provenance.document(provenance.RUN, resolved, seed=result.seed)
-    provenance.write(folder, provenance.of_one(made, result.seed))
     if can_plot() and result.trace.of(Sampled):
         from desim.analysis.plots import save, trajectory
 
         save(trajectory(result), folder / "trajectory")
+    provenance.write(folder, provenance.of_one(made, result.seed))
     return numbers
 
 
@@ -87,11 +94,15 @@ def write_below(
 
 
 def _below(parent: Path, seed: int) -> Path:
-    return parent / f"seed-{seed}"
+    return fresh(parent / f"seed-{seed}")
 
 
-def read(folder: Path) -> Result:
-    """Return the run that was written to a folder, from its run.json and its trace; see `Trace.read` for bodies.
+def read(folder: Path, *, allow_import: bool = False) -> Result:
+    """Return the run that was written to a folder, from its run.json and its trace; see `events_of` for bodies.
+
+    Args:
+        folder: of the run.
+        allow_import: whether it may name code to be run; see `desim.load`.
 
     Raises:
         ValueError: if one of the two is not what `write` wrote, or names a model that nobody can import, or if the two
@@ -99,12 +110,12 @@ def read(folder: Path) -> Result:
         OSError: if it cannot be read.
     """
     trace = Trace()
-    trace.events += events(folder)
+    trace.events += events(folder, allow_import=allow_import)
     if not trace.events or not isinstance(trace.events[-1], Ended):
         raise ValueError(f"{folder / TRACE}: is not of a whole run: its last event should be Ended")
     path = folder / provenance.FILE
     made = provenance.read(path)
-    source = provenance.source(path, made)
+    source = provenance.source(path, made, allow_import=allow_import)
     if made["runs"] != 1:
         raise ValueError(f"{path}: is of {made['runs']} runs, and not of that in {TRACE}")
     result = Result(validate(source), made["seed"], trace)
@@ -123,8 +134,8 @@ def _begins(result: Result) -> bool:
     return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
 
 
-def events(folder: Path) -> Iterator[Event]:
-    """Yield the events of the run in a folder, one by one, so that a long trace need not fit in memory.
+def events(folder: Path, *, allow_import: bool = False) -> Iterator[Event]:
+    """Yield the events of the run in a folder, one by one, so that a long trace need not fit in memory; see `read`.
 
     Raises:
         ValueError: if its trace is not what `write` wrote.
@@ -132,19 +143,20 @@ def events(folder: Path) -> Iterator[Event]:
     """
     with (folder / TRACE).open(encoding="utf-8") as lines:
         try:
-            yield from events_of(lines, kinds())
+            yield from events_of(lines, kinds(allow_import=allow_import))
         except ValueError as error:
             raise ValueError(f"{folder / TRACE}: {error}") from error
 
 
-def kinds() -> Kinds:
-    """Return what makes each kind of event of its fields, by its name."""
-    fault: TypeAdapter[Any] = TypeAdapter(Annotated[Any, FAULTS])
+def kinds(*, allow_import: bool = False) -> Kinds:
+    """Return what makes each kind of event of its fields, by its name; see `read`."""
+    adapter: TypeAdapter[Any] = TypeAdapter(Annotated[Any, FAULTS])
+    fault = partial(adapter.validate_python, context={"allow_import": allow_import})
     made: list[type[Any]] = [Started, Decided, Halted, Sampled, Captured, Ended, *MESSAGES, Tally]
     return {
         **{kind.__name__: kind for kind in made},
-        "Began": lambda **fields: Began(**fields | {"fault": fault.validate_python(fields["fault"])}),
-        "Over": lambda **fields: Over(**fields | {"fault": fault.validate_python(fields["fault"])}),
+        "Began": lambda **fields: Began(**fields | {"fault": fault(fields["fault"])}),
+        "Over": lambda **fields: Over(**fields | {"fault": fault(fields["fault"])}),
     }
 
 

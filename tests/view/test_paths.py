@@ -5,7 +5,7 @@ import pytest
 
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.pursuit import Look, Paths, draw_pursuit, label_takeovers
+from desim.view.paths import Look, Paths, draw_pursuit, label_takeovers
 from tests.view.by_hand import MS, history, pair
 
 

@@ -4,24 +4,17 @@ Of several evaders each has a number, a mark and a hue, which who chases it has,
 """
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.patheffects import withStroke
 
 from desim.analysis.activity import Hunt, hunts
 from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, place
-from desim.analysis.reading import captures
-from desim.pursuit.events import Sampled
+from desim.analysis.reading import Floats, Integers, captures, sampled
 from desim.simulation import Result
 from desim.view.labels import label_points
 from desim.view.passages import Takeover, takeovers
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-
 
 HUES = (BLUE, GREEN, PURPLE)
 """Of who chases which of several evaders."""
@@ -96,9 +89,7 @@ class Paths:
     """
 
     def __init__(self, result: Result):
-        samples = result.trace.of(Sampled)
-        if not samples:
-            raise ValueError("no positions were recorded: set record.trajectory to a time greater than 0 s")
+        samples = sampled(result)
         self.t = np.array([sample.t for sample in samples])
         self.evaders = np.array([sample.evaders for sample in samples])
         """(samples, M, 2) m"""
@@ -110,15 +101,15 @@ class Paths:
         """Number of evaders M."""
         return len(self.evaders[0])
 
-    def of(self, pursuer: int, begin: int, end: int) -> "Floats":
+    def of(self, pursuer: int, begin: int, end: int) -> Floats:
         """Return the (k, 2) path of a pursuer between two times, ns."""
         return self._between(self.pursuers[:, pursuer], begin, end)
 
-    def of_evader(self, evader: int, begin: int, end: int) -> "Floats":
+    def of_evader(self, evader: int, begin: int, end: int) -> Floats:
         """Return the (k, 2) path of an evader, 1 .. M, between two times, ns."""
         return self._between(self.evaders[:, evader - 1], begin, end)
 
-    def at(self, pursuer: int, times: "NDArray[np.int64]") -> "Floats":
+    def at(self, pursuer: int, times: Integers) -> Floats:
         """Return the (k, 2) places of a pursuer at (k,) times, ns."""
         return self._along(self.pursuers[:, pursuer], times)
 
@@ -127,11 +118,11 @@ class Paths:
         x, y = self.at(takeover.pursuer, np.array([takeover.t]))[0].tolist()
         return x, y
 
-    def _between(self, known: "Floats", begin: int, end: int) -> "Floats":
+    def _between(self, known: Floats, begin: int, end: int) -> Floats:
         inside = self.t[(begin < self.t) & (self.t < end)]
         return self._along(known, np.concatenate([[begin], inside, [end]]))
 
-    def _along(self, known: "Floats", times: "NDArray[np.int64]") -> "Floats":
+    def _along(self, known: Floats, times: Integers) -> Floats:
         return np.stack([np.interp(times, self.t, known[:, axis]) for axis in (0, 1)], axis=1)
 
 

@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import protocols
-from desim.analysis.knowledge import knowledge
-from desim.analysis.metrics import summary
-from desim.analysis.word import (
+from desim.analysis.age import (
     age_at_decision,
     age_mean,
     age_peak,
@@ -23,6 +21,8 @@ from desim.analysis.word import (
     believed_leaders,
     over_pairs,
 )
+from desim.analysis.knowledge import knowledge
+from desim.analysis.metrics import summary
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.faults import ClockSkew, Crash, Over, RandomCrashes

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from desim.analysis.names import PICTURES, files
+from desim.names import PICTURES, files
 
 USUAL = (".svg", ".png")
 

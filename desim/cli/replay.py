@@ -1,0 +1,38 @@
+"""`desim replay`: a page that plays a run."""
+
+from pathlib import Path
+
+import click
+
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, page_at, put, refuse, say
+from desim.cli.recorded import SOURCE, result_of
+
+
+@click.command()
+@SOURCE
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), help="The page; default: replay.html in DIR, or FILE as .html here."
+)
+@SEED
+@ALLOW_IMPORT
+@SET
+def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
+    """Make a page that plays a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
+    from desim.analysis.reading import messages, started
+    from desim.kernel.clock import seconds
+    from desim.view.replay import lacks
+    from desim.view.replay import replay as page_of
+
+    path = page_at(out, source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
+    result = result_of(source, seed, overrides)
+    try:
+        for each in lacks(result):
+            say(f"warning: {each}", err=True)
+        page = page_of(result).encode()
+    except ModuleNotFoundError as error:
+        refuse(f"a replay needs {error.name}: pip install 'pursuit-desim[plot]'")
+    except ValueError as error:
+        refuse(str(error))
+    put(page, path)
+    size, tally = len(started(result).active), messages(result)
+    say(f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB")

@@ -1,0 +1,28 @@
+"""The command, called in the process of a test, and what it prints."""
+
+import json
+
+from click.testing import CliRunner, Result
+
+from desim.cli import main
+
+
+def desim(*args: object) -> Result:
+    """Call the command in this process; an exception that it lets through fails the test."""
+    return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
+
+
+def accepted(*args: object) -> Result:
+    """Call the command, and see that it takes what it is given."""
+    result = desim(*args)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def strict_json(text: str):
+    """Parse JSON and nothing else: the Infinity and NaN that Python also reads are errors."""
+
+    def refuse(constant: str):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)

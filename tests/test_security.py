@@ -1,0 +1,711 @@
+"""What strangers send may be read: files, graphs, folders, stores and names run no code and write nothing elsewhere."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import click
+import pytest
+from click.testing import CliRunner
+
+import desim
+from desim import Scenario, value
+from desim import folder as folders
+from desim.analysis.plots import save, trajectory
+from desim.cli import main
+from desim.guards import fresh, visible
+from desim.kernel.latency import Empirical
+from desim.kernel.links import Links
+from desim.scenario_file import read
+from desim.simulation import run
+from desim.source import ScenarioError
+from desim.study.explain import explain
+from desim.study.pictures import waterfall
+from desim.study.store import Store, StoreError
+from desim.study.sweep import sweep
+
+ROOT = Path(__file__).parent.parent
+SHORT = "horizon = 0.1\nteam.count = 2\n"
+EVIL = """
+from pathlib import Path
+from typing import Annotated, Any
+
+from desim.kernel.latency import LATENCIES
+from desim.value import Value
+
+Path({mark!r}).touch()
+
+
+class Caught:
+    def __init__(self, **given):
+        Path({mark!r}).touch()
+
+
+class Twice(Value):
+    of: Annotated[Any, LATENCIES]
+
+    def __call__(self, hops, rng):
+        return 2 * self.of(hops, rng)
+
+
+def late(hops, rng):
+    return 0.25
+"""
+
+
+@pytest.fixture
+def mark(tmp_path, monkeypatch):
+    """Return a file that is there as soon as the module `evil`, which lies beside scenario files, is imported."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "evil.py").write_text(EVIL.format(mark=str(tmp_path / "mark")))
+    yield tmp_path / "mark"
+    sys.modules.pop("evil", None)
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return a function that writes a scenario file."""
+
+    def write(text: str, name: str = "f.toml") -> Path:
+        (tmp_path / name).write_text(SHORT + text, encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture
+def _no_pictures(monkeypatch):
+    """They take a second."""
+    monkeypatch.setattr(folders, "can_plot", lambda: False)
+
+
+def command(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def refused(*words) -> str:
+    done = command(*words)
+    assert done.exit_code == 2, (done.output, done.exception)
+    assert done.stdout == ""
+    return done.stderr
+
+
+def accepted(*words) -> str:
+    done = command(*words)
+    assert done.exit_code == 0, (done.output, done.exception)
+    return done.stdout
+
+
+# Code that a file names.
+
+CODE = '{ kind = "evil:late" }'
+CAUGHT = '{ kind = "evil:Caught" }'
+POPEN = '{ kind = "subprocess:Popen", args = ["touch", "MARK"] }'
+PLACES = {
+    "protocol": "protocol = {}",
+    "protocol.schedule": 'protocol = {{ kind = "sap", schedule = {} }}',
+    "protocol.tau": 'protocol = {{ kind = "sap", tau = {} }}',
+    "protocol.utility": 'protocol = {{ kind = "sap", utility = {} }}',
+    "network.latency": "network.latency = {}",
+    "network.latency.base": 'network.latency = {{ kind = "per_pair", base = {} }}',
+    "network.loss": "network.loss = {}",
+    "network.reach": "network.reach = {}",
+    "network.graph": "network.graph = {}",
+    "network.medium": "network.medium = {}",
+    "network.link.0.latency": "network.link = [{{ src = 0, dst = 1, latency = {} }}]",
+    "network.graph.edges.0.loss": 'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, loss = {} }}] }}',
+    "evader.strategy": "evader.strategy = {}",
+    "evader.strategy.then": 'evader.strategy = {{ kind = "listener", then = {} }}',
+    "evader.0.strategy": "[[evader]]\nstrategy = {}",
+    "team.guidance": "team.guidance = {}",
+    "announce.spread": "announce.spread = {}",
+    "fault.0": "fault = [{}]",
+    "sweep.grid.network.latency": "[sweep.grid]\nnetwork.latency = [{}]",
+    "sweep.grid.protocol": '[sweep.grid]\nprotocol = [{{ kind = "sap" }}, {{ kind = "sap", tau = {} }}]',
+}
+
+
+@pytest.mark.parametrize(("key", "table"), [*((key, CODE) for key in PLACES), ("network.latency", POPEN)])
+def test_a_file_names_no_code_with_file_line_key_and_what_to_do(mark, written, key, table):
+    file = written(PLACES[key].format(table.replace("MARK", str(mark))))
+    before = [*sys.path]
+    said = refused("check", file)
+    kind = "" if key.startswith("sweep.grid") else ".kind"
+    assert said.startswith(f"{file}:{4 if '[' in PLACES[key][:2] else 3}: {key}{kind}: ")
+    assert "names code to be run" in said
+    assert "--allow-import" in said
+    assert kind == "" or "; allowed without: " in said
+    assert not mark.exists()
+    assert "evil" not in sys.modules
+    assert sys.path == before
+
+
+def test_no_key_of_a_scenario_that_takes_models_is_missing_above():
+    """A key of the defaults that holds a model is refused above, or is one that holds the same models."""
+    known = {key.split(".")[-1] for key in PLACES}
+    found = {key for key, inner in _tables(Scenario().model_dump()) if "kind" in inner}
+    assert {key.split(".")[-1] for key in found} <= known | {"cooling"}
+
+
+def _tables(node, above=""):
+    for key, each in node.items():
+        if isinstance(each, dict):
+            yield f"{above}{key}", each
+            yield from _tables(each, f"{above}{key}.")
+
+
+COMMANDS = [
+    *(["run"], ["sweep", "--dry-run"], ["explain", "-n", "2"], ["replay"]),
+    *(["draw", "spacetime"], ["draw", "perfetto"], ["draw", "gif"]),
+]
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_for_no_command_a_file_names_code(mark, written, words):
+    assert "f.toml:3: network.latency.kind: 'evil:late' names code" in refused(
+        *words, written(f"network.latency = {CODE}")
+    )
+    assert not mark.exists()
+
+
+def test_what_is_typed_needs_the_option_too(mark, written):
+    file = written("")
+    said = refused("run", file, "--set", "network.latency.kind=evil:late")
+    assert said.startswith("--set network.latency.kind=evil:late: network.latency.kind: 'evil:late' names code")
+    assert not mark.exists()
+    accepted("run", file, "--set", "network.latency.kind=evil:late", "--allow-import")
+    assert mark.exists()
+
+
+def test_whatever_takes_keys_takes_the_option():
+    def every(group):
+        for each in group.commands.values():
+            yield from every(each) if isinstance(each, click.Group) else [each]
+
+    found = [{option for param in each.params for option in param.opts} for each in every(main)]
+    assert len([each for each in found if "--set" in each]) == 8
+    assert not [each for each in found if ("--set" in each) != ("--allow-import" in each)]
+
+
+@pytest.mark.parametrize("grid", ['network.latency.kind = ["evil:late"]', f"network.latency = [{CODE}]"])
+def test_a_grid_that_was_loaded_is_no_way_round(mark, written, grid):
+    file = written(f"[sweep.grid]\n{grid}")
+    with pytest.raises(ScenarioError, match="names code"):
+        desim.load(file)
+    with pytest.raises(ScenarioError, match="names code"):
+        sweep(read(file), reps=1)
+    assert not mark.exists()
+    assert sweep(read(file, allow_import=True), reps=1).groups[0].rows[0].ok
+    assert sweep(desim.load(file, allow_import=True), reps=1).groups[0].rows[0].ok
+
+
+def test_from_python_code_is_code(mark):
+    """Who writes Python runs code already."""
+    sys.path.append(str(mark.parent))
+    scenario = Scenario(network=Links(latency={"kind": "evil:late"}))
+    assert scenario.network.latency(None, None) == 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_no_pictures")
+def test_with_the_option_a_file_names_code_everywhere(mark, written, tmp_path):
+    file = written(f'network.latency = {CODE}\n[sweep.grid]\n"network.latency" = [{CODE}, {{ kind = "constant" }}]')
+    accepted("check", "--allow-import", file)
+    accepted("run", "--allow-import", file, "-n", 2, "-o", tmp_path / "runs")
+    one = tmp_path / "runs" / "seed-0"
+    for words in (["run", "--from", one / "run.json"], ["replay", one], ["draw", "perfetto", one]):
+        assert f"{one / 'run.json'}: network.latency.kind: 'evil:late' names code" in refused(*words)
+        accepted(*words, "--allow-import")
+    for _ in range(2):  # the second goes on with the first
+        accepted("sweep", "--allow-import", file, "-n", 1, "-o", tmp_path / "swept")
+    accepted("explain", "--allow-import", file, "-n", 2, "-o", tmp_path / "explained")
+    accepted("report", tmp_path / "swept")
+
+
+@pytest.mark.parametrize(("key", "table"), [*((key, CAUGHT) for key in PLACES), ("network.latency", POPEN)])
+def test_with_the_option_nothing_is_called_that_is_no_model(mark, written, key, table):
+    """A class whose instances cannot be called is refused before one is made; a module is run, as was asked."""
+    file = written(PLACES[key].format(table.replace("MARK", str(mark))))
+    sys.modules.pop("evil", None)
+    sys.path.append(str(mark.parent))
+    __import__("evil")
+    mark.unlink()
+    assert "is no model: its instances cannot be called" in refused("check", file, "--allow-import")
+    assert not mark.exists()
+
+
+def test_with_the_option_a_class_is_not_made_that_is_called_with_something_else(mark, written):
+    (mark.parent / "evil.py").write_text(
+        EVIL.format(mark=str(mark)) + "\n    ...\n\nclass Other(Caught):\n    def __call__(self, one, two): ...\n"
+    )
+    file = written('protocol = { kind = "evil:Other" }')
+    sys.path.append(str(mark.parent))
+    __import__("evil")
+    mark.unlink()
+    assert "should be called with (me)" in refused("check", file, "--allow-import")
+    assert not mark.exists()
+
+
+def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_path, monkeypatch):
+    """A distribution says so in a group `desim.*`; its other names need the option."""
+    about = tmp_path / "site" / "evil-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: evil\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[desim.models]\nlate = evil:late\ntwice = evil:Twice\n[others]\ncaught = evil:Caught\n"
+    )
+    (tmp_path / "evil.py").rename(tmp_path / "site" / "evil.py")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    value._named_by_entry_points.cache_clear()
+    try:
+        assert "names code" in refused("check", written('network.latency = { kind = "evil:Caught" }'))
+        assert not mark.exists()
+        accepted("check", written(f"network.latency = {CODE}"))
+        mark.unlink()
+        for inner, why in ((CAUGHT, "names code"), ('{ kind = "empirical", file = "../d.txt" }', "leads out")):
+            assert why in refused("check", written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}'))
+        assert not mark.exists()
+    finally:
+        value._named_by_entry_points.cache_clear()
+
+
+def test_what_code_is_given_may_lie_beside_the_file(mark, written, tmp_path):
+    (tmp_path / "d.txt").write_text("0.125")
+    inner = '{ kind = "empirical", file = "d.txt" }'
+    file = written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}')
+    assert desim.load(file, allow_import=True).network.latency.of.values == (0.125,)
+    assert mark.exists()
+
+
+# Code that a folder, a store or a graph names.
+
+
+@pytest.fixture
+def ran(written, tmp_path, _no_pictures):
+    """Return the folder of a run with a crash."""
+    words = ["--set", "record.messages=true", "-o", tmp_path / "ran"]
+    accepted("run", written('fault = [{ kind = "crash", node = 0, at = 0.02, until = 0.05 }]'), *words)
+    return tmp_path / "ran"
+
+
+def changed(path: Path, change) -> None:
+    made = json.loads(path.read_text())
+    change(made)
+    path.write_text(json.dumps(made))
+
+
+def test_a_run_json_names_no_code(mark, ran):
+    (ran / "evil.py").write_text((ran.parent / "evil.py").read_text())
+    changed(ran / "run.json", lambda made: made["scenario"]["network"].update(latency={"kind": "evil:late"}))
+    for words in (["run", "--from", ran / "run.json"], ["replay", ran], ["draw", "spacetime", ran]):
+        assert f"{ran / 'run.json'}: network.latency.kind: 'evil:late' names code" in refused(*words)
+    with pytest.raises(ScenarioError, match="names code"):
+        folders.read(ran)
+    assert not mark.exists()
+
+
+def test_a_trace_names_no_code(mark, ran, monkeypatch):
+    monkeypatch.syspath_prepend(mark.parent)
+    text = (ran / "trace.jsonl").read_text()
+    lines = [json.loads(line) for line in text.splitlines()]
+    for line in lines:
+        if line["event"] == "Began":
+            line["fault"] = {"kind": "evil:late"}
+    (ran / "trace.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert "'evil:late' names code" in refused("replay", ran)
+    with pytest.raises(ValueError, match="names code"):
+        list(folders.events(ran))
+    assert not mark.exists()
+
+
+def test_a_graph_names_no_code(mark, written, tmp_path):
+    graph = {"nodes": [{"id": 0}, {"id": 1}], "edges": [{"source": 0, "target": 1, "latency": {"kind": "evil:late"}}]}
+    (tmp_path / "g.json").write_text(json.dumps(graph | {"directed": False, "multigraph": False, "graph": {}}))
+    file = written('network.graph = { kind = "edges", file = "g.json" }')
+    said = refused("check", file)
+    assert said.startswith(f"{file}:3: network.graph.edges.0.latency.kind: 'evil:late' names code")
+    assert not mark.exists()
+    accepted("check", file, "--allow-import")
+
+
+@pytest.mark.slow
+def test_workers_import_nothing_from_the_folder_in_which_a_command_is_given(tmp_path):
+    """Python looks there first for `-c` and `-m`, by which workers and their trackers are started."""
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "command.py").write_text("from desim.cli import main\n\nmain()\n")
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "f.toml").write_text(SHORT)
+    for name in ("cloudpickle", "json", "loky", "multiprocessing", "pickle"):
+        (home / f"{name}.py").write_text(f"open({str(tmp_path / 'mark')!r}, 'w')\nraise SystemExit\n")
+    done = subprocess.run(
+        [sys.executable, tmp_path / "bin" / "command.py", "run", "f.toml", "-n", "2", "-j", "2"],
+        cwd=home,
+        env={key: each for key, each in os.environ.items() if key != "PYTHONSAFEPATH"} | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "wall time" in done.stdout
+    assert not (tmp_path / "mark").exists()
+
+
+CALLS = {
+    *(
+        "eval",
+        "exec",
+        "compile",
+        "__import__",
+        "import_module",
+        "run_path",
+        "run_module",
+        "system",
+        "popen",
+        "find_class",
+    ),
+    *("load", "loads", "Unpickler", "load_module", "exec_module", "open_code", "read_gpickle", "read_pickle", "shelve"),
+    *("literal_eval", "frombuffer", "fromfile", "memmap", "unsafe_load", "full_load", "enable_load_extension"),
+}
+"""Names of what may make code of data."""
+HARMLESS = {"json.loads", "tomllib.loads", "re.compile", "platform.system"}
+ALLOWED = {
+    "desim/__init__.py": {"import_module"},  # of its own modules
+    "desim/value.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
+    "desim/study/shipping.py": {"pickle.loads"},  # what the driver sent to its workers
+    "desim/study/workers.py": {"pickle.loads"},  # what they sent back
+    "desim/study/driver.py": {"pickle.loads"},  # what it has just pickled
+}
+
+
+def _calls(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            if name.split(".")[-1] in CALLS and name not in HARMLESS:
+                yield name
+        if isinstance(node, ast.keyword) and node.arg in {"allow_pickle", "shell"}:
+            yield node.arg
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = {node.module} if isinstance(node, ast.ImportFrom) else {each.name for each in node.names}
+            yield from names & {"shelve", "marshal", "dill", "joblib", "yaml", "dbm"}
+
+
+def _known(name: str, file: str) -> bool:
+    return name in ALLOWED.get(file, set()) or (file == "desim/value.py" and name.endswith(".load"))
+
+
+@pytest.mark.parametrize("package", ["desim", "protocols"])
+def test_nothing_makes_code_of_what_is_on_a_disk(package):
+    """No pickle is read from a file, and nothing evaluated: what may do so is named above, with what it reads."""
+    found = {}
+    for path in sorted((ROOT / package).rglob("*.py")):
+        file = path.relative_to(ROOT).as_posix()
+        if names := {name for name in _calls(ast.parse(path.read_text())) if not _known(name, file)}:
+            found[file] = names
+    assert found == {}
+
+
+def test_the_search_would_find_some():
+    program = "import shelve\npickle.load(f)\nnp.load(f, allow_pickle=True)\neval('1')\nrun(shell=True)\njson.loads(x)"
+    assert {*_calls(ast.parse(program))} == {"shelve", "pickle.load", "np.load", "allow_pickle", "eval", "shell"}
+
+
+# Files that a scenario names.
+
+GRAPHML = """<?xml version="1.0"?>{}
+<graphml xmlns="http://graphml.graphdrawing.org/xmlns">
+<graph edgedefault="undirected"><node id="0"/><node id="{}"/><edge source="0" target="1"/></graph></graphml>"""
+LAUGHS = "".join(f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' for k in range(1, 12))
+DOCTYPES = {
+    "laughs": f'<!DOCTYPE x [<!ENTITY l0 "ha">{LAUGHS}]>',
+    "external": '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]>',
+    "elsewhere": '<!DOCTYPE x SYSTEM "http://192.0.2.1/x.dtd">',
+    "defaults": f'<!DOCTYPE x [<!ATTLIST node more CDATA "{"x" * 1000}">]>',
+}
+
+
+@pytest.mark.parametrize("name", DOCTYPES)
+def test_a_graph_declares_no_document_type(written, tmp_path, name):
+    graph = tmp_path / "g.graphml"
+    entity = {"laughs": "&l11;", "external": "&e;"}.get(name, "1")
+    graph.write_text(GRAPHML.format(DOCTYPES[name], entity))
+    said = refused("check", written('network.graph = { kind = "edges", file = "g.graphml" }'))
+    assert "f.toml:3: network.graph: " in said
+    assert f"{graph} is not a graph" in said
+    assert "it should declare no document type" in said
+    assert len(said) < 1000
+    graph.write_text(GRAPHML.format("", "1"))
+    accepted("check", written('network.graph = { kind = "edges", file = "g.graphml" }'))
+
+
+def test_a_graph_with_too_many_nodes_is_told_in_a_line(written, tmp_path):
+    nodes = [{"id": f"{k}{'x' * 100}"} for k in range(10_000)]
+    (tmp_path / "g.json").write_text(json.dumps({"nodes": nodes, "edges": []}))
+    said = refused("check", written('network.graph = { kind = "edges", file = "g.json" }'))
+    assert "the nodes of the graph should be 0 .. 9999" in said
+    assert len(said) < 1000
+
+
+NESTED = {
+    "graph": ("g.json", "[" * 100_000, 'network.graph = { kind = "edges", file = "g.json" }', "is not a graph"),
+    "scenario": ("g.txt", "", "x = " + "[" * 100_000 + "]" * 100_000, "not TOML"),
+    "number": ("g.txt", "", "x = " + "1" * 5_000, "not TOML"),
+}
+
+
+@pytest.mark.parametrize("name", NESTED)
+def test_what_is_too_deep_or_too_long_is_refused(written, tmp_path, name):
+    file, content, text, why = NESTED[name]
+    (tmp_path / file).write_text(content)
+    said = refused("check", written(text))
+    assert "f.toml:" in said
+    assert why in said
+
+
+def test_a_trace_that_is_too_deep_is_refused(ran):
+    with (ran / "trace.jsonl").open("a") as lines:
+        lines.write("[" * 100_000 + "\n")
+    assert f"{ran / 'trace.jsonl'}: line " in refused("replay", ran)
+
+
+@pytest.mark.parametrize("path", ["../delays.txt", "ABSOLUTE", "in/../../delays.txt", "link.txt", "loop"])
+def test_a_file_lies_in_the_folder_of_the_scenario_that_names_it(tmp_path, path):
+    home = tmp_path / "home"
+    (home / "in").mkdir(parents=True)
+    (tmp_path / "delays.txt").write_text("0.125")
+    (home / "link.txt").symlink_to(tmp_path / "delays.txt")
+    (home / "loop").symlink_to(home / "loop")
+    named = path.replace("ABSOLUTE", str(tmp_path / "delays.txt"))
+    file = home / "f.toml"
+    file.write_text(f'{SHORT}network.latency = {{ kind = "empirical", file = "{named}" }}')
+    said = refused("check", file)
+    assert said.startswith(f"{file}:3: network.latency: {named} ")
+    if path == "loop":
+        return
+    assert "leads out of the folder" in said
+    assert "--allow-import" in said
+    assert desim.load(file, allow_import=True).network.latency.values == (0.125,)
+
+
+def test_a_file_may_lie_deeper_or_beside_and_anywhere_from_python(tmp_path, monkeypatch):
+    (tmp_path / "home" / "in").mkdir(parents=True)
+    for place in ("home/in/d.txt", "home/d.txt", "d.txt"):
+        (tmp_path / place).write_text("0.125")
+    file = tmp_path / "home" / "f.toml"
+    for named in ("in/d.txt", "d.txt", "in/../d.txt", str(tmp_path / "home" / "d.txt")):
+        file.write_text(f'{SHORT}network.latency = {{ kind = "empirical", file = "{named}" }}')
+        accepted("check", file)
+    monkeypatch.chdir(tmp_path / "home")
+    accepted("check", "f.toml")
+    assert Empirical(file="../d.txt").values == Empirical(file=str(tmp_path / "d.txt")).values == (0.125,)
+
+
+def test_a_graph_lies_there_too(tmp_path):
+    (tmp_path / "g.graphml").write_text(GRAPHML.format("", "1"))
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "f.toml").write_text(
+        'network.graph = { kind = "edges", file = "../g.graphml" }\nteam.count = 2'
+    )
+    assert "leads out of the folder" in refused("check", tmp_path / "home" / "f.toml")
+
+
+def test_a_run_json_does_not_choose_the_folder_of_its_files(ran, tmp_path):
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "d.txt").write_text("0.125")
+
+    def point(made):
+        made["folder"] = str(tmp_path / "secret")
+        made["scenario"]["network"]["latency"] = {"kind": "empirical", "file": "d.txt"}
+
+    changed(ran / "run.json", point)
+    assert "d.txt cannot be read" in refused("run", "--from", ran / "run.json")
+
+
+# Where results go.
+
+
+@pytest.fixture
+def precious(tmp_path):
+    """Return a file that nobody asked to be changed, and a function that puts a link to it in a stranger's folder."""
+    (tmp_path / "precious").write_text("mine")
+    yield tmp_path / "precious"
+    assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
+    names = ("replay.html", "trace.perfetto.json", "spacetime.svg", "spacetime.png", "pursuit.gif")
+    for name in names:
+        (ran / name).symlink_to(precious)
+    for words in (["replay"], ["draw", "perfetto"], ["draw", "spacetime"], ["draw", "gif"]):
+        accepted(*words, ran)
+    assert not [name for name in names if (ran / name).is_symlink()]
+
+
+@pytest.mark.parametrize("options", [[], ["-n", "2"]])
+def test_a_link_in_a_folder_that_is_written_to_is_replaced(written, precious, tmp_path, options):
+    out, home = tmp_path / "out", tmp_path / "home"
+    inside = out / "seed-0" if options else out
+    inside.mkdir(parents=True)
+    home.mkdir()
+    (home / "trace.jsonl").symlink_to(precious)
+    names = ("trace.jsonl", "trace.jsonl.part", "summary.json", "scenario.toml", "run.json", "trajectory.svg")
+    for name in names:
+        (inside / name).symlink_to(precious)
+    (out / ".writable").symlink_to(tmp_path / "made")
+    if options:
+        (out / "run.json").symlink_to(precious)
+        (out / "seed-1").symlink_to(home)
+    accepted("run", written('record.messages = "file"'), "-o", out, *options)
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+    assert not (tmp_path / "made").exists()
+    assert [each.name for each in home.iterdir()] == ["trace.jsonl"]
+
+
+GRID = '[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\n'
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_no_pictures")
+def test_a_link_in_the_folder_of_a_sweep_is_replaced(written, precious, tmp_path):
+    out = tmp_path / "out"
+    (out / "explain").mkdir(parents=True)
+    for name in ("run.json", "sweep.txt", "report.html", "explain/explain.json", "explain/explain.txt"):
+        (out / name).symlink_to(precious)
+    accepted("sweep", written(GRID), "-n", 1, "-o", out)
+    accepted("explain", written(GRID), "-n", 2, "-o", out / "explain")
+    accepted("report", out)
+    assert not [path for path in out.rglob("*") if path.is_symlink()]
+
+
+def test_a_store_is_no_link(written, precious, tmp_path):
+    """To replace it would lose what it leads to, and to follow it would change that."""
+    for target in (precious, tmp_path / "nowhere"):
+        (tmp_path / "sweep.sqlite").symlink_to(target)
+        for words in (
+            ["sweep", written(GRID), "-o", tmp_path],
+            ["report", tmp_path],
+            ["merge", tmp_path, "-o", tmp_path],
+        ):
+            assert f"{tmp_path / 'sweep.sqlite'}: " in refused(*words)
+        with pytest.raises(StoreError, match="is a link"):
+            Store(tmp_path / "sweep.sqlite")
+        assert not (tmp_path / "nowhere").exists()
+        (tmp_path / "sweep.sqlite").unlink()
+
+
+def test_a_name_that_is_fresh_is_a_file_s_own(tmp_path):
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    assert fresh(tmp_path / "link") == tmp_path / "link"
+    assert not (tmp_path / "link").is_symlink()
+    assert fresh(tmp_path / "file").read_text() == "kept"
+
+
+# Names that strangers give.
+
+WORST = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202egnp.exe\r\x00$\\frac{$ </script><svg onload=x> ' \" _a"
+TOML = json.dumps(WORST)
+
+
+def harmless(text: str) -> bool:
+    return all(each.isprintable() or each == "\n" for each in text)
+
+
+def test_what_cannot_be_printed_is_escaped_as_toml_and_json_do():
+    assert visible("a\tb\n\u00e9 \u6f22 \U0001f600") == "a\tb\n\u00e9 \u6f22 \U0001f600"
+    assert visible("\x1b[2J\x9b\u202e\r\x00") == "\\u001b[2J\\u009b\\u202e\\u000d\\u0000"
+    assert visible("\U000e0001") == "\\U000e0001"
+    assert json.loads(f'"{visible(WORST[:20])}"') == WORST[:20]
+    assert harmless(visible(WORST).replace("\t", ""))
+
+
+@pytest.mark.usefixtures("_no_pictures")
+def test_a_terminal_is_told_nothing_but_text(written, tmp_path):
+    file = written(f"name = {TOML}\n{GRID}")
+    for words in (
+        ["check"],
+        ["run"],
+        ["run", "-n", 2],
+        ["sweep", "-n", 1],
+        ["explain", "-n", 2],
+        ["sweep", "--dry-run"],
+    ):
+        out = [] if words[0] in {"check", "run"} or "--dry-run" in words else ["-o", tmp_path / words[0]]
+        done = command(*words, file, *out)
+        assert done.exit_code == 0, done.output
+        assert harmless(done.stdout), words
+        assert harmless(done.stderr), words
+    again = tmp_path / "again.toml"
+    again.write_text(accepted("check", file), encoding="utf-8")
+    assert desim.load(again).name == WORST
+
+
+BAD = {
+    "key": f"{TOML} = 1",
+    "table": f"[team.{TOML}]\nx = 1",
+    "value": f"prune = {TOML}",
+    "kind": f"network.latency = {{ kind = {TOML} }}",
+    "code": f"network.latency = {{ kind = {json.dumps('a:' + WORST)} }}",
+    "file": f'network.latency = {{ kind = "empirical", file = {json.dumps(WORST.replace(chr(0), ""))} }}',
+    "grid": f"[sweep.grid]\n{TOML} = [1, 2]",
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_an_error_tells_a_terminal_nothing_but_text(written, name):
+    said = refused("sweep", written(BAD[name]))
+    assert "owned" in said
+    assert harmless(said)
+
+
+def test_a_record_tells_a_terminal_nothing_but_text(ran):
+    changed(ran / "run.json", lambda made: made["versions"].update({WORST: WORST}))
+    done = command("run", "--from", ran / "run.json")
+    assert "owned" in done.stderr
+    assert harmless(done.stderr)
+
+
+def test_no_command_writes_past_the_guard():
+    """All that is told goes through `say`."""
+    for path in (ROOT / "desim" / "cli").glob("*.py"):
+        names = [ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        allowed = 1 if path.name == "options.py" else 0
+        assert names.count("click.echo") == allowed, path
+        assert not {"print", "sys.stdout.write", "sys.stderr.write", "click.secho"} & set(names), path
+
+
+@pytest.mark.slow
+def test_pictures_and_pages_show_the_worst_name_as_it_is(written, tmp_path):
+    """No mathematics, no markup, and SVG that is XML."""
+    file = written(f"name = {TOML}\n{GRID}")
+    result = run(desim.load(file))
+    for path in save(trajectory(result), tmp_path / "trajectory"):
+        assert path.stat().st_size
+    text = "".join(ElementTree.parse(tmp_path / "trajectory.svg").getroot().itertext())
+    assert "$\\frac{$ </script><svg onload=x>" in text
+    accepted("sweep", file, "-n", 2, "-o", tmp_path / "out")
+    ElementTree.parse(tmp_path / "out" / "sweep.svg")
+    accepted("report", tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "<svg onload" not in page
+    assert "</script><svg" not in page
+    accepted("replay", file, "-o", tmp_path / "replay.html")
+    page = (tmp_path / "replay.html").read_text()
+    assert "<svg onload" not in page
+    assert "</script><svg" not in page
+
+
+@pytest.mark.slow
+def test_the_name_of_a_part_is_drawn_as_it_is(tmp_path):
+    found = explain(Scenario(horizon=0.1, network=Links(latency={"kind": "constant", "value": 0.1})), 2)
+    document = found.document()
+    for cost in document["costs"].values():
+        cost["parts"] = {"$\\frac{$\x1b_": next(iter(cost["parts"].values()))}
+    for path in save(waterfall(type(found).of(document | {"name": WORST[:30]})), tmp_path / "explain"):
+        assert path.stat().st_size
+    ElementTree.parse(tmp_path / "explain.svg")

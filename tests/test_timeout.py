@@ -1,0 +1,115 @@
+"""Time-outs: whatever takes too long is ended, and a run then says what each pursuer waits for."""
+
+import time
+from threading import Event
+
+import pytest
+from click.testing import CliRunner
+
+from desim import folder
+from desim.cli import main
+from desim.scenario import Motion, Scenario, Team
+from desim.simulation import run
+from desim.study.sweep import sweep
+from desim.timeout import TimedOut, within
+
+
+def spin(me):
+    """Loop without end at the first turn of pursuer 1; the others sleep, or wait for mail that never comes."""
+    yield me.sleep(0.5)
+    while me.id == 1:
+        pass
+    yield from mail(me)
+
+
+def mail(me):
+    yield me.arrival("never")
+
+
+def endless(me):
+    """Let no time pass."""
+    while True:
+        yield me.sleep(0.0)
+
+
+def scenario(protocol):
+    return Scenario(team=Team(count=3), protocol=protocol, motion=Motion(frozen=True), horizon=9.0)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), 1e300])
+def test_a_limit_is_a_time(limit):
+    with pytest.raises(ValueError, match="should be a time > 0 s"), within(limit):
+        pass
+
+
+def test_what_ends_in_time_is_left_alone():
+    """Also if the time is over in the very moment in which it ends: it hears of that at once, or never."""
+    for _ in range(200):
+        start = time.monotonic()
+        try:
+            with within(0.001):
+                while time.monotonic() - start < 0.001:
+                    pass
+        except TimedOut as error:
+            told = str(error)
+            assert not told or told.startswith("took longer than 0.001 s: ")
+    for _ in range(100_000):
+        pass
+
+
+def test_who_hears_of_it_only_as_it_ends_is_told_what_took_so_long(monkeypatch):
+    """The time is over while it takes leave."""
+
+    class Slow(Event):
+        def set(self):
+            start = time.monotonic()
+            while time.monotonic() - start < 5.0:
+                pass
+            super().set()
+
+    monkeypatch.setattr("desim.timeout.Event", Slow)
+    with pytest.raises(TimedOut, match=r"^took longer than 0.05 s: tests/test_timeout.py:\d+ \(set\)$"), within(0.05):
+        pass
+
+
+def test_a_loop_without_end_is_ended_and_everybody_told_of():
+    """Pursuer 1 never comes back from its turn at 0.5 s; 0 has gone on to wait for mail, 2 has its turn yet to come."""
+    with pytest.raises(TimedOut) as caught, within(0.3):
+        run(scenario(spin))
+    first, *others = str(caught.value).splitlines()
+    assert first.startswith("took longer than 0.3 s: at 0.5 s of simulated time, in tests/test_timeout.py:")
+    assert "(spin); " in first
+    own = [line.strip() for line in others]
+    assert len(own) == 2
+    assert own[0].startswith("pursuer 0: tests/test_timeout.py:")
+    assert own[0].endswith('(mail): yield me.arrival("never")')
+    assert own[1].startswith("pursuer 2: ")
+    assert own[1].endswith("yield me.sleep(0.5), at 0.5 s")
+
+
+def test_a_run_in_which_no_time_passes_is_ended():
+    with pytest.raises(TimedOut, match=r"(?s)at 0 s of simulated time, in .*pursuer 2: "), within(0.3):
+        run(scenario(endless))
+
+
+def test_the_command_ends_with_1_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(folder, "can_plot", lambda: False)  # to find out takes its time
+    file = tmp_path / "long.toml"
+    file.write_text("horizon = 1e9\nevader.speed = 9.0\nteam.count = 2\nrecord.trajectory = 0.0\n")
+    made = CliRunner().invoke(main, ["run", str(file), "--timeout", "1", "-o", str(tmp_path / "out")])
+    assert made.exit_code == 1
+    assert "\n--timeout: took longer than 1 s: at " in made.stderr
+    assert "\n  pursuer 1: " in made.stderr
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("text", ["0", "nan", "soon"])
+def test_the_command_refuses_what_is_no_time(tmp_path, text):
+    made = CliRunner().invoke(main, ["run", str(tmp_path / "x.toml"), "--timeout", text])
+    assert made.exit_code == 2
+    assert "Invalid value for '--timeout'" in made.stderr
+
+
+def test_a_run_of_a_sweep_that_takes_too_long_has_failed_and_the_others_go_on():
+    swept = sweep(scenario(endless), {"horizon": [1e-9, 1.0]}, reps=1, timeout=0.3)
+    assert len(swept.failed) == 2
