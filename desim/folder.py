@@ -97,7 +97,7 @@ def _below(parent: Path, seed: int) -> Path:
     return fresh(parent / f"seed-{seed}")
 
 
-def read(folder: Path, *, allow_import: bool = False) -> Result:
+def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     """Return the run that was written to a folder, from its run.json and its trace; see `events_of` for bodies.
 
     Args:
@@ -109,7 +109,7 @@ def read(folder: Path, *, allow_import: bool = False) -> Result:
             are of different runs.
         OSError: if it cannot be read.
     """
-    trace = Trace()
+    folder, trace = Path(folder), Trace()
     trace.events += events(folder, allow_import=allow_import)
     if not trace.events or not isinstance(trace.events[-1], Ended):
         raise ValueError(f"{folder / TRACE}: is not of a whole run: its last event should be Ended")
@@ -134,18 +134,19 @@ def _begins(result: Result) -> bool:
     return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
 
 
-def events(folder: Path, *, allow_import: bool = False) -> Iterator[Event]:
+def events(folder: str | Path, *, allow_import: bool = False) -> Iterator[Event]:
     """Yield the events of the run in a folder, one by one, so that a long trace need not fit in memory; see `read`.
 
     Raises:
         ValueError: if its trace is not what `write` wrote.
         OSError: if it cannot be read.
     """
-    with (folder / TRACE).open(encoding="utf-8") as lines:
+    file = Path(folder) / TRACE
+    with file.open(encoding="utf-8") as lines:
         try:
             yield from events_of(lines, kinds(allow_import=allow_import))
         except ValueError as error:
-            raise ValueError(f"{folder / TRACE}: {error}") from error
+            raise ValueError(f"{file}: {error}") from error
 
 
 def kinds(*, allow_import: bool = False) -> Kinds:

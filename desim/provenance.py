@@ -96,7 +96,11 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
     text = json.dumps(made, indent=2, allow_nan=False)
     part = fresh(folder / f"{name}.part")
     part.write_text(text + "\n", encoding="utf-8")
-    part.replace(folder / name)
+    try:
+        part.replace(folder / name)
+    except OSError as error:
+        part.unlink()
+        raise OSError(error.errno, error.strerror, str(folder / name)) from error
 
 
 def read(path: Path) -> Document:

@@ -325,7 +325,8 @@ def _load(kind: str, folder: Path | None) -> Any:
     try:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"{kind!r} cannot be imported: {error}") from error
+        where = "" if folder is None else f" beside the file, in {folder.absolute()}"
+        raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:

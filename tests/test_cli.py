@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from desim import provenance
+from desim.kernel.latency import Gamma
 from desim.scenario import PROTOCOLS, Scenario
 from desim.scenario_file import load
 from desim.study import batch
@@ -792,14 +793,15 @@ def test_a_trace_that_cannot_be_written_is_told(file, tmp_path):
 def test_without_recorded_positions_there_is_no_picture(file, tmp_path):
     result = accepted("run", file(LUCK), "--set", "record.trajectory=0", "-o", tmp_path / "out")
     assert names(tmp_path / "out") == FILES[:4]
-    assert result.stderr == ""
+    assert result.stderr == f"wrote {tmp_path / 'out'}\n"
 
 
 def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
     result = accepted("run", file(LUCK), "-o", tmp_path / "out")
     assert names(tmp_path / "out") == FILES[:4]
-    assert result.stderr == "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'\n"
+    warning = "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'"
+    assert result.stderr.splitlines() == [warning, f"wrote {tmp_path / 'out'}"]
 
 
 def test_the_default_scenario_needs_no_key_at_all(file):
@@ -829,20 +831,50 @@ def test_a_folder_that_cannot_be_made_for_one_of_several_runs_is_told(file, tmp_
 
 def test_keys_lists_every_key_of_a_table_with_default_and_unit():
     lines = accepted("keys", "announce").stdout.splitlines()
-    assert lines[0].startswith("    announce: ")
-    assert "        heartbeat = 0.1: Time between two heartbeats of a pursuer, s." in lines
+    assert lines[0].startswith("announce: ")
+    assert "    heartbeat = 0.1: Time between two heartbeats of a pursuer, s." in lines
     assert any(line.strip().startswith("flooding: ") for line in lines)
-    assert not any("latency" in line and line.startswith("    network") for line in lines)
+    assert not any(line.startswith("network") for line in lines)
+
+
+def test_keys_goes_as_deep_as_it_is_asked_to():
+    latency = accepted("keys", "network.latency").stdout.splitlines()
+    assert latency[0].startswith("latency = { kind = 'constant' }: ")
+    gamma = accepted("keys", "network.latency.gamma").stdout.splitlines()
+    assert gamma[0].startswith("gamma: ")
+    assert [line.split()[0] for line in gamma[1:]] == list(Gamma.model_fields)[1:]
+    (shape,) = accepted("keys", "network.latency.gamma.shape").stdout.splitlines()
+    assert shape.startswith("shape = ")
+    assert accepted("keys", "protocol.sap.tau.paper.scale").stdout.startswith("scale = 10.0: ")
+
+
+@pytest.mark.parametrize(
+    ("key", "why"),
+    [
+        ("netwrok", "there is no 'netwrok'; allowed: name, seed, "),
+        ("network.latnecy", "there is no 'latnecy'; allowed: preset, graph, "),
+        ("network.latency.gama", "there is no 'gama' in 'latency'; allowed: constant, "),
+        ("network.range.of", "there is no 'of' in 'range'; allowed: nothing"),
+        ("protocol.kind", "there is no 'kind' in 'protocol'; allowed: "),
+        ("", "there is no ''; allowed: name, "),
+    ],
+)
+def test_keys_that_do_not_exist_are_refused(key, why):
+    (said,) = refused("keys", key)
+    assert said.startswith(why)
+
+
+def test_protocols_lists_one_if_one_is_asked_for():
+    text = accepted("protocols", "local_min").stdout
+    assert text.startswith("local_min: ")
+    assert "\nsap: " not in text
+    (said,) = refused("protocols", "loca_min")
+    assert said.startswith("there is no protocol 'loca_min'; allowed: argmin, ")
 
 
 def test_keys_without_a_table_lists_all_of_them():
     text = accepted("keys").stdout
     assert all(re.search(rf"^    {name}\b", text, re.MULTILINE) for name in Scenario.model_fields)
-
-
-def test_keys_of_a_table_that_does_not_exist_are_refused():
-    (said,) = refused("keys", "netwrok")
-    assert said.startswith("there is no table 'netwrok'; allowed: name, seed, ")
 
 
 ODD = """\
@@ -962,8 +994,11 @@ def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(file, 
         ["inf", "sap", "3"],
         ["inf", "best_response", "3"],
     ]
-    assert differences.startswith("difference from network.range = 1, protocol.kind = sap, ")
-    assert len(differences.splitlines()) == 5
+    assert differences.startswith("difference from network.range = 1, all else equal, ")
+    assert [line.split()[:3] for line in differences.splitlines()[2:]] == [
+        ["inf", "sap", "3"],
+        ["inf", "best_response", "3"],
+    ]
     assert re.fullmatch(
         rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 were there; all are in {tmp_path}/out/sweep.sqlite\n", result.stderr
     )

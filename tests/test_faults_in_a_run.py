@@ -312,6 +312,9 @@ def test_clock_errors_of_one_node_add_up_and_those_of_all_are_drawn():
     drawn = np.array([*shown.values()])
     assert abs(drawn.mean()) < 4 * 2.0 / np.sqrt(200)
     assert abs(drawn.std() - 2.0) < 4 * 2.0 / np.sqrt(400)
+    skews = ClockSkew(offset=2.0), ClockSkew(offset=1.5)  # of chances of their own
+    play(protocol, *skews, team=team, horizon=0.1, record=Recording(trajectory=0.0))
+    assert abs(np.std([*shown.values()]) - 2.5) < 4 * 2.5 / np.sqrt(400)
 
 
 def slots(*faults, count=4, slot=0.1, horizon=20.05):

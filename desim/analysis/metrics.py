@@ -143,7 +143,10 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """The numbers of one run, in the order of tables; None for what did not happen or was not measured."""
+    """The numbers of one run, in the order of tables; None for what did not happen or was not measured.
+
+    As text a line for each that is there, with its unit.
+    """
 
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     captured: bool = entry(captured, in_tables=False)
@@ -219,7 +222,7 @@ class Summary:
         silent_at_0=True,
     )
     age_mean: float | None = entry(age_mean, "s", "averaged over time and pairs", given=messages_recorded)
-    age_peak: float | None = entry(age_peak, "s", "just before newer word came", given=messages_recorded)
+    age_peak: float | None = entry(age_peak, "s", "just before newer word came, where it did", given=messages_recorded)
     age_at_decision: float | None = entry(age_at_decision, "s", "when the reader decided", given=messages_recorded)
     belief_error: float | None = entry(
         belief_error, note="share of pairs with wrong word of the action", given=messages_recorded
@@ -230,6 +233,17 @@ class Summary:
         note_of_several="active, and heard of nobody else on the same evader",
         given=messages_recorded,
     )
+
+    def __str__(self) -> str:
+        there = {name: getattr(self, name) for name in METRICS if getattr(self, name) is not None}
+        return "\n".join(
+            f"{words(name)}: {_written(value)} {METRICS[name].unit}".rstrip() for name, value in there.items()
+        )
+
+
+def _written(value: Any) -> str:
+    """Return a number of a summary as it is read: six digits of a fraction."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 METRICS: Mapping[str, Metric] = MappingProxyType({each.name: each.metadata["metric"] for each in fields(Summary)})

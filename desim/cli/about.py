@@ -1,7 +1,6 @@
 """What there is to know without a run: `desim check`, `schema`, `keys`, `protocols`."""
 
 import json
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,29 +43,28 @@ def schema() -> None:
 
 
 @click.command()
-@click.argument("table", required=False)
-def keys(table: str | None) -> None:
-    """List the keys of scenario files with defaults, units and kinds: all, or those of a TABLE like network."""
-    from desim.cli.description import described
+@click.argument("key", required=False)
+def keys(key: str | None) -> None:
+    """List the keys of scenario files with defaults, units and kinds: all, or of a KEY like network.latency.gamma."""
+    from desim.cli.description import described, described_at
     from desim.scenario import Scenario
 
-    lines = list(described(Scenario, "scenario"))
-    tops = [k for k, line in enumerate(lines) if re.match(r" {4}\w", line)]
-    if table is not None:
-        names = [re.split(r"\W", lines[k].strip())[0] for k in tops]
-        if table not in names:
-            refuse(f"there is no table {table!r}; allowed: {', '.join(names)}")
-        first = tops[names.index(table)]
-        lines = lines[first : next((k for k in tops if k > first), len(lines))]
-    say("\n".join(lines))
+    try:
+        say("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
+    except ValueError as error:
+        refuse(str(error))
 
 
 @click.command()
-def protocols() -> None:
-    """List the installed protocols and their parameters."""
+@click.argument("only", metavar="[KIND]", required=False)
+def protocols(only: str | None) -> None:
+    """List the installed protocols and their parameters: all, or those of a KIND."""
     from desim.cli.description import described
     from desim.scenario import PROTOCOLS
 
+    choices = PROTOCOLS.choices()
+    if only is not None and only not in choices:
+        refuse(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
     known: set[type[BaseModel]] = set()  # what several may hold is described once
-    for kind, protocol in PROTOCOLS.choices().items():
+    for kind, protocol in choices.items() if only is None else [(only, choices[only])]:
         say("\n".join(described(protocol, kind, known=known)) + "\n")

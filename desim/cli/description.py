@@ -1,6 +1,6 @@
 """A model as text: its parameters, what each is by default, and what it may hold."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -20,17 +20,42 @@ def described(
     for name, field in fields_of(model).items():
         if name == "kind":
             continue
-        inner = indent + "    "
-        yield f"{inner}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
-        for choice in choices_of(field):
-            choices = choice.choices()
-            if known.issuperset(choices.values()):
-                yield f"{inner}    {', '.join(choices)}: as above"
-                continue
-            for kind, chosen in choices.items():
-                yield from described(chosen, kind, inner + "    ", known)
-        for plain in models_in(field.annotation):
-            yield from list(described(plain, name, inner, known))[1:]
+        yield from _described_field(name, field, indent + "    ", known)
+
+
+def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
+    """Yield the same lines of what a place names: keys from the outermost in, and kinds after what they are of.
+
+    Raises:
+        ValueError: if it names nothing.
+    """
+    (name, *rest), fields = place, fields_of(model)
+    if name == "kind" or name not in fields:
+        raise ValueError(f"there is no {name!r}; allowed: {', '.join(each for each in fields if each != 'kind')}")
+    inner = {kind: chosen for choice in choices_of(fields[name]) for kind, chosen in choice.choices().items()}
+    plain = next(models_in(fields[name].annotation), None)
+    if not rest:
+        yield from _described_field(name, fields[name], "", set())
+    elif rest[0] in inner:
+        chosen = inner[rest[0]]
+        yield from described_at(rest[1:], chosen) if rest[1:] else described(chosen, rest[0])
+    elif inner or plain is None:
+        raise ValueError(f"there is no {rest[0]!r} in {name!r}; allowed: {', '.join(inner) or 'nothing'}")
+    else:
+        yield from described_at(rest, plain)
+
+
+def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[BaseModel]]) -> Iterator[str]:
+    yield f"{indent}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
+    for choice in choices_of(field):
+        choices = choice.choices()
+        if known.issuperset(choices.values()):
+            yield f"{indent}    {', '.join(choices)}: as above"
+            continue
+        for kind, chosen in choices.items():
+            yield from described(chosen, kind, indent + "    ", known)
+    for plain in models_in(field.annotation):
+        yield from list(described(plain, name, indent, known))[1:]
 
 
 def _default_of(field: FieldInfo) -> str:

@@ -77,6 +77,8 @@ def run(
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
     say(table)
+    if out is not None:
+        say(f"wrote {out}", err=True)
 
 
 def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":

@@ -149,7 +149,8 @@ def storing(folder: Path | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        refuse(f"{error.filename or folder}: {error.strerror}" if error.strerror else str(error))  # or it is ours
+        file = error.filename2 or error.filename or folder  # the second is what was to be replaced
+        refuse(f"{file}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
 @contextmanager

@@ -79,23 +79,45 @@ class SweepResult:
         """Return the mean of a metric over the runs of each configuration in which it exists."""
         return [_mean([value for value in group.values(metric) if value is not None]) for group in self.groups]
 
-    def differences(self, metric: str, reference: int = 0) -> list[Estimate]:
-        """Return how much greater a metric is than in the configuration at a position, run by run with equal seeds.
+    def differences(self, metric: str, reference: int | None = None) -> list[Estimate]:
+        """Return how much greater a metric is than in another configuration, run by run with equal seeds.
+
+        Args:
+            metric: its name.
+            reference: the position of the other; None = for each the first that differs from it in one key only: the
+                first key that has several values.
 
         Raises:
             ValueError: if configurations do not share their seeds.
         """
         if not self.common:
             raise ValueError("runs with independent seeds are no pairs")
-        return [paired(*_aligned_values(group, self.groups[reference], metric)) for group in self.groups]
+        others = self._references if reference is None else [reference] * len(self.groups)
+        return [
+            paired(*_aligned_values(group, self.groups[other], metric))
+            for group, other in zip(self.groups, others, strict=True)
+        ]
+
+    @property
+    def _compared_by(self) -> str | None:
+        """The first key that has several values."""
+        return next((key for key in self.keys if len({repr(each.settings[key]) for each in self.groups}) > 1), None)
+
+    @property
+    def _references(self) -> list[int]:
+        """The position of the configuration with which each is compared; see `differences`."""
+        key, first = self._compared_by, dict[str, int]()
+        others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
+        return [first.setdefault(other, k) for k, other in enumerate(others)]
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
-        """Return means and half widths, and below them the differences from the first configuration, as text."""
+        """Return means and half widths, and below them the differences along the first key, as text."""
         parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
         return "\n\n".join([*parts, *self._failures()])
 
     def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return the same as titles and rows of text, of which the first is the head."""
+        metrics = [metrics] if isinstance(metrics, str) else metrics
         return [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
 
     def __str__(self) -> str:
@@ -120,8 +142,10 @@ class SweepResult:
 
     def _compared(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
         """Yield the table of differences, if there is something to compare, and its title."""
-        if self.common and len(self.groups) > 1:
-            yield f"difference from {self.groups[0].in_words()}, run by run with the same seed", self._gaps(metrics)
+        key = self._compared_by
+        if self.common and key is not None:
+            first = f"{key} = {text(self.groups[0].settings[key])}" + ", all else equal" * (len(self.keys) > 1)
+            yield f"difference from {first}, run by run with the same seed", self._gaps(metrics)
 
     def _failures(self) -> Iterator[str]:
         if self.failed:
@@ -144,8 +168,10 @@ class SweepResult:
     def _gaps(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         found = [self.differences(metric) for metric in metrics]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *map(words, metrics))]
-        for k, group in list(enumerate(self.groups))[1:]:
-            pairs = len(_shared(group, self.groups[0]))
+        for k, (group, other) in enumerate(zip(self.groups, self._references, strict=True)):
+            if k == other:
+                continue
+            pairs = len(_shared(group, self.groups[other]))
             means = (with_half_width(each[k], pairs, sign="+") for each in found)
             rows.append((*map(text, group.settings.values()), str(pairs), *means))
         return rows
@@ -191,7 +217,7 @@ class SweepResult:
                         "interval": wilson(sum(captured), len(captured)) if captured else None,
                     },
                     "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
-                    "less_the_first": {metric: as_json(found[k]) for metric, found in gaps.items()},
+                    "difference": {metric: as_json(found[k]) for metric, found in gaps.items()},
                 }
             )
         return {"name": self.name, "grid": self.keys, "configurations": configurations}
@@ -210,7 +236,7 @@ class SweepResult:
         columns = {name: [record[name] for record in records] for name in self._columns}
         return pd.DataFrame({name: pd.Series(*_typed(values)) for name, values in columns.items()})
 
-    def write(self, file: Path) -> None:
+    def write(self, file: str | Path) -> None:
         """Write a row per run to a file: .csv, or .parquet (the extra `frame`).
 
         Raises:
@@ -218,6 +244,7 @@ class SweepResult:
             ImportError: if what Parquet needs is not installed.
             OSError: if it cannot be written.
         """
+        file = Path(file)
         if file.suffix == ".parquet":
             self.to_frame().to_parquet(file, index=False)
         elif file.suffix == ".csv":

@@ -80,7 +80,9 @@ def spacetime(
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
+        size = len(started(result).active)
+        some = f", {len(shown)} of {size} pursuers" if len(shown) < size else ""
+        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
         handles, labels = axes.get_legend_handles_labels()
         found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
         figure.legend(

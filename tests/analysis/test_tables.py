@@ -107,7 +107,7 @@ def test_the_table_of_a_run_whose_word_was_measured_tells_how_old_and_how_wrong_
         "bytes sent        81,624                      in 3,401 transmissions",
         "utilisation       0.250                       share of the time in which the channels were busy",
         "age mean          0.052 s                     averaged over time and pairs",
-        "age peak          0.102 s                     just before newer word came",
+        "age peak          0.102 s                     just before newer word came, where it did",
         "age at decision   0.050 s                     when the reader decided",
         "belief error      0.031                       share of pairs with wrong word of the action",
         "believed leaders  0.750                       active, and heard of nobody else who is",

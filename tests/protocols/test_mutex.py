@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
-from desim.kernel.faults import Crash, Partition, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomPlan
 from desim.kernel.graphs import Complete, Grid, Star
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
@@ -78,7 +78,8 @@ def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
 
 
 @LATENCIES
-def test_no_two_neighbours_are_inside_at_once(latency):
+@pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0),)], ids=["clocks agree", "skewed clocks"])
+def test_no_two_neighbours_are_inside_at_once(latency, skew):
     """With a section that takes a while: between entering and leaving of one no neighbour of it enters."""
     graph, inside, entered = Grid(columns=3)(7), set(), []
 
@@ -95,7 +96,7 @@ def test_no_two_neighbours_are_inside_at_once(latency):
             section.leave()
         yield from section.idle(1e6)
 
-    run(frozen(protocol, latency=latency, graph=Grid(columns=3), horizon=200.0), 3)
+    run(frozen(protocol, latency=latency, graph=Grid(columns=3), horizon=200.0, faults=skew), 3)
     assert Counter(i for i, _ in entered) == dict.fromkeys(range(7), 5)
     assert any(len(others) > 1 for _, others in entered)  # those who are no neighbours do not wait for each other
 
@@ -114,6 +115,20 @@ def test_a_decision_takes_two_messages_per_neighbour(graph):
     expected = sum(links.degree[d.pursuer] for d in result.trace.of(Decided))
     assert len(bodies(result, Request)) == len(bodies(result, Reply)) == expected
     assert not bodies(result, Later)
+
+
+def test_of_requests_of_one_time_that_of_the_lower_id_is_the_older():
+    entered = []
+
+    def protocol(me):
+        section = Section(me, 10, 0.001)
+        yield from section.enter()
+        entered.append(me.id)
+        section.leave()
+        yield from section.idle(1e6)
+
+    run(frozen(protocol, latency=0.1, horizon=5.0), 0)
+    assert entered == list(range(7))
 
 
 def test_a_request_is_answered_once_though_its_answer_had_to_wait():

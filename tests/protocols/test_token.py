@@ -316,6 +316,17 @@ def test_a_receipt_that_is_lost_is_given_again_and_the_duplicate_not_accepted(la
     assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2
 
 
+def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hold():
+    """The first token takes 0.34 s; its repetition, sent after 2.5 L, comes 0.01 s later."""
+
+    def late(hops, rng):
+        return np.full(len(hops.dst), 0.34 if 0.04 < hops.now < 0.06 else 0.1)
+
+    result = run(frozen(flips(TokenRing(hold=0.05)), latency=late), 0)
+    assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2
+    assert [d.t for d in decided(result)][:2] == [0.05 * SECOND, 0.44 * SECOND]
+
+
 def test_a_neighbour_that_does_not_answer_is_left_out_and_taken_in_again():
     """A radio fails for a second: 5 tries of 2.5 L cost 0.625 s once, then the ring goes on without it, and with it."""
     group = Circulation({0, 1, 2, 4})

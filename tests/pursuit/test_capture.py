@@ -116,13 +116,15 @@ def test_intercept_by_hand():
     """Head on at (4, 0), w = (-1, 0), v = 1, eps = 0.2: the gap of 3.8 m closes at 2 m/s.
 
     From behind at the same speed it never closes; nor does it if a slower pursuer is passed at a distance of 3 m. One
-    that stands still and is passed at 0.1 m captures as the evader comes within 0.2 m, after 4 - sqrt(0.03) s.
+    that stands still and is passed at 0.1 m captures as the evader comes within 0.2 m, after 4 - sqrt(0.03) s. One that
+    is passed at just eps captures then.
     """
     assert intercept_time([4.0, 0.0], [-1.0, 0.0], [[0.0, 0.0]], [1.0], 0.2) == pytest.approx([1.9])
     assert intercept_time([4.0, 0.0], [1.0, 0.0], [[0.0, 0.0]], [1.0], 0.2) == inf
     assert intercept_time([4.0, 3.0], [-1.0, 0.0], [[0.0, 0.0]], [0.1], 0.2) == inf
     assert intercept_time([4.0, 0.1], [-1.0, 0.0], [[0.0, 0.0]], [0.0], 0.2) == pytest.approx([4.0 - 0.03**0.5])
     assert intercept_time([0.1, 0.0], [9.0, 0.0], [[0.0, 0.0]], [0.0], 0.2) == 0.0
+    assert intercept_time([-3.0, 1.0], [1.0, 0.0], [[0.0, 0.0]], [0.0], 1.0) == 3.0
 
 
 def test_the_formula_of_the_paper_is_the_smallest_root():

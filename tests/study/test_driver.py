@@ -15,6 +15,7 @@ from desim.scenario_file import load
 from desim.simulation import run
 from desim.study import driver
 from desim.study.driver import CRASHED, INNERMOST, LOT_SIZE, drive
+from desim.study.store import Row
 from desim.study.workers import Here, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command
@@ -130,7 +131,7 @@ def test_what_a_run_raises_reads_the_same_wherever_it_does(scenario, cluster):
     here = outcomes(tasks, Here())
     assert [each.status for each in here] == ["error", "ok", "ok"] * len(WAYS)
     texts = dict(zip(WAYS, (each.traceback for each in here[::3]), strict=True))
-    last = {how: text.splitlines()[-1] for how, text in texts.items()}
+    last = {how: Row(0, 0, "error", traceback=text).error for how, text in texts.items()}
     assert last["raise"] == "ValueError: seventh heaven"
     assert last["stubborn"] == "my_trouble.StubbornError: no pickle"
     assert last["wild"] == "my_trouble.WildError: whoa"

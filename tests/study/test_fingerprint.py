@@ -358,3 +358,13 @@ def test_in_a_script_what_a_rule_reads_counts_and_nothing_else_in_every_process(
         return subprocess.run(call, env=environment, capture_output=True, text=True, check=True).stdout
 
     assert of() == of(seed="2") == of(other=2) != of(factor=2)
+
+
+def test_the_names_of_a_module_and_of_what_is_in_it_do_not_run_together(monkeypatch):
+    """Class `c` of a module `ab`, and class `bc` of a module `a`, neither of which has a text."""
+    found = set()
+    for module, name in (("ab", "c"), ("a", "bc")):
+        home = type(name, (), {"__module__": module})
+        monkeypatch.setitem(sys.modules, module, SimpleNamespace(**{name: home}))
+        found.add(fingerprint(home))
+    assert len(found) == 2

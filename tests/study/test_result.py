@@ -85,8 +85,22 @@ def test_differences_are_paired_by_seed_and_leave_out_what_one_lacks():
 
 def test_runs_are_paired_by_number_not_by_place():
     """The first lacks run 1, the second run 2: only run 0 is a pair, 2 - 1."""
-    found = FAILING.differences("active_time")[1]
+    found = FAILING.differences("active_time", reference=0)[1]
     assert (found.mean, found.count) == (1.0, 1)
+
+
+def test_of_several_keys_all_but_one_are_equal_where_configurations_are_compared():
+    """By the first key that has several values; with another team, or another range, nobody is compared."""
+    groups = [
+        group({"team.count": 5, "x": x, "y": y}, ok(0, active_time=base + gain), ok(1, active_time=2 * base + gain))
+        for x, gain in ((0.0, 0.0), (1.0, 0.5))
+        for y, base in ((1, 10.0), (2, 100.0))
+    ]
+    grid = SweepResult("grid", ("team.count", "x", "y"), tuple(groups))
+    assert [found.mean for found in grid.differences("active_time")] == [0.0, 0.0, 0.5, 0.5]
+    _, (title, rows) = grid.tables("active_time")
+    assert title.startswith("difference from x = 0, all else equal, ")
+    assert rows[1:] == [("5", "1", "1", "2", "+0.500 +- 0.000"), ("5", "1", "2", "2", "+0.500 +- 0.000")]
 
 
 @pytest.mark.parametrize("result", [ALL_FAILED, NOTHING], ids=["all failed", "nothing"])
@@ -220,8 +234,8 @@ def test_a_document_tells_what_the_table_does():
         "half_width": estimate([2.5, 4.5]).half_width,
         "runs": 2,
     }
-    assert second["less_the_first"]["capture_time"] == {"mean": 1.5, "half_width": 0.0, "runs": 2}
-    assert first["less_the_first"]["active_time"] == {"mean": 0.0, "half_width": 0.0, "runs": 3}
+    assert second["difference"]["capture_time"] == {"mean": 1.5, "half_width": 0.0, "runs": 2}
+    assert first["difference"]["active_time"] == {"mean": 0.0, "half_width": 0.0, "runs": 3}
 
 
 def test_a_document_has_null_for_what_there_is_not():

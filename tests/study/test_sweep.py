@@ -109,7 +109,7 @@ def test_independent_runs_are_no_pairs():
     with pytest.raises(ValueError, match="no pairs"):
         found.differences("active_time")
     assert "difference" not in found.table()
-    assert found.document()["configurations"][1]["less_the_first"] == {}
+    assert found.document()["configurations"][1]["difference"] == {}
 
 
 @pytest.mark.slow
@@ -163,9 +163,9 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
     assert sweep(BASE, GRID, executor=2, **target) == whole
     drive = module.drive
 
-    def interrupted(tasks, workers):
+    def interrupted(tasks, workers, **options):
         """Do 17 runs, the last first, and leave."""
-        yield from list(drive(tasks, workers))[::-1][:17]
+        yield from list(drive(tasks, workers, **options))[::-1][:17]
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "drive", interrupted)
@@ -237,7 +237,9 @@ def test_runs_that_failed_are_tried_again_and_only_those(tmp_path, monkeypatch):
     scenario = BASE.model_copy(update={"protocol": Moody()})
     before = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
     done, drive = [], module.drive
-    monkeypatch.setattr(module, "drive", lambda tasks, workers: done.extend(tasks) or drive(tasks, workers))
+    monkeypatch.setattr(
+        module, "drive", lambda tasks, *rest, **options: done.extend(tasks) or drive(tasks, *rest, **options)
+    )
     monkeypatch.setattr(Moody, "actions", lambda self, me: iter(lambda: 1, None))
     after = sweep(scenario, {"capture.radius": [0.1]}, 6, store=tmp_path / "s.sqlite")
     assert [seed for _, seed in done] == [6, 9]
@@ -260,7 +262,9 @@ def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 2, store=store)
     done, drive = [], module.drive
-    monkeypatch.setattr(module, "drive", lambda tasks, workers: done.extend(tasks) or drive(tasks, workers))
+    monkeypatch.setattr(
+        module, "drive", lambda tasks, *rest, **options: done.extend(tasks) or drive(tasks, *rest, **options)
+    )
     more = {"network.latency.value": [0.0, 0.1, 0.2], "capture.radius": [0.05, 0.2]}
     found = sweep(BASE, more, 3, store=store)
     assert len(done) == 18 - 8

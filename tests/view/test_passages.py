@@ -6,7 +6,7 @@ import pytest
 
 from desim import load, run, summary
 from desim.kernel.clock import SECOND
-from desim.kernel.faults import Began, Jamming, Over
+from desim.kernel.faults import Began, Crash, Jamming, Over
 from desim.pursuit.events import Decided
 from desim.view.passages import Chase, Passage, Spell, chasing, news, outages, passages, takeovers
 from desim.view.paths import stints
@@ -86,6 +86,9 @@ def test_of_faults_that_overlap_each_ends_at_its_own_time():
     early = Jamming(centre=(0.0, 0.0), radius=1.0, at=0.35, until=0.5)
     found = outages(history(Began(350 * MS, early), Over(500 * MS, early)))
     assert found[:2] == [(early, Spell(350 * MS, 500 * MS)), (CRASH, Spell(400 * MS, 600 * MS))]
+    other = Crash(node=1, at=0.35, until=0.65)
+    found = outages(history(Began(350 * MS, other), Over(650 * MS, other)))
+    assert found[:2] == [(other, Spell(350 * MS, 650 * MS)), (CRASH, Spell(400 * MS, 600 * MS))]
 
 
 def test_nobody_is_alone_for_no_time():

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from desim import Scenario, load, run, summary
+from desim.kernel.events import Sent
 from desim.scenario import Recording
 from desim.view.passages import chasing, passages
 from desim.view.perfetto import PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from scenarios.study import SCENARIOS
-from tests.view.by_hand import MS, history, pair
+from tests.view.by_hand import INACTIVE, MS, history, pair
 
 NAMES = ("faults", "radio", "token_ring", "soak", "server", "flooding")
 
@@ -319,11 +320,14 @@ def test_of_two_evaders_it_is_told_who_chases_which_and_how_many_do():
 
 
 def test_what_a_message_says_how_long_it_waited_and_what_became_of_it_is_told():
-    found = {(each["ph"], each.get("id")): each.get("args") for each in json.loads(perfetto(history()))["traceEvents"]}
+    just = Sent(950 * MS, 5, 1, 2, 1000 * MS, 950 * MS, 24, INACTIVE)  # it arrives as the run ends
+    entries = json.loads(perfetto(history(just)))["traceEvents"]
+    found = {(each["ph"], each.get("id")): each.get("args") for each in entries}
     assert found["b", "1.0"] == {"bytes": 32, "says": ["token", "Infinity"], "waited (s)": 0.05}
     assert found["b", "0.1"] == {"bytes": 24, "says": {"active": True}}
     assert found["e", "1.0"] == {"fate": "lost: crash"}
     assert found["e", "3.0"] == {"fate": "in flight"}
+    assert found["e", "5.2"] == {"fate": "arrived"}
     assert found["b", "fault 1"]["fault"]["radius"] == 3.0
 
 

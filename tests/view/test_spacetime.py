@@ -146,6 +146,14 @@ def test_the_axes_have_names_with_units_and_the_legend_each_thing_once():
     }
 
 
+def test_the_title_says_if_not_everybody_is_drawn(crowded):
+    size = crowded.scenario.team.count
+    (axes,) = spacetime(crowded, 1.9, 2.1, pursuers=(0, 5, 9)).axes
+    assert axes.get_title().endswith(f", 3 of {size} pursuers")
+    (axes,) = spacetime(crowded, 1.9, 1.91, pursuers=range(size)).axes
+    assert "pursuers" not in axes.get_title()
+
+
 @pytest.mark.parametrize("width", [8.5, 17.0])
 def test_no_text_lies_over_another_or_outside_of_the_picture(crowded, width):
     figure = spacetime(crowded, 1.9, 2.1, width=width, pursuers=(0, 5, 9))
