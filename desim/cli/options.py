@@ -149,7 +149,7 @@ def storing(folder: Path | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        file = error.filename2 or error.filename or folder  # the second is what was to be replaced
+        file = error.filename or folder
         refuse(f"{file}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
