@@ -129,6 +129,10 @@ def test_capture_at_the_horizon_still_counts():
     assert not summary(run(still((0.0, 0, True), horizon=2.8999999))).captured
 
 
+def test_nobody_decides_at_the_horizon_any_more():
+    assert [event.t for event in run(still((2.4, 0, True), (2.5, 0, False))).trace.of(Decided)] == [2_400_000_000]
+
+
 def test_who_is_inside_at_the_start_has_captured_before_anybody_decides():
     result = run(still((0.0, 0, True), evader=Evader(position=(0.05, 0.0))))
     assert result.trace.of(Ended) == [Ended(0, "captured", 0)]

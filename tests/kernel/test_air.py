@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from desim.kernel.air import Air
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
+from desim.kernel.conditions import Conditions
 from desim.kernel.events import Broadcast, Lost, Queued, Sent, Trace
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
@@ -380,6 +381,33 @@ def air(medium, size=2):
         return lambda item, *_: done.append((clock.now // SECOND, what, item.name))
 
     return clock, Air(clock, medium, size, note("leaves"), note("waits"), note("dropped")), done
+
+
+@pytest.mark.parametrize(("breakdown", "heard"), [(1.999, 0), (2.0, 1)])
+def test_a_message_of_which_all_has_left_outlives_its_transmitter(breakdown, heard):
+    """Two bytes are on the air until 2 s, and arrive a second later."""
+    clock, links = Clock(), Links(medium=BYTE, latency=Constant(value=1.0))
+    radio = Network(clock, nx.complete_graph(2), links, conditions=Conditions())
+    radio.send(0, 1, "A", size=2)
+    later(clock, breakdown, radio.break_down, 0)
+    run_until(clock, 4.0)
+    assert len(radio.inbox(1).drain()) == heard
+
+
+def test_who_moves_away_while_a_message_waits_does_not_get_it():
+    """While A is on the air for 2 s the receiver leaves the range; B, which waits, is lost to it."""
+    clock = Clock()
+
+    def places():
+        return np.array([[0.0, 0.0], [1.0 if clock.now < SECOND else 9.0, 0.0]])
+
+    links = Links(medium=BYTE, range=5.0, range_check="send")
+    radio = Network(clock, nx.complete_graph(2), links, positions=places)
+    for body in "AB":
+        radio.send(0, None, body, size=2)
+    run_until(clock, 5.0)
+    assert [message.body for message in radio.inbox(1).drain()] == ["A"]
+    assert radio.tally().lost_by == {"reach": 1}
 
 
 def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():

@@ -296,7 +296,8 @@ def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
     assert typical == pytest.approx(0.05, abs=5 * 0.05 / sqrt(1200))
     assert abs(2 * typical - 0.05) > 5 * 0.05 / sqrt(1200)
     assert trip.arrivals(0, [1, 2], 0, 0, 24) == same.arrivals(0, [1, 2], 0, 0, 24)
-    run = np.array([same.arrivals(0, [1], 0, 0, 24)[0] / SECOND for _ in range(BLOCK)])
+    fresh = travel(links)
+    run = np.array([fresh.arrivals(0, [1], 0, 0, 24)[0] / SECOND for _ in range(BLOCK)])
     means = np.cumsum(run) / np.arange(1, BLOCK + 1)
     assert abs(means - typical).min() > 1e-10
 

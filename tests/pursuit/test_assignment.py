@@ -198,6 +198,12 @@ def test_who_would_be_late_or_is_not_known_is_left_out_of_the_best_assignment():
     assert optimum([[inf, 26.0]], 25.0) == 0.0
 
 
+def test_who_would_be_late_or_is_not_known_is_left_out_of_the_greedy_assignment():
+    """So is who would come just as time is up."""
+    assert greedy_assignment({1: {0: nan, 1: 24.0}, 2: {0: 25.0, 1: 3.0}}, 25.0) == {1: 2}
+    assert greedy_assignment({1: {0: nan}, 2: {1: 25.0}}, 25.0) == {}
+
+
 @pytest.mark.parametrize("size", [(2, 5), (5, 2)])
 def test_who_is_too_many_waits(size):
     assignment = optimal_assignment(drawn(size, 0) / 2, REWARD)

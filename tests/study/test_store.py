@@ -147,6 +147,15 @@ def statuses(store, plan):
     return {(row.replication, row.status, row.traceback) for row in store.runs(plan.cells[0].key, 0)}
 
 
+def test_configurations_stand_before_those_that_were_there(file):
+    plan = Plan.of(load(file, allow_import=True))
+    with Store() as store:
+        for cell in reversed(plan.cells):
+            store.enter([cell])
+        assert [key for key, _ in store.configurations()] == [cell.key for cell in plan.cells]
+        assert len(plan.cells) > 1
+
+
 def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
     """So the slower of two drivers cannot spoil what the faster has."""
     plan = Plan.of(load(file, allow_import=True))
