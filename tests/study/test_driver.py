@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import time
 from collections import Counter
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
@@ -78,6 +79,32 @@ def test_towards_the_end_lots_become_small_so_that_all_workers_end_together():
     list(drive(range(200), workers))
     assert workers.lots[-8:] == [1] * 8
     assert max(workers.lots) <= 200 // 8
+
+
+def test_a_lot_that_a_broken_worker_did_not_take_is_handed_out_again_in_its_order():
+    class Broken(Counting):
+        renewed = 0
+
+        def submit(self, call):
+            if len(call.args[0]) > 2 and not self.renewed:
+                raise BrokenExecutor
+            return super().submit(call)
+
+        def renew(self):
+            self.renewed += 1
+
+    workers = Broken(1e-6)
+    assert [k for k, _ in drive(range(100), workers)] == list(range(100))
+    assert workers.renewed == 1
+
+
+def test_the_time_of_a_run_is_that_of_its_lot_shared():
+    def simulate(scenario, seed):
+        time.sleep(0.02)
+
+    outcomes, took = driver.perform([(None, k) for k in range(10)], lambda result: 7, simulate)
+    assert [outcome.value for outcome in outcomes] == [7] * 10
+    assert 0.02 <= took < 0.15
 
 
 @pytest.mark.slow
