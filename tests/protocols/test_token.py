@@ -356,6 +356,21 @@ def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
     assert everyone.fault(7.0, 10.0) is None
 
 
+def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
+    """After a partition heals two tokens meet; without an answer the older one would be sent again and again."""
+    fault = Partition(at=0.5, until=4.0, groups=((0, 1, 2), (3, 4)))
+    result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0)
+    answers = {(sent.src, sent.dst, sent.t): sent.body.epoch for sent in bodies(result, Receipt)}
+    newest, outdated = defaultdict(tuple), []
+    heard = [*bodies(result, Token), *bodies(result, Receipt), *bodies(result, Sign)]
+    for sent in sorted((sent for sent in heard if sent.arrival >= 0), key=lambda sent: sent.arrival):
+        if isinstance(sent.body, Token) and sent.body.epoch < newest[sent.dst]:
+            outdated.append(sent)
+            assert answers[sent.dst, sent.src, sent.arrival] >= newest[sent.dst]
+        newest[sent.dst] = max(newest[sent.dst], sent.body.epoch)
+    assert outdated
+
+
 def test_a_robot_does_not_act_on_the_token_that_it_had_before_a_long_sleep():
     """It wakes at 5 s with an old token in hand: its next decision follows a token that reached it."""
     fault = Crash(at=0.125, until=5.0, node=2)
