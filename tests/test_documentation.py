@@ -32,4 +32,4 @@ def test_the_example_of_the_package_runs(monkeypatch, capsys):
     monkeypatch.chdir(SCENARIOS.parent)
     _, example, _ = (desim.__doc__ or "").split("```")
     exec(example.removeprefix("python"), {})
-    assert "active_time" in capsys.readouterr().out
+    assert "active time: " in capsys.readouterr().out
