@@ -371,6 +371,23 @@ def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
     assert outdated
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_new_epoch_is_newer_than_all_that_who_makes_it_has_heard_of(seed):
+    """Also than those whose token it never had."""
+    result = run(frozen(flips(TokenRing()), latency=0.05, loss=Storm(0.6, 9.0)), seed)
+    sent = [each for kind in (Token, Receipt, Sign) for each in bodies(result, kind)]
+    arrived = [(each.arrival, 0, each.dst, each.body.epoch) for each in sent if each.arrival >= 0]
+    left = [(each.t, 1, each.src, each.body.epoch) for each in sent]
+    heard, known, made = defaultdict(set), set(), 0
+    for _, leaves, node, epoch in sorted(arrived + left):
+        if leaves and epoch not in known and epoch[1] == node:
+            made += bool(heard[node])
+            assert all(epoch[0] > other[0] for other in heard[node])
+        known.add(epoch)
+        heard[node].add(epoch)
+    assert made > 3
+
+
 def test_a_robot_does_not_act_on_the_token_that_it_had_before_a_long_sleep():
     """It wakes at 5 s with an old token in hand: its next decision follows a token that reached it."""
     fault = Crash(at=0.125, until=5.0, node=2)
