@@ -144,6 +144,17 @@ def folder_for(scenario: "Scenario", out: Path | None) -> Path:
 
 
 @contextmanager
+def making(page: str) -> Iterator[None]:
+    """End the program if a page cannot be made: something is not installed, or what it is of is not as it should be."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        refuse(f"a {page} needs {error.name}: pip install 'pursuit-desim[plot]'")
+    except ValueError as error:
+        refuse(str(error))
+
+
+@contextmanager
 def storing(folder: Path | None = None) -> Iterator[None]:
     """End the program if a store or a folder cannot be used, or a cluster does not answer."""
     try:

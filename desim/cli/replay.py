@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, page_at, put, refuse, say
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, making, page_at, put, say
 from desim.cli.recorded import SOURCE, result_of
 
 
@@ -25,14 +25,10 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
 
     path = page_at(out, source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
     result = result_of(source, seed, overrides)
-    try:
+    with making("replay"):
         for each in lacks(result):
             say(f"warning: {each}", err=True)
         page = page_of(result).encode()
-    except ModuleNotFoundError as error:
-        refuse(f"a replay needs {error.name}: pip install 'pursuit-desim[plot]'")
-    except ValueError as error:
-        refuse(str(error))
     put(page, path)
     size, tally = len(started(result).active), messages(result)
     say(f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import page_at, put, refuse, say, storing
+from desim.cli.options import making, page_at, put, refuse, say, storing
 from desim.names import STORE
 
 
@@ -19,14 +19,10 @@ def report(folder: Path, out: Path | None) -> None:
 
     path = page_at(out, folder / "report.html")
     _check_merged(folder)
-    try:
+    with making("report"):
         with storing(folder):
             study = Study.read(folder)
         page = page_of(study).encode()
-    except ModuleNotFoundError as error:
-        refuse(f"a report needs {error.name}: pip install 'pursuit-desim[plot]'")
-    except ValueError as error:
-        refuse(str(error))
     put(page, path)
     groups = study.result.groups
     say(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
