@@ -2,7 +2,6 @@
 
 import sys
 import threading
-import time
 from collections import Counter
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import closing
@@ -98,13 +97,18 @@ def test_a_lot_that_a_broken_worker_did_not_take_is_handed_out_again_in_its_orde
     assert workers.renewed == 1
 
 
-def test_the_time_of_a_run_is_that_of_its_lot_shared():
-    def simulate(scenario, seed):
-        time.sleep(0.02)
+def test_the_time_of_a_run_is_that_of_its_lot_shared(monkeypatch):
+    now = 3.0
 
-    outcomes, took = driver.perform([(None, k) for k in range(10)], lambda result: 7, simulate)
-    assert [outcome.value for outcome in outcomes] == [7] * 10
-    assert 0.02 <= took < 0.15
+    def simulate(scenario, seed):
+        nonlocal now
+        now += 0.5
+        return seed
+
+    monkeypatch.setattr(driver, "perf_counter", lambda: now)
+    outcomes, took = driver.perform([(None, k) for k in range(10)], lambda result: result, simulate)
+    assert [outcome.value for outcome in outcomes] == list(range(10))
+    assert took == 0.5
 
 
 @pytest.mark.slow
