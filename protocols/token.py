@@ -30,7 +30,7 @@ class _WithToken(Value):
     """The token carries what everyone does."""
     hold: Period = 0.01
     """How long a pursuer has the token; it revises at the end of that time, s."""
-    attempts: Annotated[int, Field(ge=1, le=100, strict=True)] = 5
+    attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """How often the token is sent to a neighbour that does not answer."""
 
     def mean_slot(self, me: Agent) -> float:
