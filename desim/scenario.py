@@ -29,6 +29,7 @@ from desim.pursuit.perception import Mind
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.word import Announcements
 from desim.value import (
+    RESOLUTION,
     SHORTEST,
     Box,
     Coordinate,
@@ -38,6 +39,7 @@ from desim.value import (
     OneOf,
     Period,
     Probability,
+    Recurring,
     Speed,
     Time,
     Truth,
@@ -49,6 +51,12 @@ def _never_or_period(time: float) -> float:
     if 0.0 < time < SHORTEST:
         raise ValueError(f"should be 0 or at least {SHORTEST:g} s (got {time:g})")
     return time
+
+
+def _not_over_at_once(horizon: float) -> float:
+    if 0.0 < horizon < RESOLUTION:
+        raise ValueError(f"should be at least {RESOLUTION:g} s (got {horizon:g})")
+    return horizon
 
 
 Point = tuple[Coordinate, Coordinate]
@@ -209,7 +217,7 @@ class Motion(Value):
 class Recording(Value):
     """What is recorded beside decisions."""
 
-    trajectory: Annotated[Time, AfterValidator(_never_or_period)] = 0.05
+    trajectory: Annotated[Time, AfterValidator(_never_or_period), Recurring] = 0.05
     """Time between samples of all positions, s; 0 = none."""
     messages: Literal[False, True, "file"] = False
     """Whether every message is recorded, or only their number; file: in the trace of an output folder alone, as it
@@ -230,7 +238,7 @@ class Scenario(Value):
     """What it is called in tables and pictures."""
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of every random stream of the run."""
-    horizon: Horizon = 30.0
+    horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"
     """Who has no choice but to stay, whatever the protocol: nobody; who can never capture (phi = inf); or also who

@@ -74,15 +74,31 @@ Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
 """A number that something does not exceed, possibly infinite."""
 LONGEST = 1e9
 """Thirty years: no time is longer, s."""
+RESOLUTION = 1e-9
+"""Time is counted in whole nanoseconds: up to half of one rounds to 0, s."""
 SHORTEST = 1e-6
 """What recurs more often than every microsecond would never end, s."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
 """Makes 0 of -0, which numpy takes for a negative scale."""
-Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True), Unsigned]
+
+
+class Counted:
+    """Marks a field that is a time, of which the clock counts whole nanoseconds."""
+
+
+class Recurring:
+    """Marks a field that is the time between two of many events."""
+
+
+Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True), Unsigned, Counted]
 """A time or a delay, s."""
 Horizon = Annotated[float, Field(gt=0, le=LONGEST, allow_inf_nan=False, strict=True)]
 """A time at which something ends, s."""
-Period = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, strict=True)]
+Timeout = Annotated[Extent, Counted]
+"""A time after which something is given up or forgotten, s; inf = never."""
+Duration = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, strict=True)]
+"""How long something lasts that happens many times, s."""
+Period = Annotated[Duration, Recurring]
 """A time between two of many events, s."""
 Rate = Annotated[float, Field(ge=1 / LONGEST, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""

@@ -4,12 +4,17 @@ from collections.abc import Iterator, Sequence
 from math import inf
 from typing import Any
 
+from pydantic import BaseModel
+
 from desim.assumptions import broken
 from desim.kernel.links import Links
 from desim.kernel.presets import PRESETS
 from desim.kernel.reach import Disk
 from desim.pursuit.sensing import Sensing
 from desim.scenario import Scenario
+from desim.value import RESOLUTION, Counted, Recurring, markers_of
+
+ROUNDS_TO_0 = "rounds to 0, for time is counted in nanoseconds"
 
 
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -24,11 +29,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     schedule: Any = getattr(scenario.protocol, "schedule", None)
     if hasattr(schedule, "warnings"):
         yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
-    if scenario.motion.step > scenario.horizon:
-        yield (
-            "motion.step",
-            f"the step of {scenario.motion.step:g} s is longer than the horizon of {scenario.horizon:g} s",
-        )
+    yield from _of_times(scenario)
     stride = scenario.motion.step * max(fastest, *flights)
     if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
         yield (
@@ -50,6 +51,32 @@ def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
         f" time of capture{whose} is inf{f' and nobody will chase{whom}' if pruned else ''}"
     )
+
+
+def _of_times(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield which times are too short to count, and which periods are longer than a run."""
+    used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
+    for key, time, markers in _numbers(scenario):
+        if Counted in markers and 0.0 < time <= RESOLUTION / 2:
+            yield key, f"{time:g} s {ROUNDS_TO_0}"
+        if Recurring in markers and time > scenario.horizon and used.get(key, True):
+            yield key, f"{time:g} s is longer than the horizon of {scenario.horizon:g} s"
+
+
+def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
+    """Yield the key, the value and the markers of every number in a model and in the models that it holds."""
+    for name, field in type(model).model_fields.items():
+        value, markers = getattr(model, name), markers_of(field)
+        for place, each in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+            key = f"{above}{name}" if place is None else f"{above}{name}.{place}"
+            if isinstance(each, BaseModel):
+                yield from _numbers(each, f"{key}.")
+            elif isinstance(each, int | float):
+                yield key, each, markers
+
+
+def _has_heartbeats(scenario: Scenario) -> bool:
+    return scenario.speaks and scenario.announce.beats
 
 
 def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -84,8 +111,11 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
             yield f"fault.{k}.at", "it would begin after the horizon"
     claim_size = getattr(scenario.protocol, "claim_size", None)
     size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
-    load = network.medium(size) / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
-    if scenario.speaks and announce.beats and load > 1.0:
+    airtime = network.medium(size)
+    if 0.0 < airtime <= RESOLUTION / 2:
+        yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
+    load = airtime / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
+    if _has_heartbeats(scenario) and load > 1.0:
         yield (
             "announce.heartbeat",
             f"heartbeats of {size} bytes alone would keep the channel busy {load:.1f} times over, so that"

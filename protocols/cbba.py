@@ -22,7 +22,7 @@ from typing import ClassVar, Literal, NamedTuple
 from desim.kernel.clock import seconds
 from desim.kernel.wire import NUMBER
 from desim.pursuit.agent import Agent
-from desim.value import Extent
+from desim.value import Timeout
 from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 
 Verdict = Literal["update", "reset", "leave"]
@@ -50,7 +50,7 @@ class CBBA(Auction):
 
     assumes: ClassVar[tuple[str, ...]] = ("connected", "word_repeated")
     kind: Literal["cbba"] = "cbba"
-    patience: Extent = 2.0
+    patience: Timeout = 2.0
     """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
     many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
 

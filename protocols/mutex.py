@@ -21,7 +21,7 @@ from pydantic import Field
 from desim.kernel.clock import nanoseconds
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from desim.value import Period, Rate, Value
+from desim.value import Duration, Rate, Value
 from protocols.patience import TimeOut, Waiting, wait_for_mail
 
 PORT = "mutex"
@@ -63,7 +63,7 @@ class LocalMutex(Value):
     """Wishes to decide per second of each pursuer that has none, 1/s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """How often a neighbour that does not answer is asked before it is left out."""
-    floor: Period = 0.001
+    floor: Duration = 0.001
     """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:

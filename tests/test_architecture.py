@@ -140,7 +140,7 @@ ALLOWED = {
         "desim.scenario",
         "desim.simulation",
     },
-    "desim.warnings": {"desim.assumptions", "desim.kernel", "desim.pursuit.sensing", "desim.scenario"},
+    "desim.warnings": {"desim.assumptions", "desim.kernel", "desim.pursuit.sensing", "desim.scenario", "desim.value"},
     "desim.guards": set(),
     "desim.toml_lines": set(),
     "desim.source": {"desim.kernel.presets", "desim.scenario", "desim.toml_lines", "desim.value"},

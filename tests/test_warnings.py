@@ -5,6 +5,7 @@ import pytest
 from desim import Scenario, run
 from desim.kernel.events import Broadcast
 from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.reach import QuasiUnitDisk
 from desim.pursuit.sensing import Sensing
@@ -71,9 +72,9 @@ def test_the_default_is_not_warned_of():
             "4 motion steps",
         ),
         (
-            {"motion": Motion(step=2.0), "horizon": 1.0},
-            "motion.step",
-            "the step of 2 s is longer than the horizon of 1 s",
+            {"network": Links(medium=BITS | {"bitrate": 1e13})},
+            "network.medium",
+            "the airtime of 24 bytes, 2e-11 s, rounds to 0",
         ),
         (
             {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
@@ -179,6 +180,56 @@ def test_the_fastest_of_several_evaders_may_jump(first):
     given = {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)}
     found = dict(warned(**given, evader=evaders if first else evaders[::-1]))
     assert "step x speed = 0.22 m" in found["motion.step"]
+
+
+SHORT = [
+    ("network.latency.value", {"network": {"latency": {"kind": "constant", "value": 0.5e-9}}}),
+    ("network.latency.values.1", {"network": {"latency": {"kind": "empirical", "values": [0.51e-9, 0.5e-9, 0.0]}}}),
+    (
+        "network.link.0.latency.scale",
+        {"network": {"link": [{"src": 0, "dst": 1, "latency": {"kind": "gamma", "scale": 0.5e-9}}]}},
+    ),
+    ("network.processing.sender", {"network": {"processing": {"sender": 0.5e-9}}}),
+    ("announce.forget_after", {"announce": {"forget_after": 0.5e-9}}),
+    ("evader.reaction", {"evader": {"reaction": 0.5e-9}}),
+]
+
+
+@pytest.mark.parametrize(("key", "given"), SHORT)
+def test_a_time_that_rounds_to_0_is_warned_of(key, given):
+    assert [each for each in warned(**given) if each[0] == key] == [
+        (key, "5e-10 s rounds to 0, for time is counted in nanoseconds")
+    ]
+
+
+def test_the_shortest_times_that_do_not_round_to_0_are_not_warned_of():
+    assert warned(network={"latency": Constant(value=0.51e-9), "processing": {"receiver": 1e-9}}) == []
+
+
+PERIODS = [
+    ("motion.step", {"motion": {"step": 1.5}}),
+    ("record.trajectory", {"record": {"trajectory": 1.5}}),
+    ("announce.heartbeat", {"announce": {"heartbeat": 1.5}}),
+    ("sensing.period", {"sensing": {"period": 1.5, "radius": 3.0}}),
+    ("protocol.slot", {"protocol": {"kind": "centralised", "slot": 1.5}}),
+    ("protocol.schedule.slot", {"protocol": {"kind": "sap", "schedule": {"kind": "shared_seed", "slot": 1.5}}}),
+    ("protocol.schedule.hold", {"protocol": {"kind": "sap", "schedule": {"kind": "token_ring", "hold": 1.5}}}),
+    ("evader.1.strategy.period", {"evader": [{}, {"strategy": {"kind": "zigzag", "period": 1.5}}]}),
+]
+
+
+@pytest.mark.parametrize(("key", "given"), PERIODS)
+@pytest.mark.parametrize(("horizon", "warned_of"), [(1.5, False), (1.499, True)])
+def test_a_period_beyond_the_horizon_is_warned_of(key, given, horizon, warned_of):
+    expected = [(key, "1.5 s is longer than the horizon of 1.499 s")] * warned_of
+    assert [each for each in warned(**given, horizon=horizon) if "longer than" in each[1]] == expected
+
+
+def test_a_period_that_nothing_has_may_be_beyond_the_horizon():
+    """Without heartbeats, without a limit of sight, and for faults, whose mean duration is no period."""
+    silent = Announcements(heartbeat=99.0, trigger="change")
+    assert warned(announce=silent, sensing=Sensing(period=0.1), horizon=0.5) == []
+    assert [why for _, why in warned(fault=[RandomCrashes(mean_downtime=99.0)]) if "longer than" in why] == []
 
 
 def test_each_thing_is_warned_of_in_one_go():

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
-from desim.value import Box, Coordinate, Extent, Length, OneOf, Period, Rate, Time, Truth, Value
+from desim.value import Box, Coordinate, Duration, Extent, Length, OneOf, Rate, Time, Truth, Value
 
 
 class _Window(Value):
@@ -116,7 +116,7 @@ class RandomCrashes(Value):
     kind: Literal["random_crashes"] = "random_crashes"
     rate: Rate = 0.1
     """Breakdowns per second of each node that is up, 1/s."""
-    mean_downtime: Period = 1.0
+    mean_downtime: Duration = 1.0
     """Mean time until it recovers, s."""
     scope: Literal["radio", "robot"] = "robot"
     """radio: it neither sends nor receives; robot: it does not move or decide either."""
@@ -139,7 +139,7 @@ class RandomPlan(Value):
     kind: Literal["random"] = "random"
     rate: Rate = 1.0
     """Faults per second, 1/s."""
-    mean_duration: Period = 1.0
+    mean_duration: Duration = 1.0
     """Mean duration of a fault, s."""
     until: Extent = inf
     """When the last fault is over at the latest, s."""

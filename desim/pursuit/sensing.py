@@ -17,7 +17,7 @@ from desim.kernel.clock import NodeClock, seconds
 from desim.kernel.network import Network
 from desim.pursuit.reckoning import nearer
 from desim.pursuit.surroundings import Whole
-from desim.value import Extent, Limit, Period, Truth, Value
+from desim.value import Limit, Period, Timeout, Truth, Value
 
 if TYPE_CHECKING:
     from desim.pursuit.state import Points
@@ -44,7 +44,7 @@ class Sensing(Value):
     or it hears of a newer one, again and again, for reports are lost as other messages are."""
     pass_on: Truth = False
     """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
-    lost_after: Extent = 5.0
+    lost_after: Timeout = 5.0
     """Age T_lost of a sighting from which on the evader is lost, s."""
     when_lost: Literal["stay", "search"] = "search"
     """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to

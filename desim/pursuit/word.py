@@ -9,7 +9,7 @@ from desim.kernel.events import Broadcast, Sent
 from desim.kernel.records import Record
 from desim.kernel.wire import HEADER, NUMBER
 from desim.pursuit.surroundings import Surroundings
-from desim.value import Extent, OneOf, Period, Truth, Value
+from desim.value import OneOf, Period, Timeout, Truth, Value
 
 
 class Assignment(NamedTuple):
@@ -113,7 +113,7 @@ class Announcements(Value):
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
     forget_after: Annotated[
-        Annotated[Extent, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
+        Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
     ] = "auto"
     """How long after its last word arrived a teammate is believed active, s; "auto" is 3 heartbeats and twice the
     typical latency and airtime of an announcement, or inf without heartbeats."""
