@@ -302,9 +302,13 @@ class Scenario(Value):
             graph = made
         except (ValueError, TypeError, AttributeError) as error:
             yield ("network", "graph"), str(error)
+        seen: dict[tuple[int, int], int] = {}
         for k, link in enumerate(self.network.link):
             strangers = [end for end in ("src", "dst") if getattr(link, end) >= count]
             yield from ((("network", "link", k, end), nobody.format(getattr(link, end))) for end in strangers)
+            twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
+            for src, dst in twice[:1]:
+                yield ("network", "link", k), f"the link from {src} to {dst} is network.link.{seen[src, dst]} already"
             for src, dst in link.ways() if not strangers else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"

@@ -522,6 +522,17 @@ BAD_NETWORKS = {
         "network.link.1.dst",
         "there is no pursuer 9: they are 0 .. 3",
     ),
+    "horizon that rounds to 0": ("horizon = 5e-324", "horizon", "should be at least 1e-09 s"),
+    "link that is there twice": (
+        "network.link = [{ src = 0, dst = 2, both_ways = true, loss = LOSS }, { src = 2, dst = 0, loss = LOSS }]",
+        "network.link.1",
+        "the link from 2 to 0 is network.link.0 already",
+    ),
+    "parallel edges": (
+        'network.graph = { kind = "edges", edges = [{ src = 0, dst = 1 }, { src = 1, dst = 0 }] }',
+        "network.graph",
+        "edges 0 and 1 are parallel, both from 1 to 0",
+    ),
     "link that is no edge": (
         'network = { graph = { kind = "ring" }, link = [{ src = 0, dst = 2, loss = { kind = "bernoulli" } }] }',
         "network.link.0",

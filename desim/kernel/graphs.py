@@ -120,7 +120,7 @@ class Link(Edge):
 
 
 class Edges(Value):
-    """Any graph: a list of edges, or a file in node-link JSON or GraphML; edges may have a latency and a loss."""
+    """A simple graph: a list of edges, or a file in node-link JSON or GraphML; edges may have a latency and a loss."""
 
     kind: Literal["edges"] = "edges"
     edges: tuple[Edge, ...] = ()
@@ -140,6 +140,15 @@ class Edges(Value):
         if "edges" in given:
             raise ValueError("should have edges or a file of them, not both")
         return given | {"file": None} | _fields(_graph_in(beside(given["file"], info)))
+
+    @model_validator(mode="after")
+    def _simple(self) -> Self:
+        seen: dict[tuple[int, int], int] = {}
+        for k, edge in enumerate(self.edges):
+            ends = (edge.src, edge.dst) if self.directed else (min(edge.src, edge.dst), max(edge.src, edge.dst))
+            if (first := seen.setdefault(ends, k)) != k:
+                raise ValueError(f"edges {first} and {k} are parallel, both from {edge.src} to {edge.dst}")
+        return self
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":
@@ -174,7 +183,8 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
             _check_plain(file.read_bytes())
             return nx.read_graphml(file, node_type=int)
         data = json.loads(file.read_text(encoding="utf-8"))
-        return nx.node_link_graph(data, edges="edges" if "edges" in data else "links")  # the key before networkx 3.4
+        key = "edges" if "edges" in data else "links"  # before networkx 3.4
+        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # or of parallel edges it keeps the last
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:  # whatever the two readers of networkx raise at what they do not expect

@@ -145,6 +145,18 @@ def test_any_graph_comes_back(size, density, seed, directed):
     assert nx.utils.graphs_equal(back, graph)
 
 
+@pytest.mark.parametrize("kind", ["json", "graphml", "of", "simple json"])
+def test_parallel_edges_are_refused_and_two_ways_are_not_parallel(tmp_path, kind):
+    """Of parallel edges the last would win; JSON that calls itself simple is read as such by networkx."""
+    two_ways, parallel = (nx.MultiDiGraph([(0, 1, {"latency": 1.0}), other]) for other in [(1, 0), (0, 1)])
+    assert set(Edges.of(two_ways)(2).edges) == {(0, 1), (1, 0)}
+    file = write(parallel, tmp_path, kind.split()[-1])
+    if kind == "simple json":
+        file.write_text(file.read_text().replace('"multigraph": true', '"multigraph": false'))
+    with pytest.raises(ValidationError, match="edges 0 and 1 are parallel, both from 0 to 1"):
+        Edges.of(parallel) if kind == "of" else from_file(file)
+
+
 def test_nodes_may_be_numbers_of_numpy():
     graph = nx.Graph([(np.int64(0), np.int64(1)), (np.int64(1), np.int64(2))])
     assert same(Edges.of(graph)(3), nx.path_graph(3))
