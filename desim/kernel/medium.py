@@ -7,6 +7,8 @@ from pydantic import Field
 
 from desim.value import Limit, OneOf, Truth, Value
 
+MOST_BYTES = 255
+"""The payload of a LoRa frame: its length is one byte."""
 Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 
 
@@ -70,7 +72,12 @@ class Bitrate(_Radio):
 
 
 class LoRa(_Radio):
-    """The airtime of a LoRa frame (Semtech, AN1200.22, "LoRa Modulation Basics", and SX1276 datasheet, 4.1.1.7)."""
+    """The airtime of LoRa frames (Semtech, AN1200.22, "LoRa Modulation Basics", and SX1276 datasheet, 4.1.1.7).
+
+    A frame carries at most 255 bytes. A longer message takes ceil(size / 255) frames, each with a preamble and a header
+    of its own, one right after the other; they are received or lost together. The bytes that number the frames of a
+    message are left out, and so are limits of the duty cycle, such as the 1 % of most European channels at 868 MHz.
+    """
 
     kind: Literal["lora"] = "lora"
     spreading_factor: Annotated[int, Field(ge=7, le=12, strict=True)] = 7
@@ -87,6 +94,11 @@ class LoRa(_Radio):
     """Whether the header is left out."""
 
     def __call__(self, size: int) -> float:
+        """Return the airtime of all frames that a message takes, s."""
+        full, rest = divmod(size, MOST_BYTES)
+        return full * self._frame(MOST_BYTES) + (self._frame(rest) if rest or not full else 0.0)
+
+    def _frame(self, size: int) -> float:
         """Return (preamble + 4.25 + payload symbols) symbol times, s.
 
         Symbols of more than 16 ms carry two bits less (low data rate optimisation).

@@ -81,6 +81,20 @@ def test_every_lora_frame_takes_what_the_formula_of_the_data_sheet_gives(
     assert ours(size) == pytest.approx(float(theirs), rel=1e-12)
 
 
+@given(st.integers(0, 9), st.integers(1, 255), st.sampled_from([7, 12]))
+def test_a_message_that_is_too_long_for_a_lora_frame_takes_several(full, rest, factor):
+    """Of 255 bytes each, and one of what is left: 256 bytes take a full frame and one of a single byte."""
+    frame = LoRa(spreading_factor=factor)
+    assert frame(full * 255 + rest) == pytest.approx(full * frame(255) + frame(rest), rel=1e-12)
+
+
+def test_a_long_message_over_lora_by_hand():
+    """SF 7: ceil((2040 - 28 + 28 + 16) / 28) = 74 blocks of 5, 12.25 + 8 + 370 = 390.25 symbols of 1.024 ms a frame; a
+    byte takes ceil(24 / 28) = 1 block, 25.25 symbols. In one frame 256 bytes would take 390.25 as well.
+    """
+    assert [LoRa()(size) / 0.001024 for size in (255, 256, 510)] == pytest.approx([390.25, 415.5, 780.5], rel=1e-12)
+
+
 def test_slow_symbols_carry_two_bits_less():
     """At 125 kHz a symbol of SF 10 takes 8.2 ms, of SF 11 16.4 ms; at 250 kHz that of SF 12 does.
 
