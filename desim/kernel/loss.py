@@ -39,19 +39,25 @@ class Bernoulli(Value):
 
 
 class GilbertElliott(Value):
-    """Losses come in bursts: each link is now good and now bad, and loses what is sent while it is bad.
+    """Losses come in bursts: each link is now good and now bad, and loses messages with a probability of either state.
 
-    Gilbert 1960, "Capacity of a Burst-Noise Channel"; Elliott 1963. With p from good to bad and r from bad to good, the
-    share of bad time is p / (p + r) and the mean burst 1 / r. A link starts from its stationary law.
+    Gilbert 1960, "Capacity of a Burst-Noise Channel", has no losses in the good state; Elliott 1963, "Estimates of
+    Error Rates for Codes on Burst-Noise Channels", has. With p from good to bad and r from bad to good, the share of
+    bad time is s = p / (p + r) and a link is bad for 1 / r in the mean. It starts from its stationary law. Of all
+    messages s `loss_bad` + (1 - s) `loss_good` are lost: just those sent while a link is bad, unless told otherwise.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
     share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
-    """Share of messages that are lost, in [0, 1)."""
+    """Share of the messages, or of the time, for which a link is bad, in [0, 1)."""
     burst: Positive = 5.0
-    """Mean length of a burst, in messages of the link, or in s if it advances in time."""
+    """How long a link is bad in the mean, in messages of the link, or in s if it advances in time."""
     advance: Literal["message", "time"] = "message"
     """Whether a link changes between good and bad with every message it carries, or as time goes by."""
+    loss_good: Probability = 0.0
+    """Probability that a message is lost while its link is good, in [0, 1]."""
+    loss_bad: Probability = 1.0
+    """Probability that a message is lost while its link is bad, in [0, 1]."""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -66,7 +72,7 @@ class GilbertElliott(Value):
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
         """Return which of the hops lose a message if nothing is remembered: the stationary law."""
-        return rng.random(len(hops.dst)) < self.share
+        return rng.random(len(hops.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
 
 class _Bursts:
@@ -76,10 +82,11 @@ class _Bursts:
         self._share, self._in_time = model.share, model.advance == "time"
         self._recovery = 1.0 / model.burst  # r
         self._failure = self._recovery * model.share / (1.0 - model.share)  # p
+        self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
         self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
-        """Return which of the hops lose the message: each link advances, and its state is its answer."""
+        """Return which of the hops lose the message, after each link has advanced."""
         row = self._rows[hops.src]
         links = row.links(hops.dst)
         was_bad, since = row.was_bad[links], row.since[links]
@@ -91,7 +98,10 @@ class _Bursts:
             chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
         bad: Truths = rng.random(len(hops.dst)) < np.where(since > -np.inf, chance, self._share)
         row.was_bad[links], row.since[links] = bad, hops.now
-        return bad
+        if self._loss_good == 0.0 and self._loss_bad == 1.0:
+            return bad
+        lost: Truths = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
+        return lost
 
 
 class _Row:

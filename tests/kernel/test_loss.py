@@ -78,17 +78,27 @@ def rates_off(bad):
     return errors(recovered, before.sum(), 0.2), errors(failed, (~before).sum(), 0.05)
 
 
-def test_a_link_that_advances_by_messages_loses_its_share_in_bursts_of_the_mean_length():
-    """A burst is geometric: mean 5, variance 5^2 - 5. Of 200 messages, bursts that begin in the first 100 are counted,
+@pytest.mark.parametrize(
+    ("model", "control"),
+    [
+        (GilbertElliott(share=SHARE, burst=BURST), {"burst": 5.5}),
+        (GilbertElliott(share=1.125 * SHARE, burst=10.0, loss_bad=8 / 9), {"loss_bad": 0.91}),
+    ],
+)
+def test_a_link_that_advances_by_messages_loses_its_share_in_bursts_of_the_mean_length(model, control):
+    """With a loss h while bad, after a lost message the next is lost with probability h (1 - r): 0.8 in both cases, so
+    that the mean burst of losses is 1 / (1 - h (1 - r)) = 5. The share of losses is h s = 0.2.
+
+    A burst is geometric: mean 5, variance 5^2 - 5. Of 200 messages, bursts that begin in the first 100 are counted,
     so that none is cut short (0.8^100 = 2e-10); standard error sqrt(20 / bursts). The share is counted over links at a
     single message, the 200th, where they are independent. The control is a burst of 5.5.
     """
     for seed in SEEDS:
-        lost = history(GilbertElliott(share=SHARE, burst=BURST), range(200), seed)
+        lost = history(model, range(200), seed)
         assert abs(errors(lost[-1].sum(), LINKS, SHARE)) < 5
         assert abs(errors(lost[0].sum(), LINKS, SHARE)) < 5
         assert abs(bursts_off(lost)) < 5
-        assert abs(bursts_off(history(GilbertElliott(share=SHARE, burst=5.5), range(200), seed))) > 5
+        assert abs(bursts_off(history(model.model_copy(update=control), range(200), seed))) > 5
 
 
 def bursts_off(lost):
@@ -99,6 +109,30 @@ def bursts_off(lost):
     counted = (begins[:, 1] > 0) & (begins[:, 1] < 100)
     lengths = (ends - begins)[counted, 1]
     return (lengths.mean() - 5.0) / sqrt(20.0 / lengths.size)
+
+
+@pytest.mark.parametrize("advance", ["message", "time"])
+def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
+    """With s = 0.3, r = 0.25 and p = r s / (1 - s): the mean is m = 0.3 x 0.7 + 0.7 x 0.1 = 0.28, and both of two
+    messages, k apart, are lost with m^2 + s (1 - s) (0.7 - 0.1)^2 c^k, c = 1 - p - r by message, exp(-p - r) in time.
+
+    Binomial over 40 000 links, 5 seeds, within 5 standard errors; the control is another loss while bad.
+    """
+    model = GilbertElliott(share=0.3, burst=4.0, advance=advance, loss_good=0.1, loss_bad=0.7)
+    rate = 0.25 / 0.7
+    fading = 1.0 - rate if advance == "message" else exp(-rate)
+
+    def off(model, seed):
+        first, *others = history(model, range(4), seed, links=40_000)
+        both = [
+            errors((first & other).sum(), 40_000, 0.28**2 + 0.0756 * fading**k) for k, other in enumerate(others, 1)
+        ]
+        return max(map(abs, [errors(first.sum(), 40_000, 0.28), errors(others[-1].sum(), 40_000, 0.28), *both]))
+
+    assert max(off(model, seed) for seed in SEEDS) < 5
+    assert min(off(model.model_copy(update={"loss_bad": 0.8}), seed) for seed in SEEDS) > 5
+    alone = model(hops(links=40_000), np.random.default_rng(0))
+    assert abs(errors(alone.sum(), 40_000, 0.28)) < 5
 
 
 def test_shares_differ_and_the_stationary_law_is_there_from_the_first_message_on():
@@ -285,6 +319,8 @@ def test_loss_by_distance_needs_positions():
         (GilbertElliott, {"burst": 0.0}),
         (GilbertElliott, {"burst": float("inf")}),
         (GilbertElliott, {"advance": "distance"}),
+        (GilbertElliott, {"loss_good": -0.1}),
+        (GilbertElliott, {"loss_bad": 1.1}),
         (ByDistance, {"near": 1.5}),
         (ByDistance, {"far": -0.5}),
         (ByDistance, {"distance": 0.0}),
