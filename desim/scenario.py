@@ -94,7 +94,7 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 with which each pursuer is active at first, in [0, 1]."""
+    """Probability p0 with which each pursuer is active at first, in [0, 1]; who has no choice (`prune`) stays."""
     guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "flight", "speeds"))] = (
         PurePursuit()
     )
@@ -242,7 +242,7 @@ class Scenario(Value):
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"
     """Who has no choice but to stay, whatever the protocol: nobody; who can never capture (phi = inf); or also who
-    would be late (phi >= r)."""
+    would be late (phi >= r). It holds from the start, whatever `team.active_at_start` draws."""
     team: Team = Team()
     evader: Annotated[
         Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_some), Tag("list")],

@@ -2,7 +2,8 @@
 
 Paper: BinaryLogLinear: Marden & Shamma 2012, "Revisiting Log-Linear Learning". SelectiveSAP: binary restrictive
     Spatial Adaptive Play, Marden 2007, "Learning in Large-Scale Games and Cooperative Control", 6.3.3; Selective SAP of
-    Lee & Bakolas.
+    Lee & Bakolas. The constrained action sets of Marden & Shamma, by which the present action restricts the next, are
+    not implemented: every other action may be tried that `prune` allows.
 Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: as Spatial Adaptive Play; then it has the same Gibbs law. With two actions the binary rule *is* SAP, and the
     selective one is SAP that does nothing at every second turn.

@@ -1,12 +1,15 @@
 """Regret matching: the more a pursuer regrets not having done something, the likelier it does it.
 
-Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium".
+Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
+    unconditional variant: the regret of an action is that of not having done it at every turn. The conditional
+    procedure that gives the paper its name (regrets of each action against each other, and a constant of inertia) and
+    that leads to correlated equilibria is not implemented.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
 Parameters: schedule, utility; rho (how fast regret fades), alpha (how willing a pursuer is to change).
 Assumes: word of everybody; no order of revisions. Regret matching has no regret in the long run, and how often each
-    profile was played tends to the coarse correlated equilibria: in the relay game with times of capture that do not
-    change, to the relay profile. The generalised one settles in a pure equilibrium.
+    profile was played tends to the coarse correlated equilibria: in the relay game with one evader and times of capture
+    that do not change, to the relay profile. The generalised one settles in a pure equilibrium.
 Messages: announcements as the scenario's `announce` says.
 Robust to loss: yes, with heartbeats.
 """

@@ -5,7 +5,7 @@ A schedule is called with an agent and with what to do at its turn, and is the p
 revisions in the whole team.
 
 Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
-    synchronous learning, with q < 1 the independent learners of Marden & Shamma 2012. Periodic: timers of real robots.
+    synchronous learning, with q < 1 independent revisions as in Marden & Shamma 2012. Periodic: timers of real robots.
 Parameters: of each, how often a pursuer revises.
 Assumes: SharedSeed and Rounds equal clocks; Poisson and Periodic nothing.
 Messages: none.
@@ -89,6 +89,8 @@ class Rounds(Value):
     """At every round everybody revises, or each with a probability, before anybody says what it has decided.
 
     No Gibbs law, but on the relay game the fastest to settle: a round takes the time that others need for one revision.
+    The theorem of Marden & Shamma 2012 on independent revisions does not apply either: its probability of revising
+    vanishes with tau, as exp(-m / tau), while q is constant.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)

@@ -35,7 +35,10 @@ SET = click.option(
 SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
 CLUSTER = click.option(
-    "--cluster", metavar="tcp://...", help="Run on the workers of a Dask scheduler (the extra `cluster`)."
+    "--cluster",
+    metavar="tcp://...",
+    help="Run on the workers of a Dask scheduler (the extra `cluster`). Whoever reaches its port can run code there:"
+    " use a trusted network, or TLS (tls://...).",
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
 
