@@ -27,7 +27,7 @@ from desim.kernel.positions import Locator
 from desim.kernel.records import Arrival, Mark, Record, Records, Table, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.travel import Travel
-from desim.kernel.wire import size_of
+from desim.kernel.wire import as_sent, size_of
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -113,14 +113,14 @@ class Network:
 
     def presume(self, src: int, body: Any, sent: int | None = None) -> None:
         """Let everyone know a record of `src` from the start, without a message; `sent` as in `publish`."""
-        self._records.presume(Record(src, 0, self._env.now if sent is None else sent, body))
+        self._records.presume(Record(src, 0, self._env.now if sent is None else sent, as_sent(body)))
 
     def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
 
         Args:
             src: whose state it is.
-            body: what it is.
+            body: what it is; all receivers get the same object, as it is now, and must not change it.
             size: in bytes; counted from the body if None, see `desim.kernel.wire`.
             sent: the time by the clock of `src`, ns; the true one if None.
         """
@@ -129,7 +129,8 @@ class Network:
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
 
-        A message to a node that is out of reach when it is sent is lost.
+        A message to a node that is out of reach when it is sent is lost. All receivers get the same body, as it is
+        now, and must not change it: a body that is not hashable is copied, see `desim.kernel.wire.as_sent`.
 
         Raises:
             ValueError: if there is no such node, or it is the sender.
@@ -138,11 +139,11 @@ class Network:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        self._hand_over(src, dst, _new(Message, (src, self._env.now, body)), size, port)
+        self._hand_over(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
         """Return the next record of a node, for who spreads it by other means than `publish`."""
-        return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, body))
+        return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, as_sent(body)))
 
     def enter(self, node: int, record: Record) -> None:
         """Let a node know a record that reached it by other means than `publish`."""

@@ -9,6 +9,7 @@ A record that is passed on inside a body takes what it takes by itself. So an ac
 time of capture 32, and one with a position and a speed 48.
 """
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,19 @@ NUMBER = 8
 """Bytes of a number."""
 SCALARS = frozenset({int, float, bool})
 COLLECTIONS = (tuple, list, set, frozenset)
+
+
+def as_sent(body: Any) -> Any:
+    """Return what the receivers of a message get, which does not change when the sender changes the body later.
+
+    What is hashable counts as immutable and is not copied: a number, a text, a named tuple of such. A list, a dict or
+    an array, or a tuple that holds one, is copied, once for all receivers.
+    """
+    try:
+        hash(body)
+    except TypeError:
+        return deepcopy(body)
+    return body
 
 
 def size_of(body: Any) -> int:
@@ -42,5 +56,5 @@ def _size(body: Any) -> int:
     if isinstance(body, dict):
         return sum(_size(key) + _size(each) for key, each in body.items())
     if isinstance(body, np.ndarray):
-        return NUMBER * body.size
+        return NUMBER * body.size * (2 if np.iscomplexobj(body) else 1)
     return 2 * NUMBER if isinstance(body, complex) else NUMBER

@@ -300,7 +300,10 @@ class Agent:
         return self._network.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
-        """Announce something to the neighbours, as state: they read it when they next look."""
+        """Announce something to the neighbours, as state: they read it when they next look.
+
+        They share it as it is now, see `send`.
+        """
         self._network.publish(self.id, body, sent=self._clock.stamp)
 
     def learn(self, records: Iterable[Record]) -> None:
@@ -310,6 +313,9 @@ class Agent:
 
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
         """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart.
+
+        The body is sent as it is now: what is done to a list, a dict or an array afterwards changes nothing on the way.
+        All receivers get the same object, which they must not change; a tuple or a NamedTuple is never copied.
 
         Raises:
             ValueError: if it is for itself, or there is no such teammate.
