@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import threading
+from dataclasses import FrozenInstanceError
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -288,6 +289,16 @@ def test_several_faults_are_told_at_once_in_the_order_of_lines(refused):
     ]
 
 
+def test_a_fault_that_has_no_line_comes_first(tmp_path):
+    file = tmp_path / "f.toml"
+    file.write_text("sweep.grid.horizon = [-1.0, 1.0]\n")
+    with pytest.raises(ScenarioError) as refused:
+        cells(read(file, ["sweep.grid.team.count=[2, 0]"]))
+    first, second = str(refused.value).splitlines()
+    assert first.startswith("--set sweep.grid.team.count=[2, 0]: ")
+    assert second.startswith(f"{file}:1: ")
+
+
 def test_of_many_faults_the_first_are_told(refused):
     lines = refused(f"horizon = {[-1.0 - k for k in range(30)]}")
     assert len(lines) == 21
@@ -562,3 +573,5 @@ def test_a_configuration_is_told_by_its_settings():
     (cell,) = of({"horizon": [2.0], "protocol": [{"kind": "sap"}]})
     assert str(cell) == "horizon = 2, protocol = sap"
     assert module.in_words(cell.settings) == str(cell)
+    with pytest.raises(FrozenInstanceError):
+        cell.settings = {}

@@ -5,6 +5,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from io import StringIO
 from math import inf
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from desim.scenario import Scenario, Team
 from desim.scenario_file import read
 from desim.source import ScenarioError
 from desim.study import sweep as module
+from desim.study.batch import run_many
 from desim.study.store import Store, StoreError
 from desim.study.sweep import MOST_RUNS, Plan, RunError, sweep
 from protocols.rule import Rule
@@ -252,6 +254,22 @@ def test_the_first_failure_ends_the_sweep_if_it_should(tmp_path):
     scenario = BASE.model_copy(update={"protocol": Moody()})
     with pytest.raises(RunError, match=r"(?s)capture\.radius = 0\.1 with seed 6 failed \(error\).*not today"):
         sweep(scenario, {"capture.radius": [0.1]}, 9, store=tmp_path / "s.sqlite", fail_fast=True)
+
+
+class Terminal(StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(
+    "do", [lambda: sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2), lambda: run_many([(BASE, k) for k in range(4)])]
+)
+def test_a_terminal_is_told_how_many_runs_are_done(monkeypatch, do):
+    monkeypatch.setattr(sys, "stderr", shown := Terminal())
+    do()
+    first, *_, last = shown.getvalue().strip().split("\r")
+    assert "| 0/4 [" in first
+    assert "| 4/4 [" in last
 
 
 # What a store may be continued with.
