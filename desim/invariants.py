@@ -7,6 +7,7 @@ A finished trace may be shown to them as well, event by event. What must hold of
 `desim.kernel.invariants`.
 """
 
+from math import fsum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,7 +86,7 @@ class ActiveTime:
         """Compare the active time and the energy of the run with the stopwatches."""
         own = self.until(self.end) / SECOND
         _require_same("active time", active_time(result), float(own.sum()))
-        _require_same("energy", energy(result), float(np.square(self._speeds) @ own))
+        _require_same("energy", energy(result), fsum(np.square(self._speeds) * own))
 
     def _start(self, event: Started) -> None:
         self.profile, self._speeds = list(event.active), event.speeds

@@ -5,14 +5,15 @@ evaders n_j(t) is the number of pursuers that chase evader j, n the sum of all n
 that are at large, so that the integral of a n_j runs to the capture of j.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from math import fsum
 from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.reading import Floats, Integers, captures, ended, remembered, started
+from desim.analysis.reading import Floats, Integers, Truths, captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.pursuit.events import Captured, Decided, Halted
 from desim.simulation import Result
@@ -122,10 +123,14 @@ def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
     return np.diff([*times, end]) / SECOND, np.array(counts)
 
 
+def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Truths]) -> float:
+    """Return the integral of a function of the counts over time, summed over the step functions, s, rounded once."""
+    return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
+
+
 def active_time(result: Result) -> float:
     """Return the sum of the pursuers' active times, int n dt (Lee & Bakolas, Table I), s."""
-    durations, counts = activity(result)
-    return float(durations @ counts)
+    return _integral([activity(result)], lambda counts: counts)
 
 
 def idle_time(result: Result) -> float:
@@ -134,7 +139,7 @@ def idle_time(result: Result) -> float:
     Of several evaders each that nobody chases counts, so that the active time less the excess time and with the idle
     time is the time for which evaders were at large, summed over them: each needs one pursuer.
     """
-    return sum(float(durations[counts == 0].sum()) for durations, counts in pressure(result))
+    return _integral(pressure(result), lambda counts: counts == 0)
 
 
 def crowded_time(result: Result) -> float:
@@ -142,12 +147,12 @@ def crowded_time(result: Result) -> float:
 
     int sum_j 1{n_j > 1} dt.
     """
-    return sum(float(durations[counts > 1].sum()) for durations, counts in pressure(result))
+    return _integral(pressure(result), lambda counts: counts > 1)
 
 
 def excess_time(result: Result) -> float:
     """Return the active time in excess of one pursuer, for each evader, int sum_j (n_j - 1)+ dt, s."""
-    return sum(float(durations @ np.maximum(counts - 1, 0)) for durations, counts in pressure(result))
+    return _integral(pressure(result), lambda counts: np.maximum(counts - 1, 0))
 
 
 def energy(result: Result) -> float:

@@ -83,10 +83,12 @@ def intercept_time(
         ValueError: if shapes disagree or radius <= 0.
     """
     offsets, v = _checked(evader, pursuers, speeds, radius)
+    x, y = offsets.T
     w = np.asarray(evader_velocity, dtype=float)
-    a = np.vecdot(w, w)[..., np.newaxis] - v**2
-    b = (offsets @ w.T).T - radius * v
-    c = (offsets**2).sum(axis=1) - radius**2
+    w_x, w_y = w[..., :1], w[..., 1:]  # (1,) or (K, 1)
+    a = w_x**2 + w_y**2 - v**2
+    b = w_x * x + w_y * y - radius * v
+    c = x**2 + y**2 - radius**2
     discriminant = b**2 - a * c
     denominator = np.sqrt(np.maximum(discriminant, 0.0)) - b
     meets = (discriminant >= 0.0) & (denominator > 0.0)

@@ -7,7 +7,7 @@ that is left, and answers with what the pursuer gains by chasing, U_i(active) - 
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import inf
+from math import cos, inf, pi
 from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -19,6 +19,10 @@ from desim.value import OneOf, Value
 
 Scope = Literal["heard", "neighbours", "component"]
 """Who counts: everyone heard of, who can be heard now, or who can be reached now over any number of hops."""
+
+
+NEWTON_STEPS = 5
+"""The first guess of a root is good to 4 digits or more, and each step doubles them."""
 
 
 class Utility(Protocol):
@@ -64,10 +68,10 @@ class Mean(Value):
         phi, q = np.asarray(others, dtype=float), np.asarray(chances, dtype=float)
         s, weight = _nodes(len(q) // 2 + 1)
         factors = 1.0 - q[:, None] * (1.0 - s)  # (n, nodes)
-        before = np.cumprod(np.vstack([np.ones_like(s), factors]), axis=0)
-        after = np.cumprod(np.vstack([np.ones_like(s), factors[::-1]]), axis=0)[::-1]
-        beside = (before[:-1] * after[1:]) @ (weight * (1.0 - s))  # (n,), each without its own factor
-        return float(reward * np.prod(1.0 - q) - own * (before[-1] @ weight) + (phi * q) @ beside)
+        before = np.cumprod(np.vstack([weight, factors]), axis=0)
+        after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
+        beside = (before[:-1] * after[1:]).sum(axis=1)  # (n,), each without its own factor
+        return float(reward * np.prod(1.0 - q) - own * before[-1].sum() + (phi * q * beside).sum())
 
 
 class LocalMean(Mean):
@@ -140,6 +144,16 @@ UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scop
 
 @lru_cache(maxsize=256)
 def _nodes(count: int) -> tuple[Floats, Floats]:
-    """Return the nodes and weights of Gauss and Legendre's quadrature over [0, 1]."""
-    x, weight = np.polynomial.legendre.leggauss(count)
-    return (x + 1.0) / 2.0, weight / 2.0
+    """Return the nodes and weights of Gauss and Legendre's quadrature over [0, 1].
+
+    The nodes are roots of the Legendre polynomial, by Newton's method (Press et al. 2007, "Numerical Recipes", 4.6.1):
+    the eigenvalues by which numpy has them come from LAPACK, whose last digits depend on the processor.
+    """
+    x = np.array([cos(pi * (k + 0.75) / (count + 0.5)) for k in range(count)])
+    for _ in range(NEWTON_STEPS):
+        before, value = np.zeros(count), np.ones(count)
+        for degree in range(1, count + 1):
+            before, value = value, ((2 * degree - 1) * x * value - (degree - 1) * before) / degree
+        slope = count * (x * value - before) / (x**2 - 1.0)
+        x = x - value / slope
+    return (x + 1.0) / 2.0, 1.0 / ((1.0 - x**2) * slope**2)

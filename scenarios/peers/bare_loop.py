@@ -23,7 +23,7 @@ def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
     active_time = 0.0
     k = 0
     for k in range(round(scenario.horizon / slot)):
-        distances = np.linalg.norm(x_e - x, axis=1)
+        distances = np.hypot(*(x_e - x).T)
         nearest = distances.argmin()
         if distances[nearest] <= eps:
             break
@@ -34,8 +34,8 @@ def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
         gain = (others.mean() - phi[i]) / (len(others) + 1) if len(others) else scenario.horizon - k * slot - phi[i]
         active[i] = rng.random() < expit(gain * k**2 / 10)
         away = x_e - x[nearest]
-        x_e = x_e + v_e * slot * away / np.linalg.norm(away)
+        x_e = x_e + v_e * slot * away / np.hypot(*away)
         ahead = x_e - x[active]
-        x[active] += v[active, np.newaxis] * slot * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        x[active] += v[active, np.newaxis] * slot * ahead / np.hypot(*ahead.T)[:, np.newaxis]
         active_time += active.sum() * slot
     return k
