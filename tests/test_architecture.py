@@ -14,6 +14,7 @@ OURS = ("desim", "protocols", "scenarios", "tests")
 ALLOWED = {
     "desim.field_docs": set(),
     "desim.value": {"desim.field_docs"},
+    "desim.elementary": set(),
     "desim.kernel.clock": set(),
     "desim.kernel.seeds": set(),
     "desim.kernel.events": set(),
@@ -22,8 +23,8 @@ ALLOWED = {
     "desim.kernel.cells": {"desim.kernel.positions", "desim.value"},
     "desim.kernel.complete": set(),
     "desim.kernel.hops": {"desim.kernel.positions", "desim.kernel.seeds"},
-    "desim.kernel.latency": {"desim.kernel.hops", "desim.kernel.seeds", "desim.value"},
-    "desim.kernel.loss": {"desim.kernel.hops", "desim.value"},
+    "desim.kernel.latency": {"desim.elementary", "desim.kernel.hops", "desim.kernel.seeds", "desim.value"},
+    "desim.kernel.loss": {"desim.elementary", "desim.kernel.hops", "desim.value"},
     "desim.kernel.reach": {"desim.value"},
     "desim.kernel.medium": {"desim.value"},
     "desim.kernel.wire": {"desim.kernel.records"},
@@ -59,6 +60,7 @@ ALLOWED = {
     "desim.pursuit.motion": {"desim.pursuit.state"},
     "desim.pursuit.outlook": {"desim.pursuit.state"},
     "desim.pursuit.evasion": {
+        "desim.elementary",
         "desim.pursuit.capture",
         "desim.pursuit.outlook",
         "desim.pursuit.state",

@@ -26,6 +26,7 @@ from desim.analysis.reading import (
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.faults import Began, Crash, Over
 from desim.pursuit.capture import RadialTime
+from desim.pursuit.state import lengths
 from desim.simulation import Result
 
 PART = 1 << 18
@@ -124,5 +125,4 @@ class _Path:
         before = np.searchsorted(self.t, t, side="right") - 1
         after = np.minimum(before + 1, len(self.t) - 1)
         share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)
-        found: Floats = np.abs(self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before]))
-        return found
+        return lengths(self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before]))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
+from desim.elementary import exp
 from desim.kernel.hops import Hops
 from desim.kernel.seeds import ROOM
 from desim.value import OneOf, Speed, Time, Truth, Value, beside
@@ -104,7 +105,9 @@ class ShiftedExponential(_Drawn):
 
     def quantile(self, u: Floats) -> Floats:
         """Return d0 - m ln(1 - u), s."""
-        return self.offset - self.mean * np.log1p(-u)
+        from scipy.special import xlog1py
+
+        return self.offset - np.asarray(xlog1py(self.mean, -u))
 
 
 class Gamma(_Drawn):
@@ -150,7 +153,8 @@ class Lognormal(_Drawn):
         """Return d0 + mean exp(s z(u) - s^2 / 2), s."""
         from scipy.special import ndtri
 
-        return self.offset + self.mean * np.exp(sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2)
+        logarithms = sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2
+        return self.offset + self.mean * exp(logarithms)
 
     @property
     def _variance(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from desim.elementary import exp, power
 from desim.kernel.hops import Hops
 from desim.value import Length, OneOf, Positive, Probability, Value
 
@@ -92,7 +93,7 @@ class _Bursts:
         was_bad, since = row.was_bad[links], row.since[links]
         if self._in_time:
             # Two states in continuous time: P(bad) tends to its share at the sum of the two rates.
-            memory = np.exp((self._failure + self._recovery) * (since - hops.now))
+            memory = exp((self._failure + self._recovery) * (since - hops.now))
             chance = self._share + (was_bad - self._share) * memory
         else:
             chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
@@ -146,7 +147,7 @@ class ByDistance(Value):
 
     def probability(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the probability of loss at (k,) distances, m."""
-        return self.near + (self.far - self.near) * np.minimum(distances / self.distance, 1.0) ** self.exponent
+        return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
 
     def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
         """Return which of the hops lose the message."""

@@ -3,7 +3,7 @@
 Whatever the model, the range is the one length in it, so that a study sweeps one key.
 """
 
-from math import inf
+from math import inf, log
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
@@ -70,10 +70,10 @@ class LogDistance(Value):
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return P(d)."""
-        from scipy.special import ndtr
+        from scipy.special import ndtr, xlogy
 
         with np.errstate(divide="ignore", over="ignore"):
-            margin = 10.0 * self.exponent * np.log10(range / distances)
+            margin = xlogy(10.0 * self.exponent / log(10.0), range / distances)
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002

@@ -5,12 +5,14 @@ No parameter depends on the motion step, so that a strategy obeys the same law h
 """
 
 from cmath import rect
+from functools import lru_cache
 from math import pi, sqrt
 from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from desim.elementary import power
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.outlook import Outlook
 from desim.pursuit.state import Floats, Points, State, coordinates
@@ -70,7 +72,7 @@ class WeightedFlee(Fleeing):
         if not away(heeded):
             return 0j
         distances = heeded.distances
-        weights = (distances[heeded.nearest] / distances) ** self.power  # at most 1, so that nothing overflows
+        weights = power(distances[heeded.nearest] / distances, self.power)  # at most 1, so that nothing overflows
         push = complex((heeded.offsets / distances * weights).sum())
         return unit(push) if abs(push) > ROUNDING * len(distances) else 0j
 
@@ -88,7 +90,8 @@ class MaxMin(Fleeing):
         straight = away(heeded)
         if not straight:
             return 0j
-        headings = straight * np.exp(2j * pi / self.candidates * np.arange(self.candidates))
+        turns = _turns(self.candidates)
+        headings = straight.real * turns + straight.imag * (1j * turns)  # numpy rounds a complex product by processor
         return complex(headings[first_captures(heeded, headings).argmax()])
 
 
@@ -205,6 +208,12 @@ def unit(vector: complex) -> complex:
 def anywhere(rng: np.random.Generator) -> complex:
     """Return a heading in any direction."""
     return rect(1.0, rng.uniform(0.0, 2.0 * pi))
+
+
+@lru_cache(maxsize=256)
+def _turns(count: int) -> Points:
+    """Return the (count,) unit vectors that are evenly spaced, counter-clockwise from the x axis."""
+    return np.array([rect(1.0, 2.0 * pi * k / count) for k in range(count)])
 
 
 def away(state: State) -> complex:

@@ -57,11 +57,12 @@ class ConstantBearing(Value):
         """Return the (N,) velocities, m/s."""
         distances = lengths(gaps)
         bearings = gaps / np.maximum(distances, SMALLEST)
-        seen = flight * bearings.conj()  # along the line of sight, and across it
-        rest = speeds**2 - seen.imag**2
+        x, y = bearings.real, bearings.imag
+        away, across = flight.real * x + flight.imag * y, flight.imag * x - flight.real * y  # of the line of sight
+        rest = speeds**2 - across**2
         along = np.sqrt(np.maximum(rest, 0.0))
-        meets = (rest >= 0.0) & (along - seen.real > NO_SPEED) & (distances > 0.0)
-        return np.where(meets, bearings * (along + 1j * seen.imag), toward(aims, speeds))
+        meets = (rest >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
+        return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
 
 
 def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
@@ -71,7 +72,7 @@ def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: Flight,
         ValueError: if it leads anybody faster than at its speed.
     """
     velocities = law(gaps, aims, flight, speeds)
-    if not isinstance(law, PurePursuit | ConstantBearing) and not (abs(velocities) <= speeds * (1.0 + 1e-9)).all():
+    if not isinstance(law, PurePursuit | ConstantBearing) and not (lengths(velocities) <= speeds * (1.0 + 1e-9)).all():
         raise ValueError(f"nobody should be led faster than at {speeds} m/s, got {velocities} from {law!r}")
     return velocities
 

@@ -40,7 +40,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
         (s, row), or None if nobody comes so near.
     """
     a = lengths(velocities) ** 2
-    b = (offsets * velocities.conj()).real
+    b = offsets.real * velocities.real + offsets.imag * velocities.imag
     c = lengths(offsets) ** 2 - radius**2
     discriminant = b**2 - a * c
     times = np.full(len(a), inf)

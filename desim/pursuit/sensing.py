@@ -6,6 +6,7 @@ estimate, and it is the estimate that it chases. Teammates are sensed, or say wh
 knows which evaders have been captured.
 """
 
+from cmath import rect
 from collections.abc import Collection, Iterable
 from math import inf, pi, sqrt
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -192,8 +193,8 @@ class Sight:
         if sensing.when_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
-        arm = np.exp(2j * pi * self._id / self.size)  # so that who is equally fast goes another way
-        off = complex(arm * spiral(self.speed(self._id) * (age - sensing.lost_after), apart))
+        arm = rect(1.0, 2.0 * pi * self._id / self.size)  # so that who is equally fast goes another way
+        off = arm * spiral(self.speed(self._id) * (age - sensing.lost_after), apart)
         return Guess(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
 
     def report(self) -> None:
@@ -276,7 +277,7 @@ def spiral(length: float, apart: float) -> complex:
     if apart == 0.0:
         return 0j
     angle = sqrt(4.0 * pi * length / apart)
-    return apart * angle / (2.0 * pi) * complex(np.cos(angle), np.sin(angle))
+    return rect(apart * angle / (2.0 * pi), angle)
 
 
 def _sighting(evader: int, seen: float, place: complex, velocity: complex) -> Sighting:
