@@ -1,6 +1,10 @@
-"""The direction of imports: scenarios -> protocols -> desim; kernel <- pursuit <- simulation <- analysis <- cli."""
+"""What the source may use: the direction of imports, and no arithmetic that depends on the processor.
+
+scenarios -> protocols -> desim; kernel <- pursuit <- simulation <- analysis <- cli.
+"""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -321,6 +325,62 @@ def test_the_rules_would_notice_an_arrow_the_wrong_way():
     assert rule_for("desim.novel", ALLOWED) is None
     assert rule_for("desim.pursuit.novel", ALLOWED) is None
     assert set(imports(ROOT / "desim/simulation.py")) >= {"desim.world", "simpy"}
+
+
+LINEAR_ALGEBRA = re.compile(
+    r"dot|vdot|vecdot|matvec|vecmat|matmul|multi_dot|tensordot|einsum|convolve|correlate|cov|corrcoef|polyfit|lstsq"
+    r"|linalg|lapack|leggauss|pagerank|hits|\w+_(spectrum|connectivity|ordering|vector|numpy)"
+    r"|laplacian_\w+|(spring|spectral|kamada_kawai)_layout"
+)
+"""Goes to BLAS or LAPACK, whose last digits depend on the processor and on the number of threads."""
+OF_NUMPY = re.compile(
+    r"inner|polynomial|exp|exp2|expm1|log|log2|log10|log1p|logaddexp|power|float_power|cbrt"
+    r"|sin|cos|tan|arc(sin|cos|tan|tan2)|(arc)?(sin|cos|tan)h"
+)
+"""The same, and functions of which numpy has other loops for some processors: their last digits are not the others'."""
+
+
+def rounded_by_processor(source):
+    """Return the line and name of all that a program uses whose last digits depend on the processor."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        owner, names = "", []
+        if isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+            names = ["matmul"]
+        elif isinstance(node, ast.Attribute):
+            owner, names = ast.unparse(node.value), [node.attr]
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            owner = getattr(node, "module", None) or ""
+            names = [part for name in (owner, *(each.name for each in node.names)) for part in name.split(".")]
+        rules = [LINEAR_ALGEBRA, OF_NUMPY] if owner in {"np", "numpy"} else [LINEAR_ALGEBRA]
+        found += [(node.lineno, name) for name in names if any(rule.fullmatch(name) for rule in rules)]
+    return found
+
+
+def test_no_last_digit_depends_on_the_processor():
+    found = {name_of(path): rounded_by_processor(path.read_text(encoding="utf-8")) for path in MODULES}
+    assert {name: uses for name, uses in found.items() if uses} == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "a @ b",
+        "a @= b",
+        "a.dot(b)",
+        "np.einsum('i,i', a, b)",
+        "numpy.linalg.norm(a)",
+        "from numpy.linalg import norm",
+        "from scipy import linalg",
+        "import scipy.linalg",
+        "nx.pagerank(g)",
+        "np.exp(a)",
+        "from numpy import exp",
+    ],
+)
+def test_a_digit_that_depends_on_the_processor_would_be_noticed(line):
+    assert rounded_by_processor(line)
+    assert not rounded_by_processor("from math import exp; exp(a) + math.log(b) + np.sqrt(c) + (a * b).sum()")
 
 
 def test_the_mathematics_loads_without_a_simulator():
