@@ -1,32 +1,55 @@
-"""Print digests of a run of each scenario file, with all its messages: the same under any Python and in any place."""
+"""Print digests of runs: the trace with all its messages, and the summary; the same under any Python and in any place.
 
+There is a run of each scenario file, and `LONG`.
+"""
+
+import json
 from hashlib import sha256
 
 import click
 
-from desim import load, run
+from desim import Scenario, load, run, summary
+from desim.analysis.metrics import plain
 from desim.kernel.trace_file import line_of
 from scenarios.study import SCENARIOS
 
 HORIZON = 1.0
-"""Of each run, s."""
+"""Of the run of each scenario file, s."""
+LONG = Scenario(
+    horizon=2.1,
+    team={"count": 2, "speeds": 1.0},
+    evader={"speed": 0.5, "position": (40.0, 0.0)},
+    motion={"frozen": True},
+    protocol={
+        "kind": "sap",
+        "schedule": {"kind": "shared_seed", "slot": 1e-4},
+        "tau": {"kind": "constant", "value": 1e6},
+    },
+)
+"""A run of more than 10,000 changes: from that length on OpenBLAS divides a vector among its threads."""
+NAMES = (*sorted(file.name for file in SCENARIOS.glob("*.toml")), "long")
+"""Of the runs."""
 
 
-def digests(seed: int) -> dict[str, str]:
-    """Return a digest of the trace of each scenario file's run, by the name of the file."""
-    found = {}
-    for file in sorted(SCENARIOS.glob("*.toml")):
-        scenario = load(file, [f"horizon={HORIZON}", "record.messages=true"])
-        found[file.name] = sha256("".join(map(line_of, run(scenario, seed).trace)).encode()).hexdigest()
-    return found
+def digests(seed: int, names: tuple[str, ...] = NAMES) -> list[str]:
+    """Return a line for each run: the digests of its trace and of its summary, and its name."""
+    return [" ".join([*_digests_of(name, seed), name]) for name in names]
+
+
+def _digests_of(name: str, seed: int) -> tuple[str, str]:
+    given = [f"horizon={HORIZON}", "record.messages=true"]
+    result = run(LONG if name == "long" else load(SCENARIOS / name, given), seed)
+    trace, numbers = "".join(map(line_of, result.trace)), json.dumps(plain(summary(result)))
+    return sha256(trace.encode()).hexdigest(), sha256(numbers.encode()).hexdigest()
 
 
 @click.command(help=__doc__)
 @click.argument("seed", type=int, default=0)
-def main(seed: int) -> None:
-    """Print the digests."""
-    for name, digest in digests(seed).items():
-        click.echo(f"{digest} {name}")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+def main(seed: int, names: tuple[str, ...]) -> None:
+    """Print the digests, of all runs if none are named."""
+    for line in digests(seed, names or NAMES):
+        click.echo(line)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import os
 import random
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed
 from scenarios.study import SCENARIOS
-from tests.digests import digests
+from tests.digests import NAMES, digests
 
 RELAY = SCENARIOS / "relay.toml"
 
@@ -28,36 +29,64 @@ def lines(result):
     return "".join(map(line_of, result.trace))
 
 
-@pytest.fixture(scope="module")
-def here():
-    return digests(5)
+QUICK = ("learning.toml", "many.toml", "relay.toml")
+LOOPS = " ".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"])
+"""The loops of numpy that are chosen for this processor; without them it takes those that run on any."""
+KERNEL = {"OPENBLAS_CORETYPE": "Prescott", "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "1"}
+NO_LOOPS = {
+    "NPY_DISABLE_CPU_FEATURES": LOOPS,
+    "OPENBLAS_NUM_THREADS": "2",
+    "PYTHONHASHSEED": "2",
+    "TZ": "Asia/Kathmandu",
+}
+LOCALE = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0", "PYTHONHASHSEED": "3"}
+HERE = cache(digests)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "environment"),
-    [
-        ((), {"PYTHONHASHSEED": "1"}),
-        ((), {"PYTHONHASHSEED": "2", "TZ": "Asia/Kathmandu"}),
-        (("-O",), {"PYTHONHASHSEED": "3", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}),
-    ],
-    ids=["hash seed", "time zone", "-O and locale"],
-)
-def test_traces_are_equal_in_any_process_at_any_place(options, environment, here):
-    there = subprocess.run(
-        [sys.executable, *options, "-m", "tests.digests", "5"],
-        cwd=SCENARIOS.parent,
-        env=os.environ | environment,
-        capture_output=True,
-        check=True,
-        text=True,
+def printed(*arguments, environment):
+    """Return what Python prints in a process of its own."""
+    command, place = [sys.executable, *arguments], SCENARIOS.parent
+    return subprocess.run(
+        command, cwd=place, env=os.environ | environment, capture_output=True, check=True, text=True
     ).stdout
-    assert there.splitlines() == [f"{digest} {name}" for name, digest in here.items()]
 
 
-@pytest.mark.slow
-def test_other_seeds_make_other_traces(here):
-    assert len({*here.values(), *digests(6).values()}) == 2 * len(here) > 30
+@pytest.mark.parametrize(
+    ("names", "options", "environment"),
+    [
+        pytest.param(QUICK, (), NO_LOOPS | KERNEL, id="quick"),
+        pytest.param(NAMES, (), KERNEL, id="kernel and one thread of BLAS", marks=pytest.mark.slow),
+        pytest.param(NAMES, (), NO_LOOPS, id="loops of numpy, two threads, time zone", marks=pytest.mark.slow),
+        pytest.param(
+            NAMES, ("-O",), LOCALE | {"OPENBLAS_CORETYPE": "Nehalem"}, id="-O and locale", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_traces_and_summaries_are_equal_in_any_process_at_any_place(names, options, environment):
+    there = printed(*options, "-m", "tests.digests", "5", *names, environment=environment)
+    assert there.splitlines() == HERE(5, names)
+
+
+@pytest.mark.parametrize(
+    ("rounded", "environment"),
+    [
+        ("x[:99] @ y[:99]", {"OPENBLAS_CORETYPE": "Prescott"}),
+        ("x @ y", {"OPENBLAS_NUM_THREADS": "1"}),
+        ("abs(x + 1j * y).tobytes().hex()", {"NPY_DISABLE_CPU_FEATURES": LOOPS}),
+    ],
+    ids=["kernel", "threads", "loops"],
+)
+def test_what_is_rounded_by_processor_is_rounded_otherwise_at_these_places(rounded, environment):
+    """The control: were it used, the digests would differ."""
+    program = f"import numpy as np; x, y = np.random.default_rng(5).random((2, 20_001)); print({rounded})"
+    here, there = (printed("-c", program, environment=given) for given in ({}, environment))
+    if here == there:
+        pytest.skip(f"{rounded} is the same with {environment} on this machine")
+
+
+def test_other_seeds_make_other_traces_and_summaries():
+    found = [digest for seed in (5, 6) for line in HERE(seed, QUICK) for digest in line.split()[:2]]
+    assert len(set(found)) == len(found) == 12
 
 
 def test_a_name_that_a_terminal_has_no_letters_for_is_printed_all_the_same(tmp_path):

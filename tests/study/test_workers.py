@@ -24,6 +24,7 @@ from desim.study import workers as places
 from desim.study.foreign import strangers
 from desim.study.shipping import called, packed
 from desim.study.workers import Here, Processes, workers_for
+from tests.digests import LONG
 from tests.study import sweeps
 
 pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
@@ -57,6 +58,17 @@ def test_a_sweep_tells_the_same_wherever_it_is_done(tmp_path, cluster):
         command("sweep", tmp_path / "in" / "coins.toml", "--allow-import", "-o", tmp_path / "other", "-s", 1).stdout
         != here[0]
     )
+
+
+@pytest.mark.slow
+def test_a_long_run_has_the_same_numbers_wherever_it_is_done(tmp_path, cluster):
+    """So long that BLAS would divide its sums among threads, of which Dask allows a worker one."""
+    stores = [tmp_path / f"{k}.sqlite" for k in range(3)]
+    for store, executor in zip(stores, (1, 2, cluster), strict=True):
+        desim.sweep(LONG, {"team.count": [1, 2]}, reps=1, executor=executor, store=store)
+    here, *there = map(sweeps.rows, stores)
+    assert there == [here] * 2
+    assert len(here[1]) == 2
 
 
 @pytest.mark.slow
