@@ -6,6 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread, get_ident
 from traceback import extract_tb
+from weakref import WeakSet
+
+AGAIN = 0.1
+"""How often the watcher looks whether its exception was lost, s."""
 
 
 class TimedOut(BaseException):
@@ -23,29 +27,55 @@ def checked(limit: float) -> float:
 def within(limit: float) -> Iterator[None]:
     """Raise TimedOut in this thread, wherever it is then, if it is still inside after some seconds of wall time.
 
-    It is raised between two instructions of Python, also in a loop without end; what is not Python ends first.
+    A watching thread raises it between two instructions of Python, also in a loop without end; what is not Python ends
+    first. Code in between may lose the exception: pydantic's serialiser drops it, or raises an error of its own
+    instead. The watcher therefore raises it again whenever it is gone and the block is not over, but never while it is
+    on its way, so that clean-up is not disturbed. A block that is not over at its limit ends with TimedOut, whatever
+    else it raises or returns; only KeyboardInterrupt takes precedence.
 
     Raises:
         ValueError: if the limit, s, is none.
     """
     checked(limit)
     tell, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
+    on_its_way: WeakSet[TimedOut] = WeakSet()
+    is_late = False
+
+    class Told(TimedOut):
+        def __init__(self, *text: object) -> None:  # SimPy copies exceptions
+            super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached as it began or ended",))
+            on_its_way.add(self)
 
     def watch() -> None:
-        if not over.wait(limit):
-            tell(thread, ctypes.py_object(TimedOut))
+        nonlocal is_late
+        pause = limit
+        while not over.wait(pause):
+            is_late, pause = True, AGAIN
+            if not on_its_way:
+                tell(thread, ctypes.py_object(Told))
 
     watcher = Thread(target=watch, daemon=True)
+
+    def end() -> None:
+        over.set()
+        if watcher.is_alive():
+            watcher.join()
+        tell(thread, None)
+
     try:
         try:
             watcher.start()
             yield
-        finally:  # where it may still be raised, if the time is over at this very moment
-            over.set()
-            watcher.join()
-            tell(thread, None)
-    except TimedOut as error:
-        raise TimedOut(f"took longer than {limit:g} s: {str(error) or place_of(error)}") from error
+        finally:
+            end()
+    except BaseException as error:
+        end()  # again, for it may have been raised in there; now it is on its way, and nothing else is raised
+        if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
+            raise
+        is_told = isinstance(error, TimedOut) and not isinstance(error, Told)
+        raise TimedOut(f"took longer than {limit:g} s: {error if is_told else place_of(error)}") from error
+    if is_late:
+        raise TimedOut(f"took longer than {limit:g} s: it ended before it could be interrupted")
 
 
 def place_of(error: BaseException) -> str:
