@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
+from desim.cli.program import Program
 from desim.pursuit.state import Points
 from desim.scenario import Capture, Evader, Recording, Scenario, Team
 from desim.study.batch import run_many, seeds_from
@@ -106,7 +107,7 @@ def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
     return candidates[0]
 
 
-@click.command(help=__doc__)
+@click.command(help=__doc__, cls=Program)
 @click.option("--draws", default=1_000_000, show_default=True, help=f"Configurations per N, in batches of {BATCH}.")
 @click.option("--most", default=100, show_default=True, help="Fitting configurations to look at for each N.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the draws.")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from desim import provenance
+from desim.cli.program import Program
 from desim.folder import can_plot
 from desim.study.batch import run_many, seeds_from
 
@@ -81,7 +82,7 @@ def study(
     """
 
     def command(run: Callable[[Options], None]) -> click.Command:
-        @click.command(name=name, help=doc)
+        @click.command(name=name, help=doc, cls=Program)
         @click.option("--runs", type=click.IntRange(min=1), default=runs, show_default=True, help="Runs per cell.")
         @click.option("--jobs", type=click.IntRange(min=0), default=0, help="Worker processes; 0 = one per core.")
         @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first run.")

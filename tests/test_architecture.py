@@ -162,6 +162,7 @@ ALLOWED = {
         "desim.value",
     },
     "desim.world": {"desim.kernel", "desim.pursuit", "desim.scenario", "desim.value"},
+    "desim.interrupts": set(),
     "desim.timeout": set(),
     "desim.waiting": {"desim.kernel.clock", "desim.timeout"},
     "desim.simulation": {
@@ -222,6 +223,7 @@ ALLOWED = {
         "desim.analysis",
         "desim.environment",
         "desim.guards",
+        "desim.interrupts",
         "desim.provenance",
         "desim.scenario",
         "desim.scenario_file",

@@ -10,26 +10,14 @@ from desim.cli.draw import draw
 from desim.cli.explain import explain
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
-from desim.cli.options import INTERRUPTED, OUT_OF_TIME, say
+from desim.cli.program import Program
 from desim.cli.replay import replay
 from desim.cli.report import report
 from desim.guards import sheltered
-from desim.timeout import TimedOut
 
 
-class Commands(click.Group):
-    """Commands that end with 130 when they are interrupted, as a shell expects."""
-
-    def invoke(self, ctx: click.Context) -> object:
-        """Run the command that was asked for."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            say("interrupted", err=True)
-            ctx.exit(INTERRUPTED)
-        except TimedOut as error:
-            say(f"--timeout: {error}", err=True)
-            ctx.exit(OUT_OF_TIME)
+class Commands(Program, click.Group):
+    """The commands of `desim`."""
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

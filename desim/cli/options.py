@@ -25,8 +25,6 @@ WRONG_INPUT = 2
 """Exit code of a bad file or option."""
 OUT_OF_TIME = 1
 """Exit code of a run that took longer than it may."""
-INTERRUPTED = 130
-"""Exit code of Ctrl-C."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
@@ -169,16 +167,16 @@ def storing(folder: Path | None = None) -> Iterator[None]:
 
 @contextmanager
 def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers"]:
-    """Yield workers; if that is interrupted, or a run that fails ends it, say where to go on and end the program."""
+    """Yield workers; note on an interrupt how to go on; if a run that fails ends it, say so and end the program."""
     from desim.study.sweep import RunError
     from desim.study.workers import workers_for
 
     try:
         with workers_for(jobs if cluster is None else cluster) as workers:
             yield workers
-    except KeyboardInterrupt:
-        say(f"interrupted: {len(store)} runs are in {store.path}; the same command goes on", err=True)
-        sys.exit(INTERRUPTED)
+    except KeyboardInterrupt as error:
+        error.add_note(f"{len(store)} runs are in {store.path}; the same command goes on")
+        raise
     except RunError as error:
         say(f"{error}{len(store)} runs are in {store.path}", err=True)
         sys.exit(FAILED)

@@ -1,6 +1,7 @@
 """Where runs are done: here, in worker processes, on a cluster, or on any executor of one's own.
 
-Workers that are started here ignore Ctrl-C, which is the driver's to answer, and leave as soon as the driver is gone.
+Workers that are started here ignore the signals that ask a program to end (`desim.interrupts`), which are the driver's
+to answer, and leave as soon as the driver is gone.
 """
 
 import logging
@@ -16,6 +17,7 @@ from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
 from desim.guards import SHELTER
+from desim.interrupts import SIGNALS
 from desim.study.shipping import Call, called, packed
 
 Returned = TypeVar("Returned")
@@ -197,10 +199,12 @@ def _pool(count: int) -> Executor:
     from loky import get_reusable_executor
 
     if os.name == "posix":
-        resource_tracker.ensure_running()  # or `_deaf` would start it, which makes us hear again
-    return get_reusable_executor(  # type: ignore[no-any-return]
-        max_workers=count, initializer=_serve, initargs=(os.getpid(),), env=SHELTER
-    )
+        with _deaf():
+            resource_tracker.ensure_running()  # or a later `_deaf` would start it, which makes us hear again
+    with _deaf():  # the executor starts a process that looks after its semaphores
+        return get_reusable_executor(  # type: ignore[no-any-return]
+            max_workers=count, initializer=_serve, initargs=(os.getpid(),), env=SHELTER
+        )
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:
@@ -219,7 +223,7 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """Let processes that are started here inherit that Ctrl-C is not for them; it waits for us meanwhile.
+    """Let processes that are started here inherit that interrupts are not for them; those wait for us meanwhile.
 
     Python lets its handler run in the main thread whichever thread hears the signal, and another may not have blocked
     it. So what is heard is noted, and comes afterwards.
@@ -228,24 +232,25 @@ def _deaf() -> Iterator[None]:
         yield
         return
     heard: list[int] = []
-    handler = signal.getsignal(signal.SIGINT)
-    handles = handler is not None and threading.current_thread() is threading.main_thread()
-    if handles:
-        signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {each: handler for each in SIGNALS if is_main and (handler := signal.getsignal(each)) is not None}
+    for each in handlers:
+        signal.signal(each, lambda number, _: heard.append(number))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if handles:
-            signal.signal(signal.SIGINT, handler)  # what has come by now is noted before
-        if heard:
-            signal.raise_signal(signal.SIGINT)
+        for each, handler in handlers.items():
+            signal.signal(each, handler)  # what has come by now is noted before
+        for number in heard[:1]:
+            signal.raise_signal(number)
 
 
 def _serve(driver: int) -> None:
-    """Prepare a worker process: deaf to Ctrl-C, and gone when its driver is."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Prepare a worker process: deaf to interrupts, and gone when its driver is."""
+    for each in SIGNALS:
+        signal.signal(each, signal.SIG_IGN)
 
     def watch() -> None:
         while os.getppid() == driver:

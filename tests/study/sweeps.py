@@ -9,6 +9,8 @@ import time
 from contextlib import closing
 from pathlib import Path
 
+from desim.interrupts import SIGNALS
+
 ROOT = Path(__file__).parents[2]
 MARK = "SWEEP_OF_A_TEST"
 """A variable of the environment by which all processes of a test are known."""
@@ -151,18 +153,19 @@ def count(path):
         return 0
 
 
-def start(*args, mark, prepare=lambda: None, **options):
-    """Start the command in a process group of its own, all of whose processes bear a mark.
+def start(*args, mark, program="desim", prepare=lambda: None, **options):
+    """Start a program in a process group of its own, all of whose processes bear a mark.
 
-    In it a Ctrl-C is heard, which processes in the background inherit to ignore.
+    In it interrupts are heard, which processes in the background inherit to ignore.
     """
 
     def begin():
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
         prepare()
 
     return subprocess.Popen(
-        [sys.executable, "-m", "desim", *map(str, args)],
+        [sys.executable, "-m", program, *map(str, args)],
         env={**os.environ, MARK: mark, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""Drivers that are killed, and Ctrl-C: no process is left, and what was done is not lost."""
+"""Drivers that are killed or interrupted: no process is left, and what was done is not lost."""
 
 import os
 import random
@@ -7,10 +7,9 @@ import time
 
 import pytest
 
+from desim.interrupts import Terminated, raising
 from tests.study import sweeps
 from tests.study.test_workers import command
-
-INTERRUPTED = 130
 
 pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
 
@@ -64,27 +63,35 @@ def test_a_sweep_whose_driver_is_killed_five_times_ends_with_the_table_of_an_unb
     assert exported(out) == exported(tmp_path / "whole")
 
 
-def interrupted(process, mark):
-    """Send what a terminal sends at Ctrl-C to all processes of a driver; return what they print."""
-    os.killpg(process.pid, signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=20)
+def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):
+    """Send what a terminal sends at Ctrl-C, or another signal, to all processes of a driver; return what they print."""
+    send(process.pid, number)
+    stdout, stderr = process.communicate(timeout=60)
     assert sweeps.survivors(mark) == {}
-    assert process.returncode == INTERRUPTED, stderr
+    assert process.returncode == 128 + number, stderr
     assert stdout == ""
     return stderr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_sweep_that_is_interrupted_says_so_in_a_line_and_goes_on(tmp_path, jobs):
+@pytest.mark.parametrize(
+    ("jobs", "number", "send", "how"),
+    [
+        (2, signal.SIGINT, os.killpg, ""),
+        (1, signal.SIGTERM, os.kill, " by SIGTERM"),
+        (2, signal.SIGTERM, os.kill, " by SIGTERM"),
+        (2, signal.SIGHUP, os.killpg, " by SIGHUP"),
+    ],
+)
+def test_a_sweep_that_is_interrupted_says_so_in_a_line_and_goes_on(tmp_path, jobs, number, send, how):
     file = sweeps.write(tmp_path / "in", pause=0.05, reps=30)
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "-j", jobs, mark=mark)
     wait_for(lambda: sweeps.count(out / "sweep.sqlite") >= 5)
-    told = interrupted(driver, mark)
+    told = interrupted(driver, mark, number, send)
     done = sweeps.count(out / "sweep.sqlite")
     assert 5 <= done < 60
-    assert told == f"interrupted: {done} runs are in {out / 'sweep.sqlite'}; the same command goes on\n"
+    assert told == f"interrupted{how}: {done} runs are in {out / 'sweep.sqlite'}; the same command goes on\n"
     assert finish(file, out, "-j", 2) == finish(file, tmp_path / "whole", "-j", 2)
     assert exported(out) == exported(tmp_path / "whole")
 
@@ -103,13 +110,48 @@ def test_a_sweep_can_be_interrupted_while_its_workers_start(tmp_path, delay):
 
 
 @pytest.mark.slow
-def test_many_runs_of_one_scenario_are_interrupted_in_the_same_way(tmp_path):
-    file = sweeps.write(tmp_path / "in", pause=0.1)
+@pytest.mark.parametrize(
+    ("program", "number", "send", "told"),
+    [
+        ("desim", signal.SIGINT, os.killpg, "interrupted\n"),
+        ("desim", signal.SIGHUP, os.kill, "interrupted by SIGHUP\n"),
+        ("scenarios.delay", signal.SIGTERM, os.killpg, "interrupted by SIGTERM\n"),
+    ],
+)
+def test_many_runs_of_one_scenario_and_studies_are_interrupted_in_the_same_way(tmp_path, program, number, send, told):
     mark = str(tmp_path)
-    driver = sweeps.start("run", file, "--allow-import", "-n", 100, "-j", 2, mark=mark)
+    if program == "desim":
+        file = sweeps.write(tmp_path / "in", pause=0.1)
+        driver = sweeps.start("run", file, "--allow-import", "-n", 100, "-j", 2, mark=mark)
+    else:
+        driver = sweeps.start("--runs", 1000, "--jobs", 2, "--out", tmp_path, mark=mark, program=program)
     wait_for(lambda: len(sweeps.marked(mark)) >= 5)
     time.sleep(0.5)
-    assert interrupted(driver, mark) == "interrupted\n"
+    assert interrupted(driver, mark, number, send) == told
+
+
+def test_an_interrupt_that_is_being_handled_is_not_repeated_and_one_that_is_ignored_is_not_heard():
+    """`timeout` and terminals send their signal to a process and to its group; `nohup` lets it be ignored."""
+
+    def end():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            cleaned.append("up")
+
+    cleaned = []
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL), signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with pytest.raises(Terminated, match=r"^by SIGTERM$"), raising():
+            end()
+        with raising():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before[0])
+        signal.signal(signal.SIGHUP, before[1])
+    assert cleaned == ["up"]
 
 
 @pytest.mark.slow

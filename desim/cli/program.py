@@ -1,0 +1,43 @@
+"""What all programs do alike, `desim` and the studies: how they end when they are interrupted or cannot print."""
+
+import os
+import sys
+from typing import Any
+
+import click
+
+from desim.cli.options import OUT_OF_TIME, refuse, say
+from desim.interrupts import exit_code, raising
+from desim.timeout import TimedOut
+
+
+class Program(click.Command):
+    """A command that ends as a shell expects it: with 128 + the number of the signal that interrupts it, for instance.
+
+    What is to be said of an interrupt is noted on it where it is known; see `desim.cli.options.working`.
+    """
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        try:
+            with raising():
+                return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            told = f"interrupted {error}".rstrip()
+            try:
+                say(": ".join([told, *getattr(error, "__notes__", ())]), err=True)
+            finally:  # also if the terminal is gone
+                ctx.exit(exit_code(error))
+        except TimedOut as error:
+            say(f"--timeout: {error}", err=True)
+            ctx.exit(OUT_OF_TIME)
+
+    def main(self, *args: Any, **options: Any) -> Any:
+        """Run the command with the arguments of the program."""
+        try:
+            return super().main(*args, **options)
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes what is left when it ends
+            refuse(f"stdout: cannot be written: {error.strerror}")

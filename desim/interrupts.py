@@ -1,0 +1,57 @@
+"""The signals that ask a program to end: that of Ctrl-C, SIGTERM of `kill` and batch systems, SIGHUP of a terminal."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Those that this platform has: Windows has no SIGHUP."""
+
+
+class Terminated(KeyboardInterrupt):
+    """Another signal than that of Ctrl-C asks the program to end: what cleans up after a Ctrl-C does so here, too.
+
+    Args:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int):
+        super().__init__(number)
+        self.number = number
+
+    def __str__(self) -> str:
+        return f"by {signal.Signals(self.number).name}"
+
+
+def exit_code(error: KeyboardInterrupt) -> int:
+    """Return the exit code of a program that an interrupt ends, as shells have it: 128 + the number of the signal."""
+    return 128 + (error.number if isinstance(error, Terminated) else signal.SIGINT)
+
+
+@contextmanager
+def raising() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise Terminated in the main thread, unless they are handled or ignored (by nohup)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard = [each for each in SIGNALS if signal.getsignal(each) is signal.SIG_DFL]
+    for each in heard:
+        signal.signal(each, _terminate)
+    try:
+        yield
+    finally:
+        for each in heard:
+            signal.signal(each, signal.SIG_DFL)
+
+
+def _terminate(number: int, _: FrameType | None) -> None:
+    """Raise Terminated, unless one is being handled: `timeout` and terminals send a signal twice."""
+    error = sys.exc_info()[1]
+    while error is not None:
+        if isinstance(error, Terminated):
+            return
+        error = error.__context__
+    raise Terminated(number)
