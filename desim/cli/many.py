@@ -121,12 +121,14 @@ def sweep(
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     jobs_of_plan = plan.shard(*(shard or (1, 1)))
     start = time.perf_counter()
-    with storing(folder), Store(path if path.exists() or not dry_run else None) as store:
-        before = len(store)
-        if dry_run:
+    if dry_run:
+        with storing(folder), Store(path if path.exists() else None) as store:
             plan.check(store)
-            say(_plan_text(plan, jobs_of_plan, store, until))
-            return
+            text = _plan_text(plan, jobs_of_plan, store, until)
+        say(text)
+        return
+    with storing(folder), Store(path) as store:
+        before = len(store)
         plan.enter(store)
         note(folder, plan, file.parent, until, shard)
         with working(jobs, cluster, store) as workers:
@@ -164,14 +166,18 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         for part in parts:
             store.take(part)
         note_merged(out, store, [part.path for part in parts])
-        say(f"{len(store)} runs are in {out / STORE}")
+        count = len(store)
+    say(f"{count} runs are in {out / STORE}")
 
 
 @click.command()
 @click.argument("store", type=click.Path(path_type=Path))
 @click.argument("file", type=click.Path(path_type=Path))
 def export(store: Path, file: Path) -> None:
-    """Write the runs of a STORE (a file or its folder) to FILE, a row each: .csv or .parquet."""
+    """Write the runs of a STORE (a file or its folder) to FILE, a row each: .csv or .parquet.
+
+    In CSV, a text that a spreadsheet would take for a formula has a ' before it, and control characters are escaped.
+    """
     from desim.study.result import SweepResult
     from desim.study.store import Store
 

@@ -2,9 +2,11 @@
 
 import os
 import sys
+from traceback import extract_tb
 from typing import Any
 
 import click
+import click.utils
 
 from desim.cli.options import OUT_OF_TIME, refuse, say
 from desim.interrupts import exit_code, raising
@@ -37,7 +39,7 @@ class Program(click.Command):
         try:
             return super().main(*args, **options)
         except OSError as error:
-            if error.filename is not None:
+            if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # it was not printing
                 raise
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes what is left when it ends
             refuse(f"stdout: cannot be written: {error.strerror}")

@@ -1,0 +1,49 @@
+"""How commands end when they cannot print, are given what cannot be read, or run code that ends the program."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from desim.cli import main
+
+SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'
+CODE = """\
+import sys
+
+def leave(me):
+    yield me.sleep(0.1)
+    if me.id == 1:
+        sys.exit(0)
+
+class Flee:
+    def __call__(self, state, rng):
+        sys.exit(0)
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Return a function that writes a scenario with some lines more, and returns its path."""
+
+    def write(more="", encoding="utf-8"):
+        path = tmp_path / "f.toml"
+        path.write_text(more + SHORT, encoding=encoding)
+        return path
+
+    return write
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+@pytest.mark.parametrize(
+    "args",
+    [("run",), ("run", "--json"), ("run", "-n", "2"), ("sweep",), ("sweep", "--dry-run"), ("check",), ("--help",)],
+)
+def test_a_stdout_that_is_full_is_told_in_a_line(file, tmp_path, monkeypatch, capsys, args):
+    monkeypatch.chdir(tmp_path)
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        with pytest.raises(SystemExit) as ended:
+            main([*args, *([] if args == ("--help",) else [str(file())])])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "stdout: cannot be written: No space left on device"
