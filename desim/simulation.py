@@ -74,6 +74,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
 
     Raises:
         TimedOut: with what each pursuer waits for, if it took too long; see `desim.timeout.within`.
+        RuntimeError: if code of the scenario calls `sys.exit`, which would end the program as if all were well.
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
@@ -102,6 +103,10 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         env.run(until=world.over)
     except TimedOut as error:
         raise stuck(env, error, crew.lives) from error
+    except SystemExit as error:
+        notes = getattr(error, "__notes__", [])
+        who = "the protocol" if notes else "code of the scenario"
+        raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
     world.sample()
     trace.append(network.tally())
     assert world.end is not None
@@ -228,7 +233,7 @@ class _Life(simpy.Process):
                     awaited = self.behaviour.send(value)
             except StopIteration:
                 return
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
                 raise
 

@@ -343,6 +343,8 @@ def _load(kind: str, folder: Path | None) -> Any:
     except (ImportError, AttributeError, ValueError) as error:
         where = "" if folder is None else f" beside the file, in {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
+    except SystemExit as error:
+        raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:

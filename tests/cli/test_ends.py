@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from desim.cli import main
+from tests.command import desim
 
 SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'
 CODE = """\
@@ -47,3 +48,29 @@ def test_a_stdout_that_is_full_is_told_in_a_line(file, tmp_path, monkeypatch, ca
             main([*args, *([] if args == ("--help",) else [str(file())])])
     assert ended.value.code == 2
     assert capsys.readouterr().err.splitlines()[-1] == "stdout: cannot be written: No space left on device"
+
+
+@pytest.mark.parametrize("runs", [(), ("-n", "2")])
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [
+        (
+            'protocol.kind = "code_that_ends:leave"',
+            r"the protocol called exit\(0\) \(pursuer 1, at 0.1 s of its clock\)",
+        ),
+        ('evader.strategy.kind = "code_that_ends:Flee"', r"code of the scenario called exit\(0\)"),
+    ],
+)
+def test_a_run_whose_code_calls_exit_has_failed(file, tmp_path, monkeypatch, key, told, runs):
+    (tmp_path / "code_that_ends.py").write_text(CODE)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(RuntimeError, match=f"^{told}$"):
+        desim("run", file(f"{key}\n"), "--allow-import", *runs)
+
+
+def test_a_module_that_calls_exit_cannot_be_imported(file, tmp_path, monkeypatch):
+    (tmp_path / "module_that_ends.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    done = desim("run", file('protocol.kind = "module_that_ends:x"\n'), "--allow-import")
+    assert done.exit_code == 2
+    assert "cannot be imported: module_that_ends calls exit(0)" in done.stderr
