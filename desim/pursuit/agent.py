@@ -28,6 +28,8 @@ Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""
 PAPER = Mean()
 """The utility of the paper."""
+NEVER = " (a protocol that waits for nothing more returns)"
+"""What to do instead of waiting for an infinite time."""
 
 
 @dataclass(slots=True)
@@ -329,12 +331,27 @@ class Agent:
     # What it waits for.
 
     def at(self, time: float) -> simpy.Event:
-        """Return an event at a time on its own clock, s, to the nearest nanosecond; now, if that has passed."""
-        return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
+        """Return an event at a time on its own clock, s, to the nearest nanosecond; now, if that has passed.
+
+        Raises:
+            ValueError: if it is infinite or no number.
+        """
+        try:
+            return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
+        except (OverflowError, ValueError) as error:
+            raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{NEVER}") from error
 
     def sleep(self, duration: float) -> simpy.Event:
-        """Return an event a duration from now, by its own clock, s."""
-        return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
+        """Return an event a duration from now, by its own clock, s.
+
+        Raises:
+            ValueError: if it is negative, infinite or no number.
+        """
+        try:
+            return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
+        except (OverflowError, ValueError) as error:
+            told = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{NEVER}"
+            raise ValueError(told) from error
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
         """Do something a duration from now, by its own clock, s, without waiting for it, unless it starts anew."""

@@ -1,5 +1,6 @@
 """The agent: what a protocol may know and do."""
 
+from math import inf, nan
 from typing import NamedTuple
 
 import networkx as nx
@@ -92,6 +93,22 @@ def test_nobody_commands_a_pursuer_that_does_not_exist():
         me.whole.order(-1, True)
 
     with pytest.raises(ValueError, match="there is no pursuer -1"):
+        play(protocol)
+
+
+@pytest.mark.parametrize(
+    ("call", "time", "allowed"),
+    [("sleep", inf, "duration should be finite and at least 0 s"), ("sleep", -1.0, "duration"), ("at", nan, "time")],
+)
+def test_who_waits_for_a_time_that_never_comes_is_told(call, time, allowed):
+    def protocol(me):
+        yield me.at(me.id * 0.25)
+        if me.id == 1:
+            yield getattr(me, call)(time)
+
+    with pytest.raises(
+        ValueError, match=rf"^pursuer 1: {call}\({time}\): the {allowed}.*returns\)\n\(pursuer 1, at 0.25 s "
+    ):
         play(protocol)
 
 
