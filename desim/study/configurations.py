@@ -120,8 +120,8 @@ def _set(source: Source, settings: Settings) -> Scenario:
     faults: list[str] = []
     for key, value in settings.items():
         where = _where(source, key)
-        if key.partition(".")[0] in UNSWEPT:
-            faults.append(f"{where}: cannot be swept; the number of seeds is sweep.reps")
+        if why := UNSWEPT.get(key.partition(".")[0]):
+            faults.append(f"{where}: cannot be swept; {why}")
             continue
         try:
             changed.set(key, value, where.removesuffix(f": {key}"))

@@ -4,7 +4,7 @@ import hashlib
 import inspect
 import json
 from collections.abc import Iterator
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel
@@ -15,8 +15,14 @@ from desim.study.fingerprint import Fingerprint, UntoldError
 from desim.study.foreign import is_strange, strangers
 from desim.value import import_name
 
-UNSWEPT = ("seed", "name", "sweep")
-"""What does not tell one configuration from another."""
+UNSWEPT = MappingProxyType(
+    {
+        "seed": "the number of seeds is sweep.reps",
+        "name": "a name changes nothing in a run",
+        "sweep": "it is the same for all configurations",
+    }
+)
+"""What does not tell one configuration from another, and why."""
 ADVICE = "let it hold values, or give the class of what holds it a __getstate__ that leaves it out"
 """What to do about what cannot be told apart."""
 

@@ -321,11 +321,17 @@ def test_what_does_not_fit_elsewhere_is_told_with_the_settings(refused):
     assert line == "f:4: fault.0.node: there is no pursuer 1: they are 0 .. 0 (with team.count = 1)"
 
 
-@pytest.mark.parametrize("key", ["seed", "name", "sweep.reps", "sweep.grid"])
-def test_what_does_not_tell_configurations_apart_cannot_be_swept(refused, key):
-    assert refused(f'horizon = [1.0]\n"{key}" = [1, 2]') == [
-        f"f:6: sweep.grid: {key}: cannot be swept; the number of seeds is sweep.reps"
-    ]
+@pytest.mark.parametrize(
+    ("key", "why"),
+    [
+        ("seed", "the number of seeds is sweep.reps"),
+        ("name", "a name changes nothing in a run"),
+        ("sweep.reps", "it is the same for all configurations"),
+        ("sweep.grid", "it is the same for all configurations"),
+    ],
+)
+def test_what_does_not_tell_configurations_apart_cannot_be_swept(refused, key, why):
+    assert refused(f'horizon = [1.0]\n"{key}" = [1, 2]') == [f"f:6: sweep.grid: {key}: cannot be swept; {why}"]
 
 
 @pytest.mark.parametrize("values", ["[1.0, 2.0, 1.0]", "[1, 2, 1]", "[1, 2, 1.0]"])
