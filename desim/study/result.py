@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import COMMON, METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, json_number, with_half_width
+from desim.guards import visible
 from desim.study.store import Row, Store, StoreError
 
 if TYPE_CHECKING:
@@ -239,6 +240,9 @@ class SweepResult:
     def write(self, file: str | Path) -> None:
         """Write a row per run to a file: .csv, or .parquet (the extra `frame`).
 
+        In CSV, control characters of texts are escaped, and a text that a spreadsheet would take for a formula has a '
+        before it.
+
         Raises:
             ValueError: if it is named otherwise.
             ImportError: if what Parquet needs is not installed.
@@ -249,11 +253,22 @@ class SweepResult:
             self.to_frame().to_parquet(file, index=False)
         elif file.suffix == ".csv":
             with file.open("w", encoding="utf-8", newline="") as stream:
-                writer = csv.DictWriter(stream, self._columns, lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(self.records())
+                writer = csv.writer(stream, lineterminator="\n")
+                writer.writerow(map(_cell, self._columns))
+                writer.writerows(map(_cell, map(record.get, self._columns)) for record in self.records())
         else:
             raise ValueError(f"{file}: should end in .csv or .parquet")
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as a cell of a spreadsheet that is no formula and does nothing to a terminal; numbers as they are.
+
+    A text that begins with = + - @ or a tab gets a ' before it: OWASP, "CSV Injection".
+    """
+    if not isinstance(value, str):
+        return value
+    text = visible(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\n")) else text
 
 
 def _numbers(row: Row, measured: Sequence[str]) -> dict[str, Any]:
