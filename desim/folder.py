@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from desim import provenance
 from desim.analysis.metrics import Summary, plain, summary
-from desim.guards import fresh
+from desim.guards import fresh, regular
 from desim.kernel.events import MESSAGES, Event, Tally, Trace
 from desim.kernel.faults import FAULTS, Began, Over
 from desim.kernel.trace_file import Kinds, TraceFile, events_of
@@ -142,7 +142,7 @@ def events(folder: str | Path, *, allow_import: bool = False) -> Iterator[Event]
         OSError: if it cannot be read.
     """
     file = Path(folder) / TRACE
-    with file.open(encoding="utf-8") as lines:
+    with regular(file).open(encoding="utf-8") as lines:
         try:
             yield from events_of(lines, kinds(allow_import=allow_import))
         except ValueError as error:

@@ -1,8 +1,9 @@
-"""What keeps strangers' names off the terminal, their links out of the way of results, and their modules unimported."""
+"""What keeps strangers' names off the terminal, links and pipes out of the way of files, and modules unimported."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EINVAL, EISDIR
 from pathlib import Path
 
 SHELTER = {"PYTHONSAFEPATH": "1"}
@@ -22,6 +23,19 @@ def fresh(path: Path) -> Path:
     """
     if path.is_symlink():
         path.unlink()
+    return path
+
+
+def regular(path: Path) -> Path:
+    """Return a path to be read, if it leads to a file of data, or to nothing: to read a pipe may wait for ever.
+
+    Raises:
+        OSError: if it leads to a pipe, a device or a folder.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(EINVAL, "not a regular file", str(path))
     return path
 
 

@@ -13,7 +13,7 @@ from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
 
 from desim.environment import environment
-from desim.guards import fresh
+from desim.guards import fresh, regular
 
 if TYPE_CHECKING:
     from desim.scenario import Scenario
@@ -110,7 +110,7 @@ def read(path: Path) -> Document:
         ProvenanceError: if it is none; with all that is missing or wrong.
         OSError: if it cannot be read.
     """
-    content = path.read_bytes()
+    content = regular(path).read_bytes()
     try:
         made = json.loads(content)
     except json.JSONDecodeError as error:

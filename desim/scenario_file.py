@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,6 +13,7 @@ from pydantic import BaseModel, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from desim.guards import regular
 from desim.scenario import Scenario
 from desim.source import ScenarioError, Source, holds, model_of
 from desim.toml_lines import DEEP_KEY, Place, key_lines, unreadable
@@ -65,7 +67,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def _text(file: Path) -> str:
-    content = file.read_bytes()
+    content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # with which editors of Windows begin
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:

@@ -33,6 +33,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.field_docs import docs_of
+from desim.guards import regular
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -140,7 +141,7 @@ def beside(path: Any, info: ValidationInfo) -> Path:
     """Return a path that a file names: relative to the folder of that file, if it is known, and not outside of it.
 
     Raises:
-        ValueError: if it is not a text, or leads out of the folder and the file is not trusted.
+        ValueError: if it is not a text, is no regular file, or leads out of the folder and the file is not trusted.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")
@@ -151,7 +152,10 @@ def beside(path: Any, info: ValidationInfo) -> Path:
         raise ValueError(f"{path} cannot be read: {error}") from error
     if not (is_within or is_trusted(info)):
         raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW}")
-    return folder / path
+    try:
+        return regular(folder / path)
+    except OSError as error:
+        raise ValueError(f"{folder / path} cannot be read: {error.strerror}") from error
 
 
 def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:

@@ -182,7 +182,9 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
         if file.suffix == ".graphml":
             _check_plain(file.read_bytes())
             return nx.read_graphml(file, node_type=int)
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8-sig"))
+        if not isinstance(data, dict):
+            raise ValueError("it should be an object with nodes and edges")
         key = "edges" if "edges" in data else "links"  # before networkx 3.4
         return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # or of parallel edges it keeps the last
     except OSError as error:

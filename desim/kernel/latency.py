@@ -198,7 +198,7 @@ class Empirical(_Drawn):
 def _numbers(file: Path) -> list[float]:
     """Return the numbers in a text file, separated by white space or commas; `#` begins a comment."""
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{file} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     numbers = []

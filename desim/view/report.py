@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 from desim import provenance
 from desim.analysis.metrics import METRICS
+from desim.guards import regular
 from desim.names import STORE
 from desim.study.asked import commands, wanted
 from desim.study.explanation import Explanation
@@ -131,7 +132,7 @@ def _explanation(folder: Path) -> Explanation | None:
     for path in (folder / "explain.json", folder / "explain" / "explain.json"):
         if path.exists():
             try:
-                return Explanation.of(json.loads(path.read_bytes()))
+                return Explanation.of(json.loads(regular(path).read_bytes()))
             except (ValueError, RecursionError) as error:
                 raise ValueError(f"{path}: {error}") from error
     return None

@@ -1,11 +1,13 @@
 """How commands end when they cannot print, are given what cannot be read, or run code that ends the program."""
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
 from desim.cli import main
+from desim.scenario_file import load
 from tests.command import desim
 
 SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'
@@ -74,3 +76,44 @@ def test_a_module_that_calls_exit_cannot_be_imported(file, tmp_path, monkeypatch
     done = desim("run", file('protocol.kind = "module_that_ends:x"\n'), "--allow-import")
     assert done.exit_code == 2
     assert "cannot be imported: module_that_ends calls exit(0)" in done.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+@pytest.mark.parametrize(
+    ("line", "pipe", "args"),
+    [
+        ('network.graph = { kind = "edges", file = "pipe.json" }\n', "pipe.json", ("check",)),
+        ('network.graph = { kind = "edges", file = "pipe.graphml" }\n', "pipe.graphml", ("check",)),
+        ('network.latency = { kind = "empirical", file = "pipe.txt" }\n', "pipe.txt", ("run",)),
+        ("", "pipe.toml", ("check", "pipe.toml")),
+        ("", "run.json", ("run", "--from", "run.json")),
+        ("", "trace.jsonl", ("replay", ".")),
+    ],
+)
+def test_a_pipe_is_refused_at_once(file, tmp_path, monkeypatch, line, pipe, args):
+    """To open one waits until somebody writes to it."""
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo(pipe)
+    done = desim(*args, *([file(line)] if line else []))
+    assert done.exit_code == 2
+    assert f"{pipe}{'' if line else ':'} cannot be read: not a regular file" in done.stderr
+    assert not line or done.stderr.startswith(f"{tmp_path}/f.toml:1: {line.split(' = ')[0]}: ")
+
+
+@pytest.mark.parametrize("text", ['"hello"', "[]", "1"])
+def test_json_that_is_no_graph_is_told_as_such(file, tmp_path, text):
+    (tmp_path / "graph.json").write_text(text)
+    done = desim("check", file('network.graph = { kind = "edges", file = "graph.json" }\n'))
+    assert done.exit_code == 2
+    assert (
+        "graph.json is not a graph in node-link JSON (.json) or GraphML (.graphml): it should be an object"
+        in done.stderr
+    )
+
+
+def test_a_byte_order_mark_is_no_part_of_a_file(file, tmp_path):
+    assert load(file(encoding="utf-8-sig")) == load(file())
+    done = desim("check", file("horizons = 1.0\n", encoding="utf-8-sig"))
+    assert done.stderr.startswith(f"{tmp_path}/f.toml:1: horizons: unknown key")
+    (tmp_path / "f.toml").write_bytes(b"\xef\xbb\xbf#\n\xe9")
+    assert desim("check", tmp_path / "f.toml").stderr.startswith(f"{tmp_path}/f.toml:2: not TOML: not UTF-8 text")
