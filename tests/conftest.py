@@ -1,12 +1,15 @@
 """What holds in every test: no history of a network breaks its invariants."""
 
+from functools import cache
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from desim import load, run
 from desim.kernel.events import Trace
 from desim.kernel.invariants import Conservation
+from scenarios.study import SCENARIOS
 
 # The same cases every time, however slow the machine; new ones with --hypothesis-profile=explore.
 settings.register_profile("steady", deadline=None, derandomize=True)
@@ -33,3 +36,17 @@ def _conserved(request):
         yield
     for watcher in all_watchers:
         watcher.judge()
+
+
+@pytest.fixture(scope="session")
+def run_of():
+    """Return a function from a scenario file, overrides and a seed to the result of that run, simulated only once.
+
+    For tests that only read the result: `run_of("relay.toml", "horizon=1.0", "record.messages=true", seed=3)`.
+    """
+
+    @cache
+    def ran(file, *overrides, seed=None):
+        return run(load(SCENARIOS / file, list(overrides)), seed, Conservation())
+
+    return ran

@@ -43,5 +43,5 @@ def test_equal_seeds_give_equal_traces_whatever_is_imperfect():
         ("radio", {"reach", "half_duplex"}),
     ],
 )
-def test_messages_are_lost_for_the_reasons_a_scenario_is_about(name, causes):
-    assert causes <= set(summary(run(load(SCENARIOS / f"{name}.toml", ["record.messages=false"]))).messages_lost_by)
+def test_messages_are_lost_for_the_reasons_a_scenario_is_about(name, causes, run_of):
+    assert causes <= set(summary(run_of(f"{name}.toml", "record.messages=false")).messages_lost_by)
