@@ -3,12 +3,13 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
-from desim import load, run
 from desim.analysis.plots import styled
-from desim.view.animation import COLOURS, HOLD, MOST, SHADES, SHORT, _Stage, animate, frames
-from scenarios.study import SCENARIOS
+from desim.view.animation import COLOURS, HOLD, MOST, SHADES, _Stage, animate, frames
+from tests.drawn import described, line_of, text_of
+from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
 
@@ -23,58 +24,38 @@ def played(path):
         return found, pauses, film.info.get("loop")
 
 
-def at(result, t, before=-1, evader=1):
-    """Return the points of what moves, of one evader and of all, by its name on the stage, and the caption."""
+def staged(result, *times):
+    """Return the stage as text, and then what moves at each (time, that of the frame before), in order of drawing."""
     with styled((4.0, 4.0)) as figure:
         stage = _Stage(figure, result)
-        stage.at(t * MS, before * MS)
-    moving = vars(stage) | vars(stage._quarries[evader - 1])
-    points = {name: line.get_xydata() for name, line in moving.items() if hasattr(line, "get_xydata")}
-    return {name.lstrip("_"): each[~np.isnan(each).any(axis=1)].tolist() for name, each in points.items()} | {
-        "caption": stage._caption.get_text()
-    }
+        told = [f"# {result.scenario.name}", described(figure)]
+        for t, before in times:
+            moving = stage.at(t * MS, before * MS)
+            told += [f"at {t} ms after {before} ms", *(each for each in map(moved, moving) if each)]
+    return "\n".join(told)
 
 
-@pytest.mark.parametrize(
-    ("t", "inactive", "beside", "alone", "caption"),
-    [
-        (0, [[0, 10]], [[0, 0], [10, 0]], [], "0.00 s: 2 active"),
-        (200, [[10, 0], [0, 10]], [], [[2, 0]], "0.20 s: pursuer 0 alone"),
-        (500, [[4, 0], [10, 0], [0, 10]], [], [], "0.50 s: 0 active"),
-        (800, [[4, 0], [10, 0]], [], [[0, 10]], "0.80 s: pursuer 2 alone"),
-        (1000, [[4, 0], [10, 0]], [], [[0, 10]], "1.00 s: captured by 2"),
-    ],
-)
-def test_everyone_stands_where_it_was_in_the_look_of_what_it_did(t, inactive, beside, alone, caption):
-    """Sampled every 100 ms; pursuer 0 runs 4 m in its first 400 ms."""
-    found = at(history(samples=range(0, 1001, 100)), t)
-    assert (found["inactive"], found["beside"], found["alone"]) == (inactive, beside, alone)
-    assert found["caption"] == caption
-    assert found["evader"] == [[5.0, pytest.approx(5.0 + t / 1000)]]
-    assert found["star"] == (found["evader"] if t == 1000 else [])
+def moved(artist):
+    """Return what moves as text, nothing if it is not there."""
+    if isinstance(artist, Text):
+        return text_of(artist) if artist.get_text() else ""
+    return line_of(artist) if np.isfinite(artist.get_xydata()).any() else ""
 
 
-@pytest.mark.parametrize(
-    ("t", "inactive", "on_1", "on_2", "captured", "caption"),
-    [
-        (0, [], [[0, 0], [10, 0]], [[0, 10]], (), "0.00 s: captured 0 of 2, 3 active"),
-        (200, [], [[0.8, 0]], [[10, 0], [0, 10]], (), "0.20 s: captured 0 of 2, 3 active"),
-        (300, [[0, 10]], [[1.2, 0]], [[10, 0]], (), "0.30 s: captured 0 of 2, 2 active"),
-        (400, [[0, 10]], [], [[1.6, 0], [10, 0]], (1,), "0.40 s: captured 1 of 2, 2 active"),
-        (800, [[10, 0], [0, 10]], [], [[3.2, 0]], (1,), "0.80 s: captured 1 of 2, 1 active"),
-        (1000, [[4, 0], [10, 0], [0, 10]], [], [], (1, 2), "1.00 s: captured 2 of 2, the last by 0"),
-    ],
-)
-def test_of_two_evaders_each_is_chased_by_its_own_and_captured_in_its_time(t, inactive, on_1, on_2, captured, caption):
-    for evader, chasers in ((1, on_1), (2, on_2)):
-        found = at(pair(), t, evader=evader)
-        assert np.round(found["inactive"], 9).tolist() == inactive
-        alone, beside = (np.round(found[name], 9).reshape(-1, 2).tolist() for name in ("alone", "beside"))
-        assert (alone, beside) == ((chasers, []) if len(chasers) == 1 else ([], chasers))
-        place = [5, 5 + min(t, 400) / 1000] if evader == 1 else [8 + t / 1000, 2]
-        assert found["evader"] == [pytest.approx(place)]
-        assert found["star"] == (found["evader"] if evader in captured else [])
-        assert found["caption"] == caption
+def test_frames_of_runs_by_hand_are_golden():
+    """Everyone stands where it was, sampled every 100 ms, in the look of what it did; pursuer 0 runs 4 m in 400 ms.
+
+    A message moves evenly from (1, 0) at 100 ms to (10, 0) at 200 ms; one that waits or never leaves is not seen. A
+    loss is in the frame after it, 0.02 of the picture's 11 m before its receiver: on the way from (1, 0) to (0, 10)
+    at 0.02 x 11 / sqrt(101) of the way.
+    """
+    alone = staged(
+        history(samples=range(0, 1001, 100)),
+        *((0, -1), (99, 0), (100, 50), (150, 100), (200, 150), (400, 300), (500, 400), (800, 700), (1000, 900)),
+    )
+    two = staged(pair(), (0, -1), (200, 0), (300, 200), (400, 300), (800, 700), (1000, 900))
+    mute = staged(history(messages=False, name="mute"))
+    golden("animation.txt", f"{alone}\n\n{two}\n\n{mute}\n")
 
 
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
@@ -84,46 +65,22 @@ def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
 
 
-def test_trails_are_as_long_as_the_past():
-    found = at(history(samples=range(0, 1001, 100)), 300)
-    assert sorted(found["trails"]) == [[0, 0], [1, 0], [pytest.approx(1.5), 0], [10, 0], [10, 0], [10, 0]]
-    assert found["relay"] == [[pytest.approx(1.5), 0], [2, 0], [3, 0]]
-    assert found["evaded"][-1] == [5.0, pytest.approx(5.3)]
-
-
-def test_a_message_moves_evenly_from_its_sender_to_where_its_receiver_will_be():
-    """From (1, 0) at 100 ms to (10, 0) at 200 ms; a message that waits or never leaves is not seen."""
-    result = history(samples=range(0, 1001, 100))
-    assert at(result, 99)["dots"] == []
-    assert at(result, 100)["dots"] == [[1, 0]]
-    assert at(result, 150)["dots"] == [[pytest.approx(5.5), 0]]
-    assert at(result, 200)["dots"] == []
-    assert at(result, 260)["dots"] == []
-    assert at(result, 400)["dots"] == [[pytest.approx(2.0), pytest.approx(5.0)]]
-
-
-def test_a_loss_is_seen_in_the_frame_after_it_near_its_receiver():
-    """On the way from (1, 0) to (0, 10), 0.02 of the picture's 11 m before its end."""
-    result = history(samples=range(0, 1001, 100))
-    before = SHORT * 11.0 / np.hypot(1, 10)
-    assert at(result, 100, before=50)["crosses"] == [[pytest.approx(before), pytest.approx(10.0 - 10.0 * before)]]
-    assert at(result, 150, before=100)["crosses"] == []
-    assert len(at(result, 800, before=700)["crosses"]) == 2
-
-
-def test_a_film_lasts_as_long_as_the_run_at_its_speed(tmp_path):
-    """1 s at half speed: 2 s at 20 frames a second, and the last frame held."""
-    assert animate(history(), tmp_path / "film.gif", speed=0.5) == 41
+@pytest.mark.parametrize(
+    ("asked", "count", "pause"),
+    [
+        ({"speed": 0.5, "end": 0.2, "fps": 20}, 8, 50),
+        ({"begin": 0.4, "end": 0.8, "fps": 25}, 10, 40),
+        ({"begin": 0.8, "fps": 30}, 7, 30),
+    ],
+    ids=["half speed", "a part", "hundredths of a second"],
+)
+def test_a_film_lasts_as_long_as_the_run_at_its_speed(asked, count, pause, tmp_path):
+    """The last frame is held. 30 frames a second would pause for 33.3 ms; the format has 30 ms: 7 pauses for 0.2 s."""
+    assert animate(history(), tmp_path / "film.gif", **asked) == count + 1
     _, pauses, loop = played(tmp_path / "film.gif")
-    assert sum(pauses) == 2000 + HOLD
+    assert sum(pauses) == count * pause + HOLD
     assert pauses[-1] >= HOLD
     assert loop == 0
-
-
-def test_pauses_are_hundredths_of_a_second_and_the_speed_is_kept(tmp_path):
-    """30 frames a second would pause for 33.3 ms; the format has 30 ms, so there are 34 pauses for 1 s."""
-    assert animate(history(), tmp_path / "film.gif", fps=30) == 35
-    assert sum(played(tmp_path / "film.gif")[1]) == 34 * 30 + HOLD
 
 
 def test_a_frame_depends_on_the_one_before_only_by_what_was_lost_since():
@@ -132,11 +89,6 @@ def test_a_frame_depends_on_the_one_before_only_by_what_was_lost_since():
     plain, same = frames(history(), [120 * MS, 150 * MS])[1], frames(history(), [200 * MS, 300 * MS])[1]
     assert lost.tobytes() != plain.tobytes()
     assert after.tobytes() == same.tobytes()
-
-
-def test_a_part_of_a_run_is_filmed_alone(tmp_path):
-    animate(history(), tmp_path / "part.gif", begin=0.4, end=0.8, fps=25)
-    assert sum(played(tmp_path / "part.gif")[1]) == 400 + HOLD
 
 
 def test_frames_are_in_the_colours_of_one_palette_and_only_what_moves_changes():
@@ -157,30 +109,18 @@ def test_nothing_is_cut_off_at_the_edge():
 
 def test_a_film_made_twice_is_the_same_bytes_and_leaves_luck_and_style_alone(tmp_path):
     luck, style = np.random.get_state()[1].tolist(), dict(mpl.rcParams)  # noqa: NPY002 - the global generator is meant
-    animate(history(), tmp_path / "one.gif")
-    animate(history(), tmp_path / "two.gif")
-    animate(history(name="another", messages=False), tmp_path / "three.gif")
+    for name, messages in (("one", True), ("two", True), ("three", False)):
+        animate(history(messages=messages), tmp_path / f"{name}.gif", end=0.2, fps=10)
     one, two, three = ((tmp_path / f"{name}.gif").read_bytes() for name in ("one", "two", "three"))
     assert one == two != three
     assert np.random.get_state()[1].tolist() == luck  # noqa: NPY002
     assert dict(mpl.rcParams) == style
 
 
-def test_messages_are_in_the_legend_only_if_there_are_any():
-    def names(result):
-        with styled((4.0, 4.0)) as figure:
-            _Stage(figure, result)
-        return [text.get_text() for text in figure.legends[0].get_texts()]
-
-    players = ["inactive", "active with others", "active alone", "evader"]
-    assert names(history()) == [*players, "message", "lost"]
-    assert names(history(messages=False)) == players
-
-
 @pytest.mark.slow
-def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megabyte(tmp_path):
+def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megabyte(tmp_path, run_of):
     """Measured: 0.44 MB for 5.2 s."""
-    animate(run(load(SCENARIOS / "relay.toml")), tmp_path / "film.gif", end=6.0)
+    animate(run_of("relay.toml"), tmp_path / "film.gif", end=6.0)
     assert (tmp_path / "film.gif").stat().st_size < 1e6
 
 

@@ -5,7 +5,9 @@ import pytest
 
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.paths import Look, Paths, draw_pursuit, label_takeovers
+from desim.view.paths import HUES, MARKS, Look, Paths, draw_pursuit, label_takeovers
+from tests.drawn import described
+from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
 
 
@@ -19,38 +21,14 @@ def drawn(result):
     return axes
 
 
-def paths(axes, label):
-    """Return the paths drawn like the one with a label."""
-    (one,) = [line for line in axes.lines if line.get_label() == label]
-    look = (one.get_color(), one.get_linewidth(), one.get_marker())
-    alike = [line for line in axes.lines if (line.get_color(), line.get_linewidth(), line.get_marker()) == look]
-    return [line.get_xydata().tolist() for line in alike]
+def test_pursuits_by_hand_are_golden():
+    """Who chases alone is bold; a diamond, with a number, is where somebody comes to be alone.
 
-
-def test_who_chases_alone_is_bold_and_who_chases_with_others_is_thin():
-    """Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s."""
-    axes = drawn(history())
-    assert paths(axes, "active with others") == [[[10, 0], [10, 0]], [[0, 0], [pytest.approx(1.2), 0]]]
-    assert paths(axes, "active alone") == [
-        [[pytest.approx(1.2), 0], [pytest.approx(3.2), 0]],
-        [[0, 10], [0, 10]],
-    ]
-    width = {line.get_label(): line.get_linewidth() for line in axes.lines}
-    assert width["active alone"] >= 2 * width["active with others"]
-
-
-def test_a_diamond_is_where_somebody_comes_to_be_alone_and_its_number_beside_it():
-    axes = drawn(history())
-    assert paths(axes, "takes over") == [[[pytest.approx(1.2), 0], [0, 10]]]
-    assert [(each.get_text(), each.xy) for each in axes.texts] == [("0", (pytest.approx(1.2), 0.0)), ("2", (0.0, 10.0))]
-
-
-def test_the_evader_is_dashed_from_a_square_to_the_star_of_its_capture():
-    axes = drawn(history())
-    assert paths(axes, "evader") == [[[5, 5], [5, 5.5], [5, 6]]]
-    assert paths(axes, "capture") == [[[5, 6]]]
-    (line,) = [line for line in axes.lines if line.get_label() == "evader"]
-    assert line.is_dashed()
+    Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s. Of two evaders
+    each has a number, a mark and a hue, which who chases it has, too; it rests where it was captured.
+    """
+    told = {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())}
+    golden("paths.txt", "\n\n".join(f"# {name}\n{text}" for name, text in told.items()) + "\n")
 
 
 def test_the_looks_differ_without_colour():
@@ -63,41 +41,10 @@ def test_the_looks_differ_without_colour():
     assert len(set(looks)) == len(looks) == 6
 
 
-def test_of_two_evaders_each_has_a_path_a_mark_and_a_number_and_rests_where_it_was_captured():
-    axes = drawn(pair())
-    (one,), (other,) = ([line for line in axes.lines if line.get_label() == f"evader {k}"] for k in (1, 2))
-    assert one.get_xydata()[[0, -1]].tolist() == [[5, 5], [5, pytest.approx(5.4)]]
-    assert other.get_xydata()[[0, -1]].tolist() == [[8, 2], [9, 2]]
-    assert one.get_marker() != other.get_marker()
-    assert one.get_markerfacecolor() != other.get_markerfacecolor()
-    assert one.is_dashed()
-    assert paths(axes, "capture") == [[[5, pytest.approx(5.4)], [9, 2]]]
-    numbers = [(each.get_text(), each.xy) for each in axes.texts if each.get_weight() == "bold"]
-    assert numbers == [("1", (5.0, 5.0)), ("2", (8.0, 2.0))]
-
-
-def test_who_chases_one_of_two_evaders_has_its_hue():
-    """Pursuer 0 is at 0.6 m after 150 ms, at 1.6 m after 400 ms, at 2.8 m after 700 ms and at 4 m in the end."""
-    axes = drawn(pair())
-    hues = [Look.of(evader, 2).alone for evader in (1, 2)]
-    found = [
-        [line.get_xdata()[[0, -1]].round(9).tolist() for line in axes.lines if is_stint(line, hue, wide)]
-        for hue in hues
-        for wide in (True, False)
-    ]
-    assert found == [
-        [[0.6, 1.6]],
-        [[10, 10], [0, 0.6]],
-        [[0, 0], [10, 10], [2.8, 4.0]],
-        [[0, 0], [10, 10], [10, 10], [1.6, 2.8]],
-    ]
-    names = [(each.get_text(), each.get_color()) for each in axes.texts if each.get_weight() == "normal"]
-    assert names == [("2", hues[1]), ("0", hues[0]), ("1", hues[1]), ("0", hues[1])]
-
-
-def is_stint(line, hue, wide):
-    """Return whether a line is the path of a pursuer in a hue, and as wide as that of who is alone, or not."""
-    return line.get_color() == hue and line.get_marker() == "None" and (line.get_linewidth() > 2) == wide
+def test_many_evaders_share_hues_and_marks_in_turn():
+    looks = [Look.of(evader, 5) for evader in (1, 2, 3, 4, 5)]
+    assert [each.alone for each in looks] == [*HUES, *HUES[:2]]
+    assert [each.mark for each in looks] == [*MARKS, MARKS[0]]
 
 
 def test_paths_are_straight_between_samples_and_end_where_they_are_asked_to():
