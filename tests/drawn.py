@@ -25,8 +25,8 @@ def _axes(axes):
     yield from map(line_of, axes.lines)
     for each in axes.collections:
         if isinstance(each, Quiver):
-            colour = to_hex(each.get_facecolor()[0])
-            yield f"arrows {colour} {each.width:g} {each.headwidth:g} {each.headlength:g}: {_points(np.column_stack([each.XY, each.U, each.V]))}"
+            look = f"{to_hex(each.get_facecolor()[0])} {each.width:g} {each.headwidth:g} {each.headlength:g}"
+            yield f"arrows {look}: {_points(np.column_stack([each.XY, each.U, each.V]))}"
         elif isinstance(each, LineCollection):
             yield f"segments {to_hex(each.get_color()[0])}: {[_points(part) for part in each.get_segments()]}"
         else:

@@ -4,21 +4,22 @@ from collections import Counter
 
 import pytest
 
-from desim import load, run, summary
+from desim import summary
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Began, Crash, Jamming, Over
 from desim.pursuit.events import Decided
 from desim.view.passages import Chase, Passage, Spell, chasing, news, outages, passages, takeovers
 from desim.view.paths import stints
-from scenarios.study import SCENARIOS
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
-NAMES = ("faults", "radio", "lora", "flooding", "token_ring", "soak", "bursts", "server")
+SHORT = ("horizon=1.0", "record.messages=true")
+SLOW = (("faults.toml",), *((f"{name}.toml", *SHORT) for name in ("radio", "lora", "token_ring")))
+RUNS = [("soak.toml", *SHORT), *(pytest.param(each, marks=pytest.mark.slow) for each in SLOW)]
 
 
-@pytest.fixture(scope="module", params=NAMES)
-def ran(request):
-    return run(load(SCENARIOS / f"{request.param}.toml", ["record.messages=true", "horizon=2.5"]))
+@pytest.fixture(params=RUNS, ids=lambda asked: asked[0])
+def ran(request, run_of):
+    return run_of(*request.param)
 
 
 def test_each_message_to_each_receiver_is_one_passage_in_order_of_leaving():
