@@ -9,7 +9,12 @@ import time
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
 
+import pytest
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+in_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="NO BROWSER, so the pages were NOT looked at: apt-get install chromium"
+)
 PATIENCE = 30.0
 """How long an answer may take, s."""
 
