@@ -13,8 +13,8 @@ class Elements(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.tags, self.ids, self.references, self.rows, self.texts, self.scripts = [], [], [], [], [], []
-        self.title, self._open, self._drawn, self.lines = "", None, 0, []
-        """lines: what is to be read, of each element in a line, without pictures."""
+        self.lines = []  # what is to be read outside of pictures, an element or a row of a table in each
+        self.title, self._open, self._drawn = "", None, 0
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
@@ -35,14 +35,17 @@ class Elements(HTMLParser):
     def handle_endtag(self, tag):
         self._drawn -= tag == "svg"
         self._open = None if tag != "wbr" else self._open
+        if tag == "tr":
+            self.lines.append(" | ".join(self.rows[-1]))
 
     def handle_data(self, data):
         self.texts.append(data)
         if self._open in {"td", "th", "wbr"}:
             self.rows[-1][-1] += data
-        elif self._open == "script":
+            return
+        if self._open == "script":
             self.scripts[-1] += data
-        elif self._open == "title":
+        if self._open == "title":
             self.title += data
         if self._open not in {"script", "style"} and not self._drawn and data.strip():
             self.lines.append(f"{self._open or ''}: {SPACES.sub(' ', data).strip()}")
