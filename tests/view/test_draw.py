@@ -1,6 +1,7 @@
 """`desim draw`: the same picture from a folder, from a file and from Python, and plain words if there is none."""
 
 import json
+import shutil
 
 import pytest
 from click.testing import CliRunner
@@ -44,29 +45,38 @@ def file(tmp_path, monkeypatch):
     return tmp_path / "small.toml"
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return the run of the file, and the folder that it is written to, once."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "small.toml").write_text(TOML)
+    result = run(load(folder / "small.toml"))
+    write(result, folder / "ran")
+    return result, folder / "ran"
+
+
 @pytest.fixture
-def folder(file, tmp_path):
-    write(run(load(file)), tmp_path / "ran")
-    return tmp_path / "ran"
+def folder(file, made, tmp_path):
+    return shutil.copytree(made[1], tmp_path / "ran")
 
 
-def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(file, folder, tmp_path):
+def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     said = call("spacetime", folder, "--from", 0.1, "--to", 0.3, "--pursuers", "4,1", "--width", 8.5)
     assert "spacetime.svg" in said
     assert "spacetime.png" in said
-    expected = save(spacetime(run(load(file)), 0.1, 0.3, (4, 1), 8.5), tmp_path / "expected", dpi=200)
+    expected = save(spacetime(made[0], 0.1, 0.3, (4, 1), 8.5), tmp_path / "expected", dpi=200)
     for path in expected:
         assert (folder / f"spacetime{path.suffix}").read_bytes() == path.read_bytes()
 
 
-def test_a_timeline_of_a_folder_is_that_of_the_run(file, folder):
+def test_a_timeline_of_a_folder_is_that_of_the_run(made, folder):
     call("perfetto", folder)
-    assert (folder / "trace.perfetto.json").read_text() == perfetto(run(load(file)))
+    assert (folder / "trace.perfetto.json").read_text() == perfetto(made[0])
 
 
-def test_a_film_of_a_folder_is_that_of_the_run(file, folder, tmp_path):
+def test_a_film_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     call("gif", folder, "--from", 0.1, "--to", 0.2, "--speed", 0.5, "--fps", 10)
-    animate(run(load(file)), tmp_path / "expected.gif", begin=0.1, end=0.2, speed=0.5, fps=10)
+    animate(made[0], tmp_path / "expected.gif", begin=0.1, end=0.2, speed=0.5, fps=10)
     assert (folder / "pursuit.gif").read_bytes() == (tmp_path / "expected.gif").read_bytes()
     with Image.open(folder / "pursuit.gif") as film:
         assert film.n_frames == 3
@@ -106,11 +116,12 @@ def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):
 def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
     write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")
     assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)
-    call("gif", tmp_path / "quiet")
+    call("gif", tmp_path / "quiet", "--to", 0.1)
     call("perfetto", tmp_path / "quiet")
 
 
-def test_a_picture_is_of_the_kind_that_its_name_says(file, folder, tmp_path):
+@pytest.mark.slow
+def test_a_picture_is_of_the_kind_that_its_name_says(folder, tmp_path):
     """And of a name without one, nothing is lost."""
     window = ("--from", 0.1, "--to", 0.2)
     assert call("spacetime", folder, *window, "-o", tmp_path / "a" / "x.pdf").count("\n") == 1
