@@ -1,5 +1,6 @@
 """Hindsight: by hand on frozen and moving games, and against slow replays of real runs."""
 
+from functools import cache
 from itertools import pairwise
 from math import inf
 
@@ -362,6 +363,7 @@ CASES = {
 }
 
 
+@cache
 def negotiated(case, seed, **changes):
     """Return a run of five pursuers near the evader, some of whom may be too slow."""
     near = {"team": Team(count=5, box=(7.0, 13.0), speeds=(1.0, 1.2, 0.8, 1.1, 1.6), active_at_start=0.5)}

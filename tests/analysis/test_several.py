@@ -1,5 +1,6 @@
 """Metrics with one evader and with several: by hand, and against brute force on real runs."""
 
+from functools import cache
 from itertools import product
 from math import inf
 
@@ -154,6 +155,7 @@ CASES = {
 ALL = [(case, evaders) for case in CASES for evaders in (1, 2, 3)]
 
 
+@cache
 def negotiated(case, evaders, seed):
     """Return a run of four pursuers, one of whom is too slow for two of the evaders, and which often clash."""
     return run(Scenario(**BASE | CASES[case] | {"evader": EVADERS[:evaders]}), seed)

@@ -1,20 +1,19 @@
 """The figures of the paper: what is in them, that they can be read, and that they are the same bytes every time."""
 
-import json
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from matplotlib.transforms import Bbox
 
-from desim import run
-from desim.analysis.activity import active_time
+from desim import run, summary
+from desim.analysis.activity import active_time, relays
 from desim.analysis.course import course
-from desim.analysis.plots import COLUMN, save
+from desim.analysis.plots import COLUMN
 from desim.analysis.reading import reading, started
+from desim.kernel.clock import SECOND
 from desim.pursuit.game import wonderful_life_utility
 from scenarios import figures, table1
 
@@ -26,10 +25,16 @@ def results():
 
 
 @pytest.fixture(scope="module")
-def drawn():
-    return {name: figure for count in figures.COUNTS for name, figure in figures.pictures(count, 0)}
+def drawn(results):
+    decentralised = {name: each for name, each in results.items() if name != "centralised"}
+    return {
+        "configuration": figures.initial(results["centralised"]),
+        "trajectories": figures.trajectories(results),
+        "utilities": figures.utilities(decentralised),
+    }
 
 
+@pytest.mark.slow
 def test_the_panels_are_the_runs_of_table_1(results):
     """Positions that are sampled change nothing."""
     base = table1.configuration(20)
@@ -38,6 +43,7 @@ def test_the_panels_are_the_runs_of_table_1(results):
     assert active_time(results["centralised"]) == active_time(run(table1.centralised(base, 0.001), 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["delta = 0.1 s", "delta = 0.01 s"])
 def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(results, name):
     times, active, found = figures.individual_utilities(results[name])
@@ -53,6 +59,7 @@ def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(res
     assert len({tuple(row) for row in active.tolist()}) > 5
 
 
+@pytest.mark.slow
 def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
     """Bold while it is active alone; together the lines are active as long as the sum of active times."""
     figure = figures.utilities({name: each for name, each in results.items() if name != "centralised"})
@@ -70,15 +77,15 @@ def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
 
 @pytest.mark.slow
 def test_a_short_beginning_is_drawn_larger(drawn):
-    (inset,) = drawn["utilities_20"].axes[2].child_axes
+    (inset,) = drawn["utilities"].axes[2].child_axes
     assert inset.get_xlim() == (0.0, pytest.approx(1.1 * 0.171))
-    assert not drawn["utilities_20"].axes[1].child_axes
+    assert not drawn["utilities"].axes[1].child_axes
 
 
 @pytest.mark.slow
 def test_the_initial_configuration_has_everyone_at_its_place_with_its_number(drawn, results):
     start = started(results["centralised"])
-    (axes,) = drawn["configuration_20"].axes
+    (axes,) = drawn["configuration"].axes
     slow, fast, evader = (line.get_xydata().tolist() for line in axes.lines)
     assert slow == [list(place) for place in start.pursuers[:-1]]
     assert fast == [list(start.pursuers[-1])]
@@ -89,11 +96,8 @@ def test_the_initial_configuration_has_everyone_at_its_place_with_its_number(dra
 
 
 @pytest.mark.slow
-def test_there_are_three_figures_for_each_size_of_a_column_of_a_paper(drawn):
-    assert list(drawn) == [
-        f"{kind}_{count}" for count in (20, 40) for kind in ("configuration", "trajectories", "utilities")
-    ]
-    assert [len(figure.axes) for figure in drawn.values()] == [1, 4, 3] * 2
+def test_there_are_three_figures_of_a_column_of_a_paper(drawn):
+    assert [len(figure.axes) for figure in drawn.values()] == [1, 4, 3]
     assert all(figure.get_size_inches()[0] == pytest.approx(COLUMN) for figure in drawn.values())
 
 
@@ -139,43 +143,51 @@ def test_no_text_lies_over_another_or_outside_of_the_picture(drawn):
             assert not [(name, word, other) for other, box in boxes[k + 1 :] if one.overlaps(box)]
 
 
-PROGRAM = """
+DELTAS = (0.2, 0.1, 0.05)
+"""Slots in which not much happens, s."""
+PROGRAM = f"""
 import sys
 from pathlib import Path
 from desim.analysis.plots import save
-from scenarios.figures import pictures
-for name, figure in pictures(20, 0):
-    save(figure, Path(sys.argv[1]) / name, dpi=100)
+from scenarios import figures
+figures.DELTAS = {DELTAS}
+for name, figure in figures.pictures(20, 0):
+    save(figure, Path(sys.argv[1]) / f"figures_{{name}}.svg")
 """
 
 
 @pytest.mark.slow
-def test_the_figures_are_the_same_bytes_in_another_process(tmp_path, drawn):
+def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_same_bytes(tmp_path, study, monkeypatch):
+    monkeypatch.setattr(figures, "COUNTS", (20,))
+    monkeypatch.setattr(figures, "DELTAS", DELTAS)
+    document, text, _ = study(figures.main)
+    assert [cell["panel"] for cell in document["cells"]] == ["centralised", *(f"delta = {each:g} s" for each in DELTAS)]
+    for cell, scenario in zip(document["cells"], figures.panels(20).values(), strict=True):
+        result = run(scenario, 0)
+        numbers = summary(result)
+        alone = relays(result)
+        assert cell["N"] == 20
+        assert cell["runs"] == [
+            {
+                "active_time": numbers.active_time,
+                "end": numbers.end_time,
+                "captured": numbers.captured,
+                "alone": alone[0][0] / SECOND if alone else None,
+                "handovers": numbers.handovers,
+            }
+        ]
+        assert f"{numbers.active_time:.2f}" in text
+    assert "captured" in text
+    (tmp_path / "again").mkdir()
     environment = os.environ | {"PYTHONHASHSEED": "1"}
-    subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path)], env=environment, check=True)
-    (tmp_path / "here").mkdir()
-    here = [
-        path for name in drawn if name.endswith("20") for path in save(drawn[name], tmp_path / "here" / name, dpi=100)
-    ]
-    assert len(here) == 6
-    for path in here:
+    subprocess.run([sys.executable, "-c", PROGRAM, str(tmp_path / "again")], env=environment, check=True)
+    for path in (tmp_path / "again").iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
         assert b"<dc:date" not in path.read_bytes()
+        assert (tmp_path / path.name).with_suffix(".png").exists()
+    assert len([*(tmp_path / "again").iterdir()]) == 3
 
 
 @pytest.mark.slow
-def test_the_study_writes_its_figures_and_its_numbers(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "COUNTS", (20,))
-    done = CliRunner().invoke(figures.main, ["--jobs", "1", "--out", str(tmp_path), "--json"])
-    assert done.exit_code == 0, done.output
-    cells = json.loads(done.stdout)["cells"]
-    assert [cell["panel"] for cell in cells] == [
-        "centralised", "delta = 0.1 s", "delta = 0.01 s", "delta = 0.001 s"
-    ]  # fmt: skip
-    assert cells[2]["runs"] == [
-        {"active_time": pytest.approx(12.19), "end": 4.45, "captured": True, "alone": 1.71, "handovers": 0}
-    ]
-    written = {path.name for path in tmp_path.iterdir()}
-    names = ("configuration_20", "trajectories_20", "utilities_20")
-    assert {f"figures_{name}.{kind}" for name in names for kind in ("svg", "png")} <= written
-    assert "captured" in (tmp_path / "figures.txt").read_text()
+def test_a_run_of_the_paper_has_the_numbers_that_are_quoted(results):
+    assert figures.numbers(results["delta = 0.01 s"]) == figures.Numbers(pytest.approx(12.19), 4.45, True, 1.71, 0)

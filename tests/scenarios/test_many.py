@@ -1,22 +1,18 @@
 """The study of several evaders: it measures what the simulator does, and prints and draws what it measured."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from desim import load, run
+from desim import run
 from desim.pursuit.assignment import optimal_assignment, welfare
 from desim.pursuit.events import Captured, Started
 from scenarios import many
-from scenarios.study import SCENARIOS
 
 FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "local min")
 
 
 @pytest.fixture
-def few(monkeypatch, tmp_path):
+def few(monkeypatch):
     """The study, cut down to what a test has time for."""
     monkeypatch.setattr(many, "SIZES", ((2, 2), (3, 2)))
     monkeypatch.setattr(many, "HARD", (2, 2))
@@ -27,22 +23,10 @@ def few(monkeypatch, tmp_path):
     monkeypatch.setattr(many, "SLOT", 0.05)
     monkeypatch.setattr(many, "BOX", (0.0, 5.0))
     monkeypatch.setattr(many, "CONTENDERS", {name: many.CONTENDERS[name] for name in FEW})
-    return tmp_path
 
 
-def found(folder):
-    """Run the study and return its document."""
-    done = CliRunner().invoke(many.main, ["--runs", "3", "--jobs", "1", "--out", str(folder), "--json"])
-    assert done.exit_code == 0, done.output
-    return json.loads(done.stdout)
-
-
-@pytest.mark.slow
-def test_the_study_shows_what_runs_come_to_and_is_the_same_bytes_each_time(few):
-    document = found(few)
-    assert found(few / "again") == document
-    for suffix in ("json", "txt", "svg", "png"):
-        assert (few / f"many.{suffix}").read_bytes() == (few / "again" / f"many.{suffix}").read_bytes()
+def test_the_study_shows_what_runs_come_to(few, study):
+    document, text, picture = study(many.main, "--runs", "3")
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}
     game = games[3, "SAP, slow", 20]
     outcomes = [many.outcome(run(many.frozen(3, 2, "sap", 20, many.slow(20)), seed)) for seed in range(3)]
@@ -54,7 +38,6 @@ def test_the_study_shows_what_runs_come_to_and_is_the_same_bytes_each_time(few):
     assert moved[3, "SAP, slow"]["duration"] == pytest.approx(np.mean([each.duration for each in chases]))
     assert moved[3, "SAP, slow"]["captured"] == pytest.approx(np.mean([each.captured for each in chases]))
     assert moved[3, "SAP, slow"]["difference"] == 0.0
-    text, picture = (few / "many.txt").read_text(), (few / "many.svg").read_text()
     assert f"{game['share']:.3f} +- {game['half_width']:.3f}" in text
     assert all(text.count(f"\n{name} ") >= 4 for name in FEW[1:])
     for label in ("slots to negotiate", "welfare / optimum", "temperature", "until all are captured"):
@@ -108,8 +91,7 @@ def test_the_temperature_of_slow_cooling_has_fallen_when_a_tenth_of_the_slots_is
     assert 1.0 / many.FAST(10) == pytest.approx(many.COLD)
 
 
-def test_the_example_has_six_pursuers_and_captures_three_evaders():
-    scenario = load(SCENARIOS / "many.toml")
-    assert (scenario.team.count, len(scenario.evaders)) == (6, 3)
-    result = run(scenario)
+def test_the_example_has_six_pursuers_and_captures_three_evaders(run_of):
+    result = run_of("many.toml")
+    assert (result.scenario.team.count, len(result.scenario.evaders)) == (6, 3)
     assert sorted(event.evader for event in result.trace.of(Captured)) == [1, 2, 3]

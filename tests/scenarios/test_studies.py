@@ -12,33 +12,31 @@ from desim.analysis.metrics import active_time, network_regret
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
 from desim.scenario import PROTOCOLS
-from desim.warnings import warnings
-from scenarios import find_table1, first_picture, rivals, table1, two_clocks
+from scenarios import benchmarks, delay, evaders, figures, find_table1, first_picture, many, rivals, table1, two_clocks
 from scenarios import range as ranges
-from scenarios.study import SCENARIOS
 
-FILES = sorted(SCENARIOS.glob("*.toml"))
-
-
-def call(command, *words):
-    """Return the JSON document that a study prints, asserting that nothing else is on stdout."""
-    done = CliRunner().invoke(command, [*words, "--json"])
-    assert done.exit_code == 0, done.output
-    return json.loads(done.stdout)
+STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_every_scenario_file_runs_without_a_warning(file):
-    scenario = load(file)
-    assert not list(warnings(scenario))
-    numbers = summary(run(scenario))
-    assert numbers.messages_sent == numbers.messages_delivered + numbers.messages_lost + numbers.messages_in_flight > 0
+@pytest.mark.parametrize("module", STUDIES, ids=lambda module: module.__name__)
+def test_a_study_says_what_it_is_about(module):
+    done = CliRunner().invoke(module.main, ["--help"])
+    assert done.exit_code == 0
+    assert module.__doc__.split()[0] in done.output
+
+
+LONGEST = ("decentralised", 40, 0.001)
 
 
 @pytest.fixture(scope="module")
 def cells(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("table1")
-    return call(table1.main, "--runs", "3", "--jobs", "2", "--out", str(folder))["cells"], folder
+    """Run Table I but for its longest cell, and return its cells and its table."""
+    folder, kept = tmp_path_factory.mktemp("table1"), {k: v for k, v in table1.PUBLISHED.items() if k != LONGEST}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(table1, "PUBLISHED", kept)
+        done = CliRunner().invoke(table1.main, ["--runs", "3", "--jobs", "1", "--out", str(folder), "--json"])
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)["cells"], (folder / "table1.txt").read_text()
 
 
 @pytest.mark.slow
@@ -46,10 +44,13 @@ def test_table_1_has_every_cell_and_both_starts(cells):
     found = {(c["algorithm"], c["pursuers"], c["delta"], c["start"]) for c in cells[0]}
     assert found == {
         (algorithm, count, delta, start)
-        for algorithm, count, delta in table1.PUBLISHED
+        for algorithm, count, delta in table1.PUBLISHED.keys() - {LONGEST}
         for start in (["any"] if algorithm == "centralised" else table1.STARTS)
     }
-    assert len(found) == 18
+    assert len(found) == 16
+    for cell in cells[0]:
+        assert f"{cell['measured']:.4f}" in cells[1]
+        assert f"{cell['published']:.4f}" in cells[1]
 
 
 @pytest.mark.slow
@@ -73,23 +74,13 @@ def test_the_centralised_cells_of_table_1_depend_on_neither_seed_nor_start(count
 
 @pytest.mark.slow
 def test_the_decentralised_cells_of_table_1_are_near_if_all_start_active_and_far_if_not(cells):
-    """Three runs: a standard deviation of at most 14 % of the mean gives 8 %; the mean over six cells 3.3 %.
+    """Three runs: a standard deviation of at most 14 % of the mean gives 8 %; the mean over five cells 3.6 %.
 
     The random start, the control, is 26 % lower on the average.
     """
     ratios = {start: np.mean([cell["ratio"] for cell in cells[0] if cell["start"] == start]) for start in table1.STARTS}
-    assert ratios["all active"] == pytest.approx(1.0, abs=3 * 0.033)
-    assert ratios["random"] < 1.0 - 3 * 0.033
-
-
-@pytest.mark.slow
-def test_a_study_writes_what_it_prints(cells):
-    document = json.loads((cells[1] / "table1.json").read_text())
-    assert document["cells"] == cells[0]
-    text = (cells[1] / "table1.txt").read_text()
-    for cell in cells[0]:
-        assert f"{cell['measured']:.4f}" in text
-        assert f"{cell['published']:.4f}" in text
+    assert ratios["all active"] == pytest.approx(1.0, abs=3 * 0.036)
+    assert ratios["random"] < 1.0 - 3 * 0.036
 
 
 def test_heartbeats_that_table_1_does_without_would_change_nothing_but_the_number_of_messages():
@@ -143,13 +134,15 @@ def test_a_found_configuration_is_written_as_it_was_found(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_clocks_says_that_table_1_is_about_the_slot(tmp_path):
-    document = call(two_clocks.main, "--runs", "1", "--jobs", "2", "--out", str(tmp_path))
-    assert document["spread_along_slot"] > 5.0
-    assert document["spread_along_step"] < 1.1
-    assert "Table I is about the negotiation slot." in (tmp_path / "two_clocks.txt").read_text()
+def test_two_clocks_says_that_table_1_is_about_the_slot(study, monkeypatch):
+    """From slots of 0.01 s to 0.1 s, of which the paper has 11.7 s and 55.6 s of active time."""
+    monkeypatch.setattr(two_clocks, "VALUES", (0.01, 0.03, 0.1))
+    document, text, picture = study(two_clocks.main, "--runs", "1")
+    assert document["spread_along_slot"] > 3.0
+    assert document["spread_along_step"] < 1.2
+    assert "Table I is about the negotiation slot." in text
     for label in ("negotiation slot", "motion step h (s)", "sum of active times (s)"):
-        assert label in (tmp_path / "two_clocks.svg").read_text()
+        assert label in picture
 
 
 def test_the_spread_is_the_greatest_ratio_along_one_clock():
@@ -164,8 +157,8 @@ def test_the_spread_is_the_greatest_ratio_along_one_clock():
     assert two_clocks.table(list(cells), 1).count("+-") == 26
 
 
-def test_the_first_picture_counts_the_active_until_the_end():
-    result = run(load(SCENARIOS / "relay.toml", ["horizon=0.1"]))
+def test_the_first_picture_counts_the_active_until_the_end(run_of):
+    result = run_of("relay.toml", "horizon=0.1")
     counts = first_picture.active_pursuers(result)
     assert counts[0] == 20
     assert np.isnan(counts[5:]).all()
@@ -173,7 +166,7 @@ def test_the_first_picture_counts_the_active_until_the_end():
 
 
 @pytest.fixture
-def few(monkeypatch, tmp_path):
+def few(monkeypatch):
     """The studies of rivals and of range, cut down to what a test has time for."""
     monkeypatch.setattr(rivals, "WORLDS", {"paper": rivals.WORLDS["paper"]})
     monkeypatch.setattr(rivals, "LATENCIES", (0.0, 0.2))
@@ -181,29 +174,28 @@ def few(monkeypatch, tmp_path):
     monkeypatch.setattr(ranges, "N", 6)
     small = {name: team.model_copy(update={"count": 6}) for name, team in ranges.TEAMS.items()}
     monkeypatch.setattr(ranges, "TEAMS", small)
-    return tmp_path
 
 
 @pytest.mark.slow
-def test_all_rivals_are_compared_in_the_same_runs(few):
-    document = call(rivals.main, "--runs", "2", "--jobs", "2", "--out", str(few))
+def test_all_rivals_are_compared_in_the_same_runs(few, study, shortened):
+    cut = shortened(2.0)
+    document, text, picture = study(rivals.main, "--runs", "2")
     cells = {(cell["protocol"], cell["latency"]): cell for cell in document["cells"]}
     assert {protocol for protocol, _ in cells} == {*PROTOCOLS.choices(), rivals.SILENT}
     assert all(cell["difference"] == 0.0 for cell in cells.values() if cell["protocol"] == "sap")
     for latency in rivals.LATENCIES:
-        times = [summary(run(rivals.scenario("paper", "cbaa", latency), seed)).active_time for seed in (0, 1)]
+        times = [summary(run(cut(rivals.scenario("paper", "cbaa", latency)), seed)).active_time for seed in (0, 1)]
         assert cells["cbaa", latency]["active_time"] == pytest.approx(np.mean(times))
     speaking = set(PROTOCOLS.choices()) - {"centralised", "voronoi", "argmin"}
     for protocol, latency in cells:
         rate = cells[protocol, latency]["transmissions"]
         assert rate == pytest.approx(rivals.N / rivals.PERIOD, rel=0.1) if protocol in speaking else rate == 0.0
     assert cells["centralised", 0.0]["active_time"] < cells["sap", 0.0]["active_time"]
-    regrets = [network_regret(run(rivals.scenario("paper", "sap", 0.2), seed)) for seed in (0, 1)]
+    regrets = [network_regret(run(cut(rivals.scenario("paper", "sap", 0.2)), seed)) for seed in (0, 1)]
     assert cells["sap", 0.2]["network_regret"] == pytest.approx(np.mean(regrets))
     assert all(cell["saved_per_kilobyte"] is None for cell in cells.values() if cell["protocol"] == rivals.SILENT)
-    text = (few / "rivals.txt").read_text()
     assert text.count("\ncbba ") == 3
-    assert "one-way latency L (s)" in (few / "rivals.svg").read_text()
+    assert "one-way latency L (s)" in picture
 
 
 def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds():
@@ -226,8 +218,9 @@ def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds(
 
 
 @pytest.mark.slow
-def test_the_range_study_pairs_runs_and_enumerates_games(few):
-    document = call(ranges.main, "--runs", "2", "--jobs", "2", "--out", str(few))
+def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened):
+    shortened(1.0)
+    document, _, picture = study(ranges.main, "--runs", "2")
     static = {(each["team"], each["range"]): each for each in document["games"]}
     for team in ranges.TEAMS:
         near, middle, far = (static[team, radius] for radius in ranges.RANGES)
@@ -237,7 +230,7 @@ def test_the_range_study_pairs_runs_and_enumerates_games(few):
     assert static["all able", 8.0]["unsettled"] > 0.2
     assert all(each["difference"] == 0.0 for each in document["pursuits"] if each["protocol"] == ranges.REFERENCE)
     for label in ("range R (m)", "without equilibrium (%)", "sum of active times (s)"):
-        assert label in (few / "range.svg").read_text()
+        assert label in picture
 
 
 def test_the_games_of_the_range_study_are_those_of_the_runs():

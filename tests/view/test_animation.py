@@ -28,7 +28,7 @@ def staged(result, *times):
     """Return the stage as text, and then what moves at each (time, that of the frame before), in order of drawing."""
     with styled((4.0, 4.0)) as figure:
         stage = _Stage(figure, result)
-        told = [f"# {result.scenario.name}", described(figure)]
+        told = [described(figure)]
         for t, before in times:
             moving = stage.at(t * MS, before * MS)
             told += [f"at {t} ms after {before} ms", *(each for each in map(moved, moving) if each)]
@@ -55,7 +55,7 @@ def test_frames_of_runs_by_hand_are_golden():
     )
     two = staged(pair(), (0, -1), (200, 0), (300, 200), (400, 300), (800, 700), (1000, 900))
     mute = staged(history(messages=False, name="mute"))
-    golden("animation.txt", f"{alone}\n\n{two}\n\n{mute}\n")
+    golden("animation.txt", {"by hand": alone, "pair": two, "mute": mute})
 
 
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():

@@ -27,8 +27,7 @@ def test_pursuits_by_hand_are_golden():
     Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s. Of two evaders
     each has a number, a mark and a hue, which who chases it has, too; it rests where it was captured.
     """
-    told = {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())}
-    golden("paths.txt", "\n\n".join(f"# {name}\n{text}" for name, text in told.items()) + "\n")
+    golden("paths.txt", {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())})
 
 
 def test_the_looks_differ_without_colour():

@@ -232,7 +232,7 @@ def test_pages_of_runs_by_hand_are_golden():
     """
     cut = Partition(at=0.2, until=0.5, groups=((0,), (1, 2)))
     parted = history(Began(200 * MS, cut), Over(500 * MS, cut))
-    golden("replay.txt", "\n\n".join(f"# {each.scenario.name}\n{told(each)}" for each in (parted, pair())) + "\n")
+    golden("replay.txt", {each.scenario.name: told(each) for each in (parted, pair())})
 
 
 def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick():

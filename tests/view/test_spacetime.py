@@ -43,7 +43,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
         "0.15 s to 0.25 s": spacetime(history(), 0.15, 0.25),
         "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, width=8.5),
     }
-    golden("spacetime.txt", "\n\n".join(f"# {name}\n{described(figure)}" for name, figure in told.items()) + "\n")
+    golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
 
 
 def test_the_names_of_two_faults_at_once_are_below_each_other():
