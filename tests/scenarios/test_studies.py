@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from desim import load, run, summary
+from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time, network_regret
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
-from desim.scenario import PROTOCOLS
+from desim.scenario import PROTOCOLS, Team
 from scenarios import benchmarks, delay, evaders, figures, find_table1, first_picture, many, rivals, table1, two_clocks
 from scenarios import range as ranges
 
@@ -168,7 +168,8 @@ def test_the_first_picture_counts_the_active_until_the_end(run_of):
 @pytest.fixture
 def few(monkeypatch):
     """The studies of rivals and of range, cut down to what a test has time for."""
-    monkeypatch.setattr(rivals, "WORLDS", {"paper": rivals.WORLDS["paper"]})
+    monkeypatch.setattr(rivals, "N", 8)
+    monkeypatch.setattr(rivals, "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))})
     monkeypatch.setattr(rivals, "LATENCIES", (0.0, 0.2))
     monkeypatch.setattr(ranges, "RANGES", (0.5, 8.0, 30.0))
     monkeypatch.setattr(ranges, "N", 6)
