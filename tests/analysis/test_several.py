@@ -151,6 +151,9 @@ CASES = {
     "pursuit": {"horizon": 3.0},
     "crashes": {"horizon": 3.0, "fault": (RandomCrashes(rate=0.5, mean_downtime=0.5),)},
     "frozen": {"motion": Motion(frozen=True), "horizon": 2.0},
+    "short": {"motion": Motion(frozen=True), "horizon": 1.0},
+    "late": {"horizon": 1.5},
+    "equals": {"horizon": 3.0, "team": Team(count=4, box=(6.0, 14.0), speeds=1.5, active_at_start=0.5)},
 }
 ALL = [(case, evaders) for case in CASES for evaders in (1, 2, 3)]
 
@@ -305,6 +308,9 @@ def test_brute_force_has_something_to_find():
     assert sum(len(result.trace.of(Captured)) for result in runs) > 4
     every = [each for result in runs for each in changes(result)]
     assert {type(each) for each in every} == {Decided, Halted, Released}
+    settled = [time_to_relay(negotiated(case, 1, seed)) for case in CASES for seed in (0, 1)]
+    assert None in settled
+    assert sum(each is not None and each > 0.0 for each in settled) > 2
     pieces = [piece for result in runs for piece in replayed(result)]
     nearest = [set(phi[:, [j - 1 for j in large]].argmin(axis=0)) for *_, large, phi, _ in pieces]
     clashes = sum(len(who) < len(large) for who, (_, _, _, large, _, _) in zip(nearest, pieces, strict=True))
