@@ -19,7 +19,6 @@ from desim.analysis.age import (
     ages,
     belief_error,
     believed_leaders,
-    over_pairs,
 )
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
@@ -94,13 +93,6 @@ def test_the_age_is_a_sawtooth_from_the_first_reception_on():
     assert (age_mean(result), age_peak(result), age_at_decision(result)) == (1.875, 3.5, 1.5)
 
 
-def test_who_hears_nothing_has_no_age_and_does_not_count():
-    age = ages(by_hand((True,) * 3, 5.0, *SAWTOOTH))
-    for each in (age.mean, age.peak, age.at_decision):
-        assert np.isnan(each).sum() == 8
-        assert over_pairs(each) == each[1, 0]
-
-
 def test_word_that_comes_once_has_no_peak_and_word_that_nobody_decides_by_no_age_at_decision():
     mean, peak, at_decision = pair(by_hand((True, True), 3.0, told(0, 1, 0.0, {1: 1.0})))
     assert mean == 2.0
@@ -112,14 +104,6 @@ def test_summaries_weigh_every_pair_alike_however_often_it_hears():
     """Reader 1 hears of 0 at 0 and 1 s and nobody else does; reader 2 at 0 s only: (0.5 + 1.0) / 2."""
     result = by_hand((True,) * 3, 2.0, told(0, 1, 0.0, {1: 0.0, 2: 0.0}), told(0, 2, 1.0, {1: 1.0, 2: None}))
     assert age_mean(result) == 0.75
-
-
-def test_older_word_never_replaces_newer():
-    """Number 2, of 1 s, comes at 2 s and number 1, of 0 s, at 4 s: from 2 to 6 s the age goes from 1 to 5 s."""
-    result = by_hand((True, True), 6.0, told(0, 1, 0.0, {1: 4.0}), told(0, 2, 1.0, {1: 2.0}), decided(5.0, 1))
-    mean, peak, at_decision = pair(result)
-    assert (mean, at_decision) == (3.0, 4.0)
-    assert isnan(peak)
 
 
 def test_word_that_comes_after_the_end_is_not_heard_and_what_comes_at_the_end_is():
@@ -168,13 +152,6 @@ def test_word_of_oneself_and_word_that_is_known_already_teach_nothing():
         assert mine == pytest.approx(other, nan_ok=True)
     assert isnan(pair(without, source=2)[0])
     assert isnan(pair(without, source=1)[0])
-
-
-def test_a_broadcast_of_records_is_word_that_is_passed_on_and_no_announcement():
-    gossip = told(1, 1, 1.0, {2: 2.0, 0: 2.0}, Relayed((Record(0, 1, 0, ACTIVE), Record(3, 1, ns(0.5), ACTIVE))))
-    mean = ages(by_hand((True,) * 4, 4.0, gossip)).mean
-    assert np.argwhere(~np.isnan(mean)).tolist() == [[0, 3], [2, 0], [2, 3]]
-    assert (mean[2, 0], mean[2, 3], mean[0, 3]) == (3.0, 2.5, 2.5)
 
 
 def test_messages_that_are_no_word_teach_nothing():
@@ -230,27 +207,10 @@ def test_belief_is_wrong_from_a_change_until_word_of_it_comes():
     assert belief_error(stop_at(1.5, warm=True)) == 0.0625
 
 
-def test_after_a_cold_start_belief_is_wrong_about_those_who_are_active():
-    """Nobody is believed active at first: wrong until 1.5 s, 1.5 / (2 x 4)."""
-    assert belief_error(stop_at(1.5, warm=False)) == 0.1875
-
-
-def test_belief_goes_by_the_newest_word_and_not_by_the_last():
-    """Word of the stop at 1 s, number 2, comes at 2 s; number 1, that says active, at 3 s: wrong from 1 to 2 s only."""
-    words = told(0, 1, 0.0, {1: 3.0}), decided(1.0, 0, False), told(0, 2, 1.0, {1: 2.0}, INACTIVE)
-    assert belief_error(by_hand((True, False), 4.0, *words)) == 0.125
-
-
 def test_word_that_does_not_tell_the_action_leaves_the_belief():
     words = told(0, 1, 0.0, {1: 1.0}, INACTIVE), told(0, 2, 2.0, {1: 2.0}, "still here")
     assert belief_error(by_hand((True, False), 4.0, *words)) == 0.375
     assert pair(by_hand((True, False), 4.0, *words))[0] == pytest.approx((1.0 * 1.5 + 2.0 * 1.0) / 3.0)
-
-
-def test_who_is_believed_active_remains_so_until_word_tells_otherwise():
-    """From 1 s on 0 is inactive and says nothing of it: wrong for 3 of 2 x 4 s."""
-    words = decided(1.0, 0, False), told(0, 1, 2.0, {1: 2.0}, "still here")
-    assert belief_error(by_hand((True, False), 4.0, *words)) == 0.375
 
 
 def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_nobody_else():
@@ -262,15 +222,6 @@ def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_
     result = by_hand((True, False, False), 4.0, first)
     assert isnan(pair(result)[0])
     assert belief_error(result) == 0.0
-
-
-def test_a_pursuer_that_breaks_down_is_wrongly_believed_active():
-    assert belief_error(by_hand((True, False), 4.0, Halted(ns(1.0), 0), sent=0)) == 0.375
-
-
-def test_who_loses_its_memory_believes_nobody_active():
-    over = Over(ns(3.0), Crash(at=1.5, until=3.0, node=1, memory=False))
-    assert belief_error(by_hand((True, False), 4.0, over, sent=0)) == 0.125
 
 
 def test_leaders_are_those_who_are_active_and_have_heard_that_nobody_else_is():
