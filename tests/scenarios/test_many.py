@@ -25,6 +25,7 @@ def few(monkeypatch):
     monkeypatch.setattr(many, "CONTENDERS", {name: many.CONTENDERS[name] for name in FEW})
 
 
+@pytest.mark.slow
 def test_the_study_shows_what_runs_come_to(few, study):
     document, text, picture = study(many.main, "--runs", "3")
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}
