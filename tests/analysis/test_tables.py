@@ -66,6 +66,7 @@ BATCHES = {
     "no capture has no time": (SCENARIO, [ESCAPED, ESCAPED]),
     "of several evaders": (PACK, [TAKEN, ONE_OF]),
     "two of three are needed": (PACK.model_copy(update={"capture": Capture(needed=2)}), [TAKEN, ONE_OF]),
+    "all three are needed": (PACK.model_copy(update={"capture": Capture(needed=3)}), [TAKEN, ONE_OF]),
 }  # fmt: skip
 
 
@@ -103,7 +104,7 @@ def test_a_number_has_thousands_separators_and_a_dash_stands_for_none(value, dig
 def test_a_mean_has_its_half_width_and_how_many_values_it_is_of_if_not_one_per_run():
     """Of 99 and 100: s.e. 0.5; of 100 and more one digit is enough."""
     assert with_half_width(estimate([99.0, 100.0]), 2, "+") == "+99.500 +- 6.353"
-    assert with_half_width(estimate([1199.0, 1201.0]), 3) == "1,200.0 +- 12.7 (2)"
+    assert with_half_width(estimate([99.0, 101.0]), 3) == "100.0 +- 12.7 (2)"
     assert with_half_width(Estimate(nan, nan, 0), 2) == "-"
 
 

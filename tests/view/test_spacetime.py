@@ -30,10 +30,11 @@ def count(figure):
 
 
 def test_diagrams_of_runs_by_hand_are_golden():
-    """All that can happen, of one evader and of two; in two rows, in a window within a fault, and in a narrow picture.
+    """All that can happen, of one evader and of two; in two rows, in windows, and within a fault in a narrow picture.
 
-    An arrow leads from send to arrival, also if that is after the run. A message that is lost as it leaves takes the
-    mean of (0.1 + 0.3 + 0.3) / 3 s, and ends a quarter of a line before its receiver.
+    One window begins as a fault is over and ends as a chase begins. An arrow leads from send to arrival, also if that
+    is after the run. A message that is lost as it leaves takes the mean of (0.1 + 0.3 + 0.3) / 3 s, and ends a quarter
+    of a line before its receiver.
     """
     radio = Began(550 * MS, Crash(node=1, at=0.55, scope="radio"))
     told = {
@@ -41,6 +42,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
         "pair": spacetime(pair()),
         "2 above 1": spacetime(history(), pursuers=(2, 1)),
         "0.15 s to 0.25 s": spacetime(history(), 0.15, 0.25),
+        "0.6 s to 0.8 s": spacetime(history(), 0.6, 0.8),
         "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, width=8.5),
     }
     golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
