@@ -1,14 +1,12 @@
-"""The default of every field of every model, in one file: `python -m tests.test_defaults` renews it."""
+"""The default of every field of every model, in one golden file."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from pydantic import BaseModel
 
 from desim import Scenario
 from desim.value import choices_of, fields_of, models_in
-
-GOLDEN = Path(__file__).parent / "golden" / "defaults.txt"
+from tests.golden import golden
 
 
 def models(model: type[BaseModel], found: set[type[BaseModel]]) -> set[type[BaseModel]]:
@@ -32,10 +30,6 @@ def lines(model: type[BaseModel]) -> Iterator[str]:
         yield f"    {name} = {given}"
 
 
-def test_every_default_is_as_it_was():
+def test_every_default_is_that_of_the_golden_file():
     """A default is part of what a scenario file means."""
-    assert defaults() == GOLDEN.read_text(encoding="utf-8"), "on purpose? renew it: python -m tests.test_defaults"
-
-
-if __name__ == "__main__":
-    GOLDEN.write_text(defaults(), encoding="utf-8")
+    golden("defaults.txt", defaults())
