@@ -159,7 +159,7 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
-        parts = [opened.enter_context(Store(path, must_exist=True)) for path in _files(stores)]
+        parts = [opened.enter_context(Store(path, read_only=True)) for path in _files(stores)]
         for part in parts:
             parts[0].check_same(part.about)
         store = opened.enter_context(Store(out / STORE))
@@ -184,7 +184,7 @@ def export(store: Path, file: Path) -> None:
     path, *others = _files((store,))
     if others:
         refuse(f"{store}: has {len(others) + 1} stores: merge them first, or name one")
-    with storing(), Store(path, must_exist=True) as kept:
+    with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
         result.write(file)

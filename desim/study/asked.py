@@ -1,6 +1,5 @@
 """What was asked for by the commands that made the results in a folder; its run.json keeps what each of them said."""
 
-import json
 import re
 import shlex
 from collections.abc import Sequence
@@ -54,7 +53,7 @@ def note(
 
 def note_merged(folder: Path, store: "Store", parts: Sequence[Path]) -> None:
     """Write down of which stores the runs in a merged one are, and what each command asked for that made them."""
-    root = json.loads(store.about.get("root seed", "0"))  # nothing was run
+    root = store.said("root seed", int) if "root seed" in store.about else 0  # nothing was run
     made = provenance.document(
         "merge", seed=root, runs=len(store), stores=[str(part) for part in parts], cwd=str(Path.cwd())
     )

@@ -65,8 +65,12 @@ class SweepResult:
         """
         if "grid" not in store.about:
             raise StoreError(f"{store.path}: is empty")
-        name, keys, seeds, root = (json.loads(store.about[each]) for each in ("name", "grid", "seeds", "root seed"))
+        kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
+        name, keys, seeds, root = (store.said(each, kind) for each, kind in kinds.items())
         settings = dict(store.configurations())
+        for key, each in settings.items():
+            if each.keys() != set(keys):
+                raise StoreError(f"{store.path}: configuration {key}: should have settings of {', '.join(keys)}")
         chosen = settings if configurations is None else configurations
         groups = tuple(Group(settings[key], tuple(store.runs(key, root))) for key in chosen)
         return cls(name, tuple(keys), groups, seeds == "common")

@@ -2,27 +2,38 @@
 
 What has been committed outlives a driver that is killed. A row belongs to its configuration, replication and root
 seed, so that a run that is there is not done again. `SELECT * FROM results` has a column per metric.
+
+Every row has a checksum, and a file is checked as it is opened: its schema, its structure, and each row. So a store
+that was damaged or edited is refused. The checksums tell of accidents; they are no protection against forgery.
 """
 
 import json
+import os
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import wraps
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from functools import cache, wraps
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, ParamSpec, Self, TypeVar
+from typing import Annotated, Any, Literal, ParamSpec, Self, TypeVar, get_type_hints
+from zlib import crc32
+
+from pydantic import ConfigDict, Field, Json, TypeAdapter, ValidationError, create_model
 
 from desim.analysis.metrics import COMMON, Summary, plain
 from desim.study.configurations import Cell
 
 Status = Literal["ok", "error", "crashed"]
-FORMAT = "1"
+FORMAT = "2"
 """Of the tables below."""
 TABLES = f"""
-CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS configurations (
-    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL
+    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL,
+    checksum INTEGER NOT NULL
 );
 CREATE TABLE IF NOT EXISTS runs (
     configuration TEXT NOT NULL REFERENCES configurations,
@@ -32,6 +43,7 @@ CREATE TABLE IF NOT EXISTS runs (
     status TEXT NOT NULL CHECK (status IN ('ok', 'error', 'crashed')),
     summary TEXT,
     traceback TEXT NOT NULL,
+    checksum INTEGER NOT NULL,
     PRIMARY KEY (configuration, replication, root_seed)
 );
 CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, runs.seed AS seed, status, traceback,
@@ -40,8 +52,16 @@ CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, ru
 """
 """Seeds are texts, for they may have more than 64 bits."""
 INSTEAD = """ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,
-    status = excluded.status, summary = excluded.summary, traceback = excluded.traceback WHERE"""
+    status = excluded.status, summary = excluded.summary, traceback = excluded.traceback, checksum = excluded.checksum
+    WHERE"""
 """What to do with a run that is there already: put the other in its place if ..."""
+NAMED_BY = {"about": 1, "configurations": 1, "runs": 4}
+"""The tables, and how many of their first columns name a row in an error."""
+PATIENCE = 30.0
+"""How long to wait for a file that another process has locked, s of wall time."""
+PAUSE = 0.02
+"""Between two attempts where SQLite itself does not wait, s."""
+HINT = "remove it, or choose another folder (-o)"
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")
 
@@ -96,39 +116,122 @@ class Store:
 
     Args:
         path: of the file, which is made if it is not there; None: in memory.
-        must_exist: whether it is an error if it is not there.
+        read_only: whether it is only read, so that it has to be there and need not be writable.
 
     Raises:
-        StoreError: if it is no store, or one of another version.
+        StoreError: if it is no store, one of another version, or damaged.
     """
 
-    def __init__(self, path: Path | None = None, *, must_exist: bool = False):
+    def __init__(self, path: Path | None = None, *, read_only: bool = False):
         self.path: Any = path or "the store in memory"
-        if must_exist and not (path and path.is_file()):
+        if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
         if path and path.is_symlink():  # a stranger's folder may have one to whatever it wants changed
             raise StoreError(f"{path}: is a link, and would be written to: name the folder of the store itself")
-        self._open(path)
+        self._open(path, read_only)
 
     @_naming_the_file
-    def _open(self, path: Path | None) -> None:
-        if path is not None:
+    def _open(self, path: Path | None, read_only: bool) -> None:
+        if path is not None and not read_only:
             path.parent.mkdir(parents=True, exist_ok=True)
-        self._database = sqlite3.connect(path or ":memory:", timeout=30.0)
+        self._database = _connected(path, read_only)
+        if there := _schema(self._database):
+            _check_schema(path, there)
+            self._check_content()
+        elif read_only:
+            raise StoreError(f"{path}: is empty")
+        else:
+            self._create(path)
         about = {"format": FORMAT, "metrics": json.dumps(COMMON)}
-        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if not tables:
-            self._database.execute("PRAGMA journal_mode = WAL")
-            self._database.executescript(f"BEGIN IMMEDIATE; {TABLES} COMMIT")
-        elif "about" not in tables:
-            raise StoreError(f"{path}: is a database, but not of the runs of a sweep")
-        self._database.execute("PRAGMA synchronous = NORMAL")
-        self.tell(about)
+        if read_only:
+            self._database.execute("PRAGMA query_only = ON")
+            self.check_same(about)
+        else:
+            self._database.execute("PRAGMA synchronous = NORMAL")
+            self.tell(about)
+
+    def _create(self, path: Path | None) -> None:
+        """Create the tables, with a write-ahead log if the file system allows one, else with a rollback journal."""
+        fault = _use_write_ahead_log(self._database)
+        if fault:
+            self._database.close()
+            _use_rollback_journal(path)
+            self._database = _connected(path)
+        self._database.executescript(f"BEGIN IMMEDIATE; {TABLES} COMMIT")
+        if fault:
+            warnings.warn(
+                f"{path}: this file system allows no write-ahead log ({fault}), so the store has a rollback journal:"
+                " let only one sweep at a time use it",
+                stacklevel=2,
+            )
+
+    def _check_content(self) -> None:
+        """Raise StoreError unless the structure of the file is sound and each row is what was written."""
+        if (found := self.check()) != "ok":
+            raise StoreError(f"{self.path}: is damaged: {found}")
+        for table in NAMED_BY:
+            for _ in self._rows(table):
+                pass
+        if self._database.execute("PRAGMA foreign_key_check").fetchone():
+            raise StoreError(f"{self.path}: is damaged: there are runs of a configuration that is missing")
+
+    def _rows(self, table: str, where: str = "", values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        """Yield rows of a table without their checksums.
+
+        Raises:
+            StoreError: if a row does not match its checksum.
+        """
+        found = self._database.execute(f"SELECT * FROM {table} {where}", values)
+        for *row, checksum in found:
+            if checksum != _checksum(row):
+                raise self._error(table, row, "does not match its checksum, so it was damaged or edited")
+            yield tuple(row)
+
+    def _error(self, table: str, row: Sequence[Any], why: str) -> StoreError:
+        """Return an error that names a row of a table."""
+        named = zip(self._columns(table)[: NAMED_BY[table]], row, strict=False)
+        return StoreError(f"{self.path}: {table}: {', '.join(f'{name} {value}' for name, value in named)}: {why}")
+
+    def _columns(self, table: str) -> list[str]:
+        return [name for _, name, *_ in self._database.execute(f"PRAGMA table_info({table})")]
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """Yield the database within a transaction, in which nobody else writes."""
+        with self._database:
+            self._database.execute("BEGIN IMMEDIATE")
+            yield self._database
 
     @property
+    @_naming_the_file
     def about(self) -> Mapping[str, str]:
-        """What sweep it is of, by name."""
-        return MappingProxyType(dict(self._database.execute("SELECT name, value FROM about")))
+        """What sweep it is of, by name, as JSON."""
+        return MappingProxyType(dict(self._rows("about")))
+
+    @_naming_the_file
+    def said(self, name: str, kind: Any) -> Any:
+        """Return what is written down of the sweep under a name, of a type.
+
+        Raises:
+            StoreError: if it is not there, or of another type.
+        """
+        if name not in self.about:
+            raise StoreError(f"{self.path}: is damaged: {name} is missing in about")
+        return self._read(_adapter(Json[kind]), "about", (name, self.about[name]), 1)
+
+    def _read(self, adapter: TypeAdapter[Any], table: str, row: Sequence[Any], column: int | None = None) -> Any:
+        """Return a row, or one column of it, as the values that it stands for.
+
+        Raises:
+            StoreError: if it is of another type.
+        """
+        try:
+            return adapter.validate_python(row if column is None else row[column], strict=True)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            number, *inner = fault["loc"] if column is None else (column, *fault["loc"])
+            place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
+            raise self._error(table, row, f"{place}: {fault['msg']}") from error
 
     @_naming_the_file
     def check_same(self, about: Mapping[str, str]) -> None:
@@ -136,8 +239,8 @@ class Store:
         mine = self.about
         for name, value in about.items():
             if mine.get(name, value) != value:
-                why = _differs(name, mine[name], value)
-                raise StoreError(f"{self.path}: was made {why}; remove it, or choose another folder (-o)")
+                why = _differs(name, self.said(name, Any), json.loads(value))
+                raise StoreError(f"{self.path}: was made {why}; {HINT}")
 
     @_naming_the_file
     def tell(self, about: Mapping[str, str]) -> None:
@@ -147,23 +250,22 @@ class Store:
             StoreError: if it is of another.
         """
         self.check_same(about)
-        mine = self.about
-        if new := [(name, value) for name, value in about.items() if name not in mine]:
-            with self._database:
-                self._database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", new)
+        if about.keys() <= self.about.keys():
+            return
+        with self._writing() as database:
+            self.check_same(about)
+            database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(_with_checksum, about.items()))
 
     @_naming_the_file
     def enter(self, cells: Sequence[Cell]) -> None:
         """Write down configurations, before those that are there."""
-        rows = [
-            (cell.key, k, json.dumps(cell.columns), cell.scenario.model_dump_json()) for k, cell in enumerate(cells)
-        ]
-        with self._database:
-            self._database.execute("UPDATE configurations SET place = place + ?", (len(cells),))
-            self._database.executemany(
-                "INSERT INTO configurations VALUES (?, ?, ?, ?)"
-                " ON CONFLICT (configuration) DO UPDATE SET place = excluded.place",
-                rows,
+        entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
+        with self._writing() as database:
+            there = {key: each for key, _, *each in self._rows("configurations", "ORDER BY place")}
+            merged = {key: there.get(key, each) for key, each in entered.items()} | there
+            rows = ((key, place, *each) for place, (key, each) in enumerate(merged.items()))
+            database.executemany(
+                "INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, rows)
             )
 
     @_naming_the_file
@@ -171,29 +273,30 @@ class Store:
         """Write down a run of a configuration and a root seed, instead of one that failed."""
         numbers = None if row.summary is None else json.dumps(plain(row.summary))
         values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
-        with self._database:
-            self._database.execute(
-                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?) {INSTEAD} runs.status != 'ok'", values
+        with self._writing() as database:
+            database.execute(
+                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?) {INSTEAD} runs.status != 'ok'",
+                _with_checksum(values),
             )
 
     @_naming_the_file
     def runs(self, key: str, root: int) -> list[Row]:
         """Return the runs of a configuration and a root seed, in the order of replications."""
-        found = self._database.execute(
-            "SELECT replication, seed, status, summary, traceback FROM runs"
-            " WHERE configuration = ? AND root_seed = ? ORDER BY replication",
-            (key, str(root)),
-        )
-        return [
-            Row(replication, int(seed), status, numbers and Summary(**json.loads(numbers)), trace)
-            for replication, seed, status, numbers, trace in found
-        ]
+        where = "WHERE configuration = ? AND root_seed = ? ORDER BY replication"
+        return [self._run(row) for row in self._rows("runs", where, (key, str(root)))]
+
+    def _run(self, row: tuple[Any, ...]) -> Row:
+        """Return a run of its row."""
+        _, replication, _, seed, status, numbers, trace = self._read(_adapter(RUN), "runs", row)
+        if (numbers is None) == (status == "ok"):
+            raise self._error("runs", row, "should have a summary if its status is ok, and none if not")
+        return Row(replication, int(seed), status, numbers and Summary(**dict(numbers)), trace)
 
     @_naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
         """Return the key and the settings of each configuration, in order."""
-        found = self._database.execute("SELECT configuration, settings FROM configurations ORDER BY place")
-        return [(key, json.loads(settings)) for key, settings in found]
+        found = self._rows("configurations", "ORDER BY place")
+        return [(row[0], self._read(_adapter(SETTINGS), "configurations", row, 2)) for row in found]
 
     @_naming_the_file
     def __len__(self) -> int:
@@ -208,16 +311,16 @@ class Store:
             StoreError: if it is of another sweep.
         """
         self.tell(other.about)
-        self._database.execute("ATTACH ? AS other", (str(other.path),))
-        try:
-            with self._database:
-                self._database.execute("INSERT OR IGNORE INTO configurations SELECT * FROM other.configurations")
-                self._database.execute(
-                    f"INSERT INTO runs SELECT * FROM other.runs WHERE true {INSTEAD}"
-                    " runs.status != 'ok' AND excluded.status = 'ok'"
-                )
-        finally:
-            self._database.execute("DETACH other")
+        runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))  # these cover those
+        with self._writing() as database:
+            database.executemany(
+                "INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, configurations)
+            )
+            database.executemany(
+                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?) {INSTEAD}"
+                " runs.status != 'ok' AND excluded.status = 'ok'",
+                map(_with_checksum, runs),
+            )
 
     @_naming_the_file
     def check(self) -> str:
@@ -235,16 +338,129 @@ class Store:
         self.close()
 
 
-def _differs(name: str, one: str, other: str) -> str:
+Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
+"""A seed as text: a whole number that Python reads."""
+_FIELDS: dict[str, Any] = {
+    each.name: (get_type_hints(Summary)[each.name], ... if each.name in COMMON else None) for each in fields(Summary)
+}
+Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
+"""A summary as JSON has it."""
+RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[Numbers] | None, str]  # type: ignore[valid-type]
+SETTINGS = Json[dict[str, bool | int | float | str]]
+"""What a row of `runs`, and the settings of a configuration, are."""
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _address(path: Path, read_only: bool) -> str:
+    """Return the URI by which SQLite opens a file.
+
+    One that may not be written is taken for immutable, for SQLite cannot open a file with a write-ahead log otherwise;
+    unless there is something in its journal, which would be left out.
+    """
+    options = "rwc"
+    if read_only:
+        pending = any(each.is_file() and each.stat().st_size for each in map(Path, (f"{path}-wal", f"{path}-journal")))
+        is_writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+        options = "rw" if is_writable else "ro" if pending else "ro&immutable=1"
+    return f"{path.absolute().as_uri()}?mode={options}"
+
+
+def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
+    """Return a connection to a file, or to a new database in memory."""
+    database = sqlite3.connect(":memory:" if path is None else _address(path, read_only), PATIENCE, uri=True)
+    database.text_factory = lambda raw: raw.decode(errors="replace")  # a checksum then tells of what is no UTF-8
+    database.execute("PRAGMA trusted_schema = OFF")
+    return database
+
+
+def _use_write_ahead_log(database: sqlite3.Connection) -> str:
+    """Let readers and a writer of a new file not block each other; return why that cannot be, "" if it can.
+
+    To change the journal takes an exclusive lock. SQLite does not wait for one while another connection is about to
+    write, as when several processes create the store at the same moment.
+    """
+    end = time.monotonic() + PATIENCE
+    while True:
+        try:
+            (mode,) = database.execute("PRAGMA journal_mode = WAL").fetchone()
+            database.executescript("BEGIN IMMEDIATE; ROLLBACK")  # fails if memory cannot be shared
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
+                return str(error)
+            if time.monotonic() > end:
+                raise
+            time.sleep(PAUSE)
+        else:
+            return "" if mode in {"wal", "memory"} else f"the journal is {mode}"
+
+
+def _use_rollback_journal(path: Path | None) -> None:
+    """Give a file a rollback journal; one process alone needs no shared memory for that."""
+    database = _connected(path)
+    try:
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+        database.execute("PRAGMA journal_mode = DELETE")
+    finally:
+        database.close()
+
+
+def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
+    """Return the kind and the SQL of all that a database consists of, by name."""
+    found = database.execute("SELECT name, type, sql FROM sqlite_master")
+    return {name: (kind, sql) for name, kind, sql in found}
+
+
+@cache
+def _known_schema() -> Mapping[str, tuple[str, str | None]]:
+    """Return that of a store."""
+    database = sqlite3.connect(":memory:")
+    try:
+        database.executescript(TABLES)
+        return MappingProxyType(_schema(database))
+    finally:
+        database.close()
+
+
+def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]]) -> None:
+    """Raise StoreError unless a database is just what a store is.
+
+    A trigger, or a view instead of a table, would let whoever made the file run SQL in every command.
+    """
+    known = _known_schema()
+    if "about" not in there:
+        raise StoreError(f"{path}: is a database, but not of the runs of a sweep")
+    if strange := sorted(there.keys() - known.keys()):
+        raise StoreError(f"{path}: holds what no store has ({there[strange[0]][0]} {strange[0]}); {HINT}")
+    for name, each in known.items():
+        if each != there.get(name):
+            state = "missing" if name not in there else "different"
+            raise StoreError(f"{path}: was made by another version of desim, or edited: {name} is {state}; {HINT}")
+
+
+def _checksum(row: Sequence[Any]) -> int:
+    """Return the CRC-32 of a row."""
+    return crc32(json.dumps(row, default=repr).encode())
+
+
+def _with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
+    return *row, _checksum(row)
+
+
+def _differs(name: str, one: Any, other: Any) -> str:
     """Return in what two sweeps differ, given what is written down of each."""
     if name in {"format", "metrics"}:
         return "by another version of desim"
     if name == "scenario":
-        old, new = flat(json.loads(one)), flat(json.loads(other))
+        old, new = flat(one), flat(other)
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
         texts = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
         return f"by another configuration: {texts}"
-    return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {one}, is {other}"
+    was, now = json.dumps(one), json.dumps(other)
+    return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {was}, is {now}"
 
 
 def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:

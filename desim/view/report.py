@@ -58,11 +58,11 @@ class Study:
             OSError: if something cannot be read, or there is no store (StoreError).
             ValueError: if something is not what it should be (ProvenanceError, ...).
         """
-        with Store(folder / STORE, must_exist=True) as kept:
-            result, about = SweepResult.of(kept), kept.about
+        with Store(folder / STORE, read_only=True) as kept:
+            result, base = SweepResult.of(kept), kept.said("scenario", dict[str, Any])
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
-        scenario = (made and made["scenario"]) or json.loads(about["scenario"])
+        scenario = (made and made["scenario"]) or base
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         found = flat(scenario, _has_keys).items()
         fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}

@@ -1,18 +1,28 @@
 """The store: what cannot be one is told of by its file, what was done is kept, and parts make a whole."""
 
 import json
+import os
+import random
 import resource
+import shutil
 import sqlite3
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from functools import cache
 
 import numpy as np
 import pytest
 
+import desim.study.store as module
+from desim.analysis.metrics import summary
 from desim.scenario import Scenario
 from desim.scenario_file import load, read
-from desim.study.store import Row, Store
+from desim.simulation import run
+from desim.study.result import SweepResult
+from desim.study.store import Row, Store, StoreError
 from desim.study.sweep import Plan, sweep
 from tests.study import sweeps
 from tests.study.test_workers import command
@@ -67,15 +77,15 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["format", "metrics"])
-def test_a_store_of_another_version_is_refused(tmp_path, file, name):
-    with Store(tmp_path / "sweep.sqlite"):
-        pass
-    with closing(sqlite3.connect(tmp_path / "sweep.sqlite")) as database, database:
-        database.execute("UPDATE about SET value = '[0]' WHERE name = ?", (name,))
+@pytest.mark.parametrize(("name", "other"), [("FORMAT", "0"), ("COMMON", ("captured",)), ("TABLES", None)])
+def test_a_store_of_another_version_is_refused(tmp_path, file, name, other, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(module, name, other or module.TABLES.replace("AS status", "AS state").replace("status, t", "t"))
+        with Store(tmp_path / "sweep.sqlite"):
+            pass
     told = refused("sweep", file, "--allow-import", "-o", tmp_path)
-    hint = "remove it, or choose another folder (-o)"
-    assert told == f"{tmp_path / 'sweep.sqlite'}: was made by another version of desim; {hint}"
+    assert told.startswith(f"{tmp_path / 'sweep.sqlite'}: was made by another version of desim")
+    assert told.endswith("; remove it, or choose another folder (-o)")
 
 
 def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
@@ -94,8 +104,8 @@ def test_a_full_disk_is_told_of_and_what_was_done_is_kept(tmp_path, file, monkey
     """A store that may have 16 pages of 4 kB holds the configurations, and not all of 200 runs."""
     begin = Store._open
 
-    def small(self, path):
-        begin(self, path)
+    def small(self, *args):
+        begin(self, *args)
         self._database.execute("PRAGMA max_page_count = 16")
 
     out = tmp_path / "out"
@@ -139,8 +149,13 @@ def test_what_cannot_be_written_beside_a_store_is_told_of(tmp_path, file, name):
     assert made.stderr.splitlines()[-1] == f"{tmp_path / name}: Is a directory"
 
 
+@cache
+def numbers():
+    return summary(run(Scenario(horizon=0.1, team={"count": 2})))
+
+
 def run_of(number, status="ok", text=""):
-    return Row(number, number, status, traceback=text)
+    return Row(number, number, status, numbers() if status == "ok" else None, text)
 
 
 def statuses(store, plan):
@@ -297,3 +312,240 @@ def test_a_store_does_not_return_the_results_of_another_model(tmp_path):
     assert [times(0.0, store), times(1.0, store), times(0.0, store)] == [standing, fleeing, standing]
     with Store(store) as kept:
         assert len(kept) == 4
+
+
+@pytest.mark.parametrize("releases", [True, False])
+def test_a_store_that_another_process_is_about_to_make_is_waited_for(tmp_path, monkeypatch, releases):
+    """While another connection is about to write, SQLite refuses to change the journal at once, whatever its timeout.
+
+    The other lets go in the third pause or, where nobody has any patience, never.
+    """
+    path, pauses = tmp_path / "sweep.sqlite", []
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+
+        def pause(seconds):
+            pauses.append(seconds)
+            if len(pauses) == 3:
+                other.execute("ROLLBACK")
+
+        monkeypatch.setattr(module.time, "sleep", pause)
+        if releases:
+            with Store(path) as store:
+                assert (store.check(), len(pauses)) == ("ok", 3)
+        else:
+            monkeypatch.setattr(module, "PATIENCE", 0.0)
+            with pytest.raises(StoreError, match=r"sweep\.sqlite: database is locked"):
+                Store(path)
+
+
+@pytest.mark.parametrize("why", ["the file system cannot", "memory cannot be shared"])
+def test_without_a_write_ahead_log_there_is_a_rollback_journal_and_a_warning(tmp_path, monkeypatch, why):
+    """SQLite locks with a file of its own, which leaves nothing to share; or the file to be shared cannot be made."""
+    path, address = tmp_path / "sweep.sqlite", module._address
+    if why == "the file system cannot":
+        monkeypatch.setattr(module, "_address", lambda *args: address(*args) + "&vfs=unix-dotfile")
+    else:
+        (tmp_path / "sweep.sqlite-shm").mkdir()
+    with pytest.warns(UserWarning, match=f"{path}: .* no write-ahead log"), Store(path) as store:
+        store.enter([])
+    with Store(path) as store:
+        assert store._database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+    with Store(path, read_only=True) as store:
+        assert (store.check(), len(store)) == ("ok", 0)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """Return a folder with a finished sweep of 2 x 4 runs, below that of its scenario, and the table of its runs."""
+    folder = tmp_path_factory.mktemp("good")
+    file = sweeps.write(folder, reps=4)
+    assert command("sweep", file, "--allow-import", "-o", folder / "out").exit_code == 0
+    table = exported(folder / "out")
+    (folder / "out" / "runs.csv").unlink()
+    return file, folder / "out", table
+
+
+def without_rights(program, *args):
+    """Run a program as one whom file permissions bind, root as well."""
+    prefix = [] if os.geteuid() else ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"]
+    environment = {**os.environ, "PYTHONPATH": str(sweeps.ROOT)}
+    made = subprocess.run(
+        [*prefix, sys.executable, "-c", program, *map(str, args)], env=environment, capture_output=True, text=True
+    )
+    assert made.returncode == 0, made.stderr
+    return made.stdout
+
+
+COMMANDS = """
+import sys
+from desim.cli import main
+here, there = sys.argv[1:]
+for words in (["export", here, f"{there}/runs.csv"], ["report", here, "-o", f"{there}/r.html"],
+              ["merge", here, "-o", f"{there}/all"]):
+    main(words, standalone_mode=False)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
+@pytest.mark.parametrize("which", ["folder", "file"])
+def test_a_store_that_may_not_be_written_is_read(tmp_path, good, which):
+    """Nothing appears beside it, and its own file stays as it is."""
+    here, there = tmp_path / "a # b?", tmp_path / "mine"
+    shutil.copytree(good[1], here)
+    there.mkdir()
+    path, before = here / "sweep.sqlite", sorted(here.iterdir())
+    path.chmod(0o444)
+    if which == "folder":
+        here.chmod(0o555)
+    without_rights(COMMANDS, here, there)
+    here.chmod(0o755)
+    assert sorted(here.iterdir()) == before
+    assert (there / "runs.csv").read_bytes() == good[2] == exported(there / "all")
+    assert (there / "r.html").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
+def test_what_is_in_the_journal_of_a_store_that_may_not_be_written_is_not_left_out(tmp_path, file):
+    """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is told."""
+    (tmp_path / "live").mkdir()
+    with Store(tmp_path / "live" / "sweep.sqlite") as store:
+        Plan.of(load(file, allow_import=True)).enter(store)
+        shutil.copytree(tmp_path / "live", tmp_path / "killed", ignore=shutil.ignore_patterns("*-shm"))
+    path = tmp_path / "killed" / "sweep.sqlite"
+    assert path.with_name("sweep.sqlite-wal").stat().st_size > 0
+    path.parent.chmod(0o555)
+    program = (
+        "import sys; from desim.cli import main\ntry: main(sys.argv[1:])\nexcept SystemExit as end: print(end.code)"
+    )
+    assert without_rights(f"{program}", "export", path, tmp_path / "a.csv").strip() == "2"
+
+
+def edited(good, folder, *statements):
+    """Return a copy of a store in a folder that was changed by SQL; SET_CHECKSUM makes the checksums right again."""
+    shutil.copytree(good[1], folder)
+    path = folder / "sweep.sqlite"
+    with closing(sqlite3.connect(path)) as database, database:
+        for statement in statements:
+            database.execute(statement)
+        for table in module.NAMED_BY if SET_CHECKSUM in statements else ():
+            for number, *row, _ in database.execute(f"SELECT rowid, * FROM {table}").fetchall():
+                values = module._checksum(row), number
+                database.execute(f"UPDATE {table} SET checksum = ? WHERE rowid = ?", values)
+    return path
+
+
+SET_CHECKSUM = "SELECT 1"
+FIRST_RUN = "runs: configuration .*, replication 0, root_seed 0, seed 0: "
+EDITS = {
+    "UPDATE runs SET summary = replace(summary, '1', '2')": f"{FIRST_RUN}does not match its checksum",
+    "UPDATE runs SET summary = x'00ff'": f"{FIRST_RUN}does not match its checksum",
+    "UPDATE runs SET traceback = CAST(x'ff' AS TEXT)": f"{FIRST_RUN}does not match its checksum",
+    "UPDATE configurations SET place = 7": "configurations: configuration .*: does not match its checksum",
+    "UPDATE about SET value = '[]' WHERE name = 'grid'": "about: name grid: does not match its checksum",
+    "DELETE FROM configurations": "is damaged: there are runs of a configuration that is missing",
+    "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END": r"holds what no store has \(trigger t\)",
+    "CREATE INDEX i ON runs (seed)": r"holds what no store has \(index i\)",
+    "DROP VIEW results": "was made by another version of desim, or edited: results is missing",
+    "ALTER TABLE runs ADD COLUMN extra TEXT": "was made by another version of desim, or edited: runs is different",
+}
+FORGERIES = {
+    "UPDATE runs SET summary = NULL": f"{FIRST_RUN}should have a summary if its status is ok",
+    "UPDATE runs SET summary = '{'": f"{FIRST_RUN}summary: Invalid JSON",
+    "UPDATE runs SET summary = json_set(summary, '$.new', 1)": f"{FIRST_RUN}summary.new: Extra inputs",
+    "UPDATE runs SET summary = json_remove(summary, '$.energy')": f"{FIRST_RUN}summary.energy: Field required",
+    "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: Input",
+    "UPDATE runs SET seed = 'x'": "runs: .*, seed x: seed: String should match pattern",
+    "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: Input",
+    "UPDATE configurations SET settings = '{}'": "configuration .*: should have settings of network.loss.p",
+    "UPDATE about SET value = '{' WHERE name = 'grid'": "about: name grid: value: Invalid JSON",
+    "UPDATE about SET value = '7' WHERE name = 'grid'": "about: name grid: value: Input should be a valid list",
+    "DELETE FROM about WHERE name = 'seeds'": "is damaged: seeds is missing in about",
+}
+
+
+@pytest.mark.parametrize(
+    ("statements", "told"),
+    [
+        *(([each], told) for each, told in EDITS.items()),
+        *(([each, SET_CHECKSUM], told) for each, told in FORGERIES.items()),
+    ],
+    ids=[*EDITS, *FORGERIES],
+)
+def test_a_store_that_was_edited_is_refused_and_the_row_is_named(tmp_path, good, statements, told):
+    path = edited(good, tmp_path / "out", *statements)
+    with pytest.raises(StoreError, match=f"^{path}: {told}"), Store(path, read_only=True) as store:
+        SweepResult.of(store)
+
+
+def test_tables_that_are_views_are_refused_before_they_are_read(tmp_path, good):
+    """The recursive query would never end."""
+    endless = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k FROM n"
+    path = edited(good, tmp_path / "out", "DROP TABLE runs", f"CREATE VIEW runs AS {endless}")
+    with pytest.raises(StoreError, match="was made by another version of desim, or edited: runs is different"):
+        Store(path)
+
+
+def damaged(rng, whole):
+    """Return the bytes of a file with some damage."""
+    found, size = bytearray(whole), len(whole)
+    kind = rng.choice(["bits", "cut", "page", "digit", "bytes"])
+    if kind == "bits":
+        for _ in range(rng.randint(1, 8)):
+            found[rng.randrange(size)] ^= 1 << rng.randrange(8)
+    elif kind == "cut":
+        del found[rng.randrange(size) :]
+    elif kind == "page":
+        first = rng.randrange(size // 4096) * 4096
+        found[first : first + 4096] = bytes(4096)
+    elif kind == "digit":
+        place = rng.choice([k for k, each in enumerate(whole) if chr(each).isdigit()])
+        found[place] = rng.choice([each for each in b"0123456789" if each != whole[place]])
+    else:
+        first = rng.randrange(size - 64)
+        found[first : first + 64] = rng.randbytes(64)
+    return bytes(found)
+
+
+@pytest.mark.parametrize("seed", [*range(6), pytest.param(None, marks=pytest.mark.slow)])
+def test_a_damaged_store_is_refused_or_says_what_the_whole_one_says(tmp_path, good, seed):
+    """Bits, bytes, a digit, a page or the end are others: what is wrong with them is told, or they mean nothing."""
+    file, folder, table = good
+    whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
+    for each in range(1000, 1200) if seed is None else [seed]:
+        damage, out, merged = damaged(random.Random(each), whole), tmp_path / "out", tmp_path / "merged"
+        for words in (
+            ("export", out, tmp_path / "a.csv"),
+            ("report", out, "-o", tmp_path / "r.html"),
+            ("merge", out, "-o", merged),
+            ("sweep", file, "--allow-import", "-o", out),
+        ):
+            for each_folder in (out, merged):
+                shutil.rmtree(each_folder, ignore_errors=True)
+            shutil.copytree(folder, out)
+            (out / "sweep.sqlite").write_bytes(damage)
+            made = command(*words)
+            outcomes.add(made.exit_code)
+            assert made.exit_code in {0, WRONG_INPUT}, (each, words, made.exception)
+            if made.exit_code:
+                assert f"{out / 'sweep.sqlite'}: " in made.stderr
+            elif words[0] != "report":
+                assert exported(merged if words[0] == "merge" else out) == table, (each, words)
+    assert seed is not None or outcomes == {0, WRONG_INPUT}
+
+
+def test_a_digit_that_was_replaced_is_noticed_wherever_it_lies_in_a_row(tmp_path, good):
+    """Every 7th digit of the rows, as they are stored."""
+    path, whole = tmp_path / "sweep.sqlite", (good[1] / "sweep.sqlite").read_bytes()
+    with closing(sqlite3.connect(good[1] / "sweep.sqlite")) as database:
+        summaries = [text for (text,) in database.execute("SELECT summary FROM runs")]
+    for text in summaries:
+        begin = whole.index(text.encode())
+        for k in [k for k, each in enumerate(text) if each.isdigit()][::7]:
+            found = bytearray(whole)
+            found[begin + k] = ord("0") if text[k] != "0" else ord("1")
+            path.write_bytes(found)
+            with pytest.raises(StoreError, match=f"^{path}: runs: .*does not match its checksum"):
+                Store(path, read_only=True)
