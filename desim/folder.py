@@ -1,25 +1,29 @@
 """The folder of a run: its trace, its numbers, its scenario, its picture, and where all that comes from."""
 
 import json
-from collections.abc import Container, Iterator
-from functools import partial
+from collections.abc import Container, Iterable, Iterator, Sequence
+from itertools import chain, islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import BeforeValidator, Field
 
 from desim import provenance
 from desim.analysis.metrics import Summary, plain, summary
 from desim.guards import fresh, regular
-from desim.kernel.events import MESSAGES, Event, Tally, Trace
-from desim.kernel.faults import FAULTS, Began, Over
-from desim.kernel.trace_file import Kinds, TraceFile, events_of
+from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.records import Record
+from desim.kernel.trace_file import Limits, TraceFile, events_of
 from desim.names import OF_A_RUN, TRACE
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
 from desim.scenario import Scenario
 from desim.scenario_file import dump, validate
 from desim.simulation import Result, run
+
+EVENTS = (Started, Decided, Halted, Sampled, Captured, Ended, *MESSAGES, Tally, Began, Over)
+"""What may be in a trace."""
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
@@ -110,9 +114,11 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
         OSError: if it cannot be read.
     """
     folder, trace = Path(folder), Trace()
-    trace.events += events(folder, allow_import=allow_import)
-    if not trace.events or not isinstance(trace.events[-1], Ended):
-        raise ValueError(f"{folder / TRACE}: is not of a whole run: its last event should be Ended")
+    trace.events += events(folder)
+    if [type(event) for event in trace.events[-2:]] != [Tally, Ended]:
+        raise ValueError(f"{folder / TRACE}: is not of a whole run: its last events should be Tally and Ended")
+    for number, why in _misfits(trace.events):
+        raise ValueError(f"{folder / TRACE}: line {number} {why}")
     path = folder / provenance.FILE
     made = provenance.read(path)
     source = provenance.source(path, made, allow_import=allow_import)
@@ -134,31 +140,98 @@ def _begins(result: Result) -> bool:
     return len(there) == len(wanted) and np.allclose(there, wanted, rtol=0.0, atol=1e-6)
 
 
-def events(folder: str | Path, *, allow_import: bool = False) -> Iterator[Event]:
+def events(folder: str | Path) -> Iterator[Event]:
     """Yield the events of the run in a folder, one by one, so that a long trace need not fit in memory; see `read`.
 
     Raises:
-        ValueError: if its trace is not what `write` wrote.
+        ValueError: if a line of its trace is not what `write` wrote.
         OSError: if it cannot be read.
     """
     file = Path(folder) / TRACE
     with regular(file).open(encoding="utf-8") as lines:
         try:
-            yield from events_of(lines, kinds(allow_import=allow_import))
+            first = list(islice(lines, 1))
+            for start in events_of(first, (Started,)):
+                yield from events_of(chain(first, lines), EVENTS, _limits(start))
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
 
 
-def kinds(*, allow_import: bool = False) -> Kinds:
-    """Return what makes each kind of event of its fields, by its name; see `read`."""
-    adapter: TypeAdapter[Any] = TypeAdapter(Annotated[Any, FAULTS])
-    fault = partial(adapter.validate_python, context={"allow_import": allow_import})
-    made: list[type[Any]] = [Started, Decided, Halted, Sampled, Captured, Ended, *MESSAGES, Tally]
+def _limits(start: Any) -> Limits:
+    """Return what holds of the numbers in a trace that begins so."""
+    size, evaders = len(start.pursuers), len(start.evaders)
     return {
-        **{kind.__name__: kind for kind in made},
-        "Began": lambda **fields: Began(**fields | {"fault": fault(fields["fault"])}),
-        "Over": lambda **fields: Over(**fields | {"fault": fault(fields["fault"])}),
+        "node": Field(lt=size),
+        "pursuers": Field(min_length=size, max_length=size),
+        "evader": Field(ge=1, le=evaders),
+        "action": Field(ge=0, le=evaders),
+        "others": Field(min_length=evaders - 1, max_length=evaders - 1),
+        "body": BeforeValidator(lambda body: _readable(body, size, evaders)),
     }
+
+
+def _readable(body: Any, size: int, evaders: int) -> Any:
+    """Return the body of a message, as JSON has it, if what it says of actions can be read.
+
+    Raises:
+        ValueError: if it names no evader, or relays what is no record.
+    """
+    if not isinstance(body, dict):
+        return body
+    if (active := body.get("active")) is not None and not _is_number(active, evaders + 1):
+        raise ValueError(f"active should be 0 to {evaders}")
+    if (records := body.get("records")) is not None:
+        for each in records if isinstance(records, list) else [None]:
+            if not isinstance(each, dict) or tuple(each) != Record._fields:
+                raise ValueError(f"records should be tables of {', '.join(Record._fields)}")
+            if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "sent"))):
+                raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and sent of at least 0")
+            _readable(each["body"], size, evaders)
+    return body
+
+
+def _is_number(value: Any, end: int) -> bool:
+    """Return whether it is one of 0 .. end - 1."""
+    return isinstance(value, int) and 0 <= value < end
+
+
+def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
+    """Yield which lines of a trace do not fit those before, and why."""
+    size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
+    receivers, broken = dict[int, tuple[int, ...]](), list[Fault]()
+    for number, event in enumerate(found, start=1):
+        if event.t < t:
+            yield number, "is earlier than the line before"
+        t = event.t
+        if isinstance(event, Started | Tally | Ended):
+            if type(event) in once:
+                yield number, f"is a second {type(event).__name__}"
+            once.add(type(event))
+        elif isinstance(event, Broadcast | Queued):
+            if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
+                yield number, f"has {len(event.dst)} receivers and {len(event.arrival)} arrivals"
+            receivers[event.flight] = receivers.get(event.flight, ()) + event.dst
+        elif isinstance(event, Sent):
+            receivers[event.flight] = (*receivers.get(event.flight, ()), event.dst)
+        elif isinstance(event, Lost):
+            if event.dst not in receivers.get(event.flight, ()):
+                yield number, f"is of a message that was not sent: {event.flight} to {event.dst}"
+        elif isinstance(event, Began):
+            if any(node >= size for node in _nodes(event.fault)):
+                yield number, f"is of a node that is not one of 0 to {size - 1}"
+            broken.append(event.fault)
+        elif isinstance(event, Over):
+            if event.fault not in broken:
+                yield number, "ends a fault that did not begin"
+            else:
+                broken.remove(event.fault)
+
+
+def _nodes(fault: Fault) -> Iterable[int]:
+    """Return the nodes that a fault names."""
+    if isinstance(fault, Crash):
+        return [fault.node]
+    return chain.from_iterable(fault.groups) if isinstance(fault, Partition) else ()
 
 
 def can_plot() -> bool:

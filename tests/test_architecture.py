@@ -60,7 +60,7 @@ ALLOWED = {
     "desim.pursuit.assignment": {"desim.pursuit.game", "desim.pursuit.state"},
     "desim.pursuit.utility": {"desim.pursuit.game", "desim.pursuit.state", "desim.value"},
     "desim.pursuit.state": set(),
-    "desim.pursuit.events": set(),
+    "desim.pursuit.events": {"desim.kernel.events"},
     "desim.pursuit.motion": {"desim.pursuit.state"},
     "desim.pursuit.outlook": {"desim.pursuit.state"},
     "desim.pursuit.evasion": {

@@ -1,7 +1,9 @@
 """The folder of a run."""
 
 import json
+import random
 import sys
+from math import inf, nan
 from pathlib import Path
 
 import pytest
@@ -238,5 +240,141 @@ def test_a_trace_is_not_read_under_another_scenario(result, changes, tmp_path):
 def test_a_trace_without_a_beginning_is_not_read(result, tmp_path):
     write(result, tmp_path)
     (tmp_path / "trace.jsonl").write_text((tmp_path / "trace.jsonl").read_text().splitlines()[-1] + "\n")
-    with pytest.raises(ValueError, match="is not of the run in"):
+    with pytest.raises(ValueError, match=r"line 1 is no event: .* Started"):
         read(tmp_path)
+
+
+def record(folder, name, *overrides):
+    """Write a run of a scenario file of which everything is recorded to a folder, and return that."""
+    file = Path(__file__).parent.parent / "scenarios" / f"{name}.toml"
+    write(run(load(file, ["record.messages=true", "record.trajectory=0.1", *overrides])), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the folder of a run in which faults begin and end."""
+    return record(tmp_path_factory.mktemp("recorded"), "faults", "horizon=2.5")
+
+
+def rewritten(recorded, folder, change):
+    """Write a copy of a run to a folder, with the events in its trace, as JSON has them, changed."""
+    lines = [json.loads(line) for line in (recorded / "trace.jsonl").read_text().splitlines()]
+    folder.mkdir()
+    (folder / "run.json").write_bytes((recorded / "run.json").read_bytes())
+    (folder / "trace.jsonl").write_text("".join(json.dumps(line) + "\n" for line in change(lines)))
+    return folder
+
+
+def first(lines, kind):
+    """Return the place of the first event of a kind."""
+    return next(k for k, line in enumerate(lines) if line["event"] == kind)
+
+
+def with_field(kind, **fields):
+    """Return what changes fields of the first event of a kind."""
+
+    def change(lines):
+        k = first(lines, kind)
+        return [*lines[:k], lines[k] | fields, *lines[k + 1 :]]
+
+    return change
+
+
+def twice(kind):
+    """Return what repeats the first event of a kind."""
+
+    def change(lines):
+        k = first(lines, kind)
+        return [*lines[:k], lines[k], *lines[k:]]
+
+    return change
+
+
+MISFITS = {
+    "pursuer": (with_field("Decided", pursuer=99), "pursuer: Input should be less than"),
+    "action": (with_field("Decided", active=99), "active: Input should be less than or equal to"),
+    "places": (with_field("Sampled", pursuers=[["x", "y"]]), "pursuers.0.0: Input should be a valid number"),
+    "too few places": (with_field("Sampled", pursuers=[[0.0, 1.0]]), "pursuers: Tuple should have at least"),
+    "evaders": (with_field("Sampled", others=[[0.0, 1.0]] * 9), "others: Tuple should have at most"),
+    "said": (with_field("Broadcast", body={"active": 99}), "body: Value error, active should be 0 to"),
+    "relayed": (with_field("Broadcast", body={"records": [7]}), "body: Value error, records should be tables of src"),
+    "records": (
+        with_field("Broadcast", body={"records": [{"src": 99, "seq": 1, "sent": 0, "body": None}]}),
+        "body: Value error, a record should have a src of 0 to",
+    ),
+    "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
+    "flight": (with_field("Lost", flight=1 << 40), f"is of a message that was not sent: {1 << 40} to "),
+    "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
+    "start": (twice("Started"), "is a second Started"),
+    "end": (twice("Tally"), "is a second Tally"),
+    "broken": (with_field("Began", fault={"kind": "crash", "at": 0.0, "node": 99}), "is of a node that is not one of"),
+    "repaired": (with_field("Over", fault={"kind": "crash", "at": 0.9, "node": 1}), "ends a fault that did not begin"),
+    "kind of fault": (with_field("Began", fault={"kind": "cats"}), "fault: Input tag 'cats'"),
+    "no fault": (with_field("Began", fault=7), "fault: "),
+}
+
+
+@pytest.mark.parametrize("name", MISFITS)
+def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path):
+    change, told = MISFITS[name]
+    with pytest.raises(ValueError, match=rf"trace\.jsonl: line \d+ (is no event: )?{told}"):
+        read(rewritten(recorded, tmp_path / "x", change))
+
+
+WRONG = ("x", "", -1, 0, 1.5, 999, 10**18, 10**400, -1e300, inf, nan, None, True, [], [1], {}, {"a": 1})
+
+
+def mutated(rng, value):
+    """Return a value, or one somewhere in it, as another."""
+    if isinstance(value, list) and value and rng.random() < 0.7:
+        k = rng.randrange(len(value))
+        return [*value[:k], mutated(rng, value[k]), *value[k + 1 :]]
+    if isinstance(value, dict) and value and rng.random() < 0.8:
+        key = rng.choice(sorted(value))
+        return value | {key: mutated(rng, value[key])}
+    near = (value + 1, value * 2) if isinstance(value, int | float) else ()
+    return rng.choice([*WRONG, *near, *((value[:-1], value * 2) if isinstance(value, list) else ())])
+
+
+def mutant(seed):
+    """Return what changes a field, or the place, of an event: each kind is as likely as any other."""
+    rng = random.Random(seed)
+
+    def change(lines):
+        kind = rng.choice(sorted({line["event"] for line in lines}))
+        k = rng.choice([k for k, line in enumerate(lines) if line["event"] == kind])
+        line = dict(lines[k])
+        key, way = rng.choice(sorted(line)), rng.random()
+        if way < 0.8:
+            return [*lines[:k], line | {key: mutated(rng, line[key])}, *lines[k + 1 :]]
+        return [*lines[:k], *([line, line] if way < 0.9 else []), *lines[k + 1 :]]
+
+    return change
+
+
+def shown_or_refused(recorded, folder, seeds, commands):
+    """Check that what is wrong in a trace is told with its file, or harms nobody who reads it."""
+    outcomes = set()
+    for seed in seeds:
+        copy = rewritten(recorded, folder / f"{recorded.name} {seed}", mutant(seed))
+        for words in commands:
+            done = CliRunner().invoke(main, [*words, str(copy)], catch_exceptions=False)
+            outcomes.add(done.exit_code)
+            assert done.exit_code in {0, 2}, (seed, done.output)
+            if done.exit_code:
+                assert done.stderr.startswith(str(copy)), (seed, done.stderr)
+                break
+    assert outcomes == {0, 2}
+
+
+def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
+    shown_or_refused(recorded, tmp_path, range(20), (["replay"], ["draw", "perfetto"]))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
+def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path):
+    short = record(tmp_path / name, name, "horizon=1.0", *(["team.count=6"] if name in {"radio", "flooding"} else []))
+    shown_or_refused(short, tmp_path, range(1000, 1150), (["replay"], ["draw", "perfetto"], ["draw", "spacetime"]))

@@ -8,7 +8,7 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.folder import kinds
+from desim.folder import EVENTS
 from desim.kernel.clock import SECOND, Clock, seconds
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash
@@ -267,7 +267,7 @@ def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
 def test_a_trace_with_several_evaders_reads_back():
     result = desim.run(standing(2.0, -3.0))
     lines = map(line_of, result.trace)
-    assert list(events_of(lines, kinds())) == result.trace.events
+    assert list(events_of(lines, EVENTS)) == result.trace.events
 
 
 def test_a_trace_with_one_evader_does_not_know_of_others():

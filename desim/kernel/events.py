@@ -4,10 +4,22 @@ Times are integer nanoseconds.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 
 LOST = -1
 """The arrival time of a message that never arrives."""
+
+# What the numbers of events stand for: a trace that is read from a file is checked by these marks.
+Nanoseconds = Annotated[int, "time"]
+"""A time, ns."""
+Arrival = Annotated[int, "arrival"]
+"""A time, ns, or `LOST`."""
+NodeId = Annotated[int, "node"]
+"""The number of a node, from 0 on."""
+Count = Annotated[int, "count"]
+"""Not negative."""
+Body = Annotated[Any, "body"]
+"""The content of a message."""
 
 
 class Event(Protocol):
@@ -34,29 +46,29 @@ Cause = Literal["loss", "reach", "partition", "jamming", "crash", "queue", "half
 class Queued(NamedTuple):
     """A transmission has to wait for its transmitter; it is on its way from now on, for the count of messages."""
 
-    t: int
-    flight: int
-    src: int
-    dst: tuple[int, ...]
-    size: int
+    t: Nanoseconds
+    flight: Count
+    src: NodeId
+    dst: tuple[NodeId, ...]
+    size: Count
 
 
 class Broadcast(NamedTuple):
     """A record left: one message to everyone in reach, all of them in this one event."""
 
-    t: int
-    flight: int
+    t: Nanoseconds
+    flight: Count
     """The number of the transmission."""
-    src: int
-    seq: int
-    dst: tuple[int, ...]
-    arrival: tuple[int, ...]
+    src: NodeId
+    seq: Count
+    dst: tuple[NodeId, ...]
+    arrival: tuple[Arrival, ...]
     """When it reaches each of `dst`, unless it is lost on arrival, or `LOST`; one entry for all if they are alike."""
-    created: int
+    created: Nanoseconds
     """When it was announced, ns; earlier than t if the transmitter was busy."""
-    size: int
+    size: Count
     """Bytes."""
-    body: Any
+    body: Body
 
     def fates(self) -> Iterator[tuple[int, int]]:
         """Yield each receiver, and when it is reached, or `LOST`."""
@@ -67,18 +79,18 @@ class Broadcast(NamedTuple):
 class Sent(NamedTuple):
     """A message left for one receiver."""
 
-    t: int
-    flight: int
+    t: Nanoseconds
+    flight: Count
     """The number of the transmission; all receivers of one transmission have the same."""
-    src: int
-    dst: int
-    arrival: int
+    src: NodeId
+    dst: NodeId
+    arrival: Arrival
     """When it reaches `dst`, unless it is lost on arrival, or `LOST`."""
-    created: int
+    created: Nanoseconds
     """When it was sent, ns; earlier than t if the transmitter was busy."""
-    size: int
+    size: Count
     """Bytes."""
-    body: Any
+    body: Body
 
     def fates(self) -> Iterator[tuple[int, int]]:
         """Yield its receiver, and when that is reached, or `LOST`; as of a broadcast."""
@@ -88,10 +100,10 @@ class Sent(NamedTuple):
 class Lost(NamedTuple):
     """A message to one receiver will never be read: lost as it left, while it waited to, or as it arrived."""
 
-    t: int
-    flight: int
-    src: int
-    dst: int
+    t: Nanoseconds
+    flight: Count
+    src: NodeId
+    dst: NodeId
     cause: Cause
 
 
@@ -102,16 +114,16 @@ MESSAGES = (Queued, Broadcast, Sent, Lost)
 class Tally(NamedTuple):
     """What the network carried until the run ended, each receiver of a transmission counted as one message."""
 
-    t: int
-    sent: int
-    delivered: int
-    lost: int
-    in_flight: int
-    lost_by: dict[Cause, int]
+    t: Nanoseconds
+    sent: Count
+    delivered: Count
+    lost: Count
+    in_flight: Count
+    lost_by: dict[Cause, Count]
     """How many were lost by each cause."""
-    transmissions: int
+    transmissions: Count
     """How many times something was put on the air, whatever the number of receivers."""
-    bytes_sent: int
+    bytes_sent: Count
     """Bytes of the messages put on the air, without what the medium adds to each."""
     utilisation: float
     """Share of the time in which the channels were busy, in [0, 1]: of the shared one, or the mean over all nodes'."""

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from desim.kernel.events import Nanoseconds
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
 from desim.value import Box, Coordinate, Duration, Extent, Length, OneOf, Rate, Time, Truth, Value
@@ -91,15 +92,15 @@ Fault = Crash | Partition | Jamming
 class Began(NamedTuple):
     """A fault began."""
 
-    t: int
-    fault: Fault
+    t: Nanoseconds
+    fault: Annotated[Fault, Field(discriminator="kind")]
 
 
 class Over(NamedTuple):
     """A fault was over."""
 
-    t: int
-    fault: Fault
+    t: Nanoseconds
+    fault: Annotated[Fault, Field(discriminator="kind")]
 
 
 class Plan(Protocol):

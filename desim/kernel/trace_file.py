@@ -7,13 +7,16 @@ from functools import cache
 from keyword import iskeyword
 from math import isfinite
 from pathlib import Path
-from typing import Any, Self
+from types import MappingProxyType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
+
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import LOST, Event
+from desim.kernel.events import LOST, Arrival, Body, Event, Nanoseconds
 
-Kinds = Mapping[str, Callable[..., Event]]
-"""What makes an event of its fields, by the name of its type."""
+Limits = Mapping[str, Any]
+"""What holds of the values with a mark (see `desim.kernel.events`), as pydantic annotates a type."""
 
 
 class TraceFile:
@@ -58,49 +61,59 @@ def line_of(event: Event) -> str:
     return text + "}\n"
 
 
-def events_of(lines: Iterable[str], kinds: Kinds) -> Iterator[Event]:
+def events_of(
+    lines: Iterable[str], kinds: Iterable[type[Any]], limits: Limits = MappingProxyType({}), first: int = 1
+) -> Iterator[Event]:
     """Yield the events of which these are the `lines`, one by one, so that a long trace need not fit in memory.
 
-    Lists come back as tuples, and a body with fields as a named tuple of them: equal to that which was sent, but of
-    another type.
+    Each value is checked by the annotation of its field. Lists come back as tuples, and a body with fields as a named
+    tuple of them: equal to that which was sent, but of another type.
 
     Args:
         lines: of JSON.
         kinds: of events that there may be.
+        limits: what else holds of the values with a mark, such as the number of nodes.
+        first: the number of the first line.
 
     Raises:
         ValueError: with the number of the line that is no event.
     """
-    for number, line in enumerate(lines, start=1):
+    types = {kind.__name__: kind for kind in kinds}
+    readers: dict[str, Callable[[Any], Event]] = {}
+    for number, line in enumerate(lines, start=first):
         try:
             fields = json.loads(line)
-            kind = kinds[fields.pop("event")]
-            event = kind(**{name: _read(name, value) for name, value in fields.items()})
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise ValueError(f"line {number} is no event: {error}") from error
+            name = fields.pop("event", None) if isinstance(fields, dict) else None
+            if not (isinstance(name, str) and name in types):
+                raise ValueError(f"should be a table of which event is one of {', '.join(types)}")
+            if name not in readers:
+                readers[name] = _reader(types[name], limits)
+            event = readers[name](fields)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"line {number} is no event: {_told(error)}") from error
         yield event
 
 
-_TIMES = frozenset({"t", "arrival", "created"})
 _REQUIRED = object()
 """In place of the default of a field that has none."""
 _json = json.JSONEncoder(default=repr).encode
 _number = float.__repr__
-Field = tuple[str, Callable[[Any], str], Any]
+Written = tuple[str, Callable[[Any], str], Any]
 """What stands before the value of a field, how it is written, and its default."""
 
 
 @cache
-def _form(kind: Any) -> tuple[str, tuple[Field, ...]]:
+def _form(kind: Any) -> tuple[str, tuple[Written, ...]]:
     """Return how events of a type are written: how a line begins, and its fields."""
-    defaults = kind._field_defaults
-    fields = ((f", {_json(name)}: ", _writer(name), defaults.get(name, _REQUIRED)) for name in kind._fields)
+    defaults, hints = kind._field_defaults, get_type_hints(kind, include_extras=True)
+    fields = ((f", {_json(name)}: ", _writer(hints[name]), defaults.get(name, _REQUIRED)) for name in kind._fields)
     return f'{{"event": {_json(kind.__name__)}', tuple(fields)
 
 
-def _writer(name: str) -> Callable[[Any], str]:
-    """Return what writes a field of an event."""
-    return _time if name in _TIMES else _body if name == "body" else _plain
+def _writer(hint: Any) -> Callable[[Any], str]:
+    """Return what writes a field of an event, given its type."""
+    is_time = any(each in {Nanoseconds, Arrival} for each in (hint, *get_args(hint)))
+    return _time if is_time else _body if hint is Body else _plain
 
 
 def _time(time: Any) -> str:
@@ -135,21 +148,37 @@ def _said(value: Any) -> str:
     return _number(value) if type(value) is float and isfinite(value) else _json(value)
 
 
-def _read(name: str, value: Any) -> Any:
-    """Return a field of an event from what JSON has."""
-    if name in _TIMES:
-        return _nanoseconds(value)
-    return _named(value) if name == "body" else _tuples(value)
+def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
+    """Return what makes an event of a type from its fields as JSON has them."""
+    fields = [(name, _as_read(hint, limits)) for name, hint in get_type_hints(kind, include_extras=True).items()]
+    make: Any = NamedTuple
+    validate = TypeAdapter(make(kind.__name__, fields)).validator.validate_python
+    defaults = kind._field_defaults
+    return lambda values: kind._make(validate(defaults | values))
 
 
-def _nanoseconds(time: Any) -> Any:
-    if isinstance(time, list):
-        return tuple(map(_nanoseconds, time))
-    return LOST if time is None else nanoseconds(time)
+def _as_read(hint: Any, limits: Limits) -> Any:
+    """Return the type of a value in JSON, for the type that it has in an event."""
+    if hint in _NUMBERS:
+        return _NUMBERS[hint]
+    if get_origin(hint) is Annotated:
+        inner, mark = get_args(hint)
+        if not isinstance(mark, str):
+            return Annotated[_as_read(inner, limits), mark]
+        own = _MARKED.get(mark) or _as_read(inner, limits)
+        return Annotated[own, limits[mark]] if mark in limits else own
+    if get_origin(hint) in {None, Literal}:
+        return hint
+    parts = tuple(_as_read(each, limits) for each in get_args(hint))
+    return Union[parts] if get_origin(hint) in {Union, UnionType} else get_origin(hint)[parts]  # noqa: UP007
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+def _told(error: Exception) -> str:
+    """Return what is wrong, in a line."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    fault = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
 
 
 def _named(value: Any) -> Any:
@@ -170,3 +199,22 @@ def _body_type(names: tuple[str, ...]) -> Callable[..., Any]:
     make: Any = namedtuple
     kind: Callable[..., Any] = make("Body", names)
     return kind
+
+
+def _arrival(time: float | None) -> int:
+    return LOST if time is None else nanoseconds(time)
+
+
+_SECONDS = Annotated[float, Field(strict=True, ge=0.0, le=9e9, allow_inf_nan=False)]  # nanoseconds of 64 bits
+_NUMBERS: Mapping[Any, Any] = {
+    int: Annotated[int, Field(strict=True)],
+    float: Annotated[float, Field(strict=True, ge=-1e30, le=1e30, allow_inf_nan=False)],  # its square is finite
+}
+_MARKED: Mapping[str, Any] = {
+    "time": Annotated[_SECONDS, AfterValidator(nanoseconds)],
+    "arrival": Annotated[_SECONDS | None, AfterValidator(_arrival)],
+    "node": Annotated[int, Field(strict=True, ge=0)],
+    "count": Annotated[int, Field(strict=True, ge=0, le=1 << 48)],
+    "body": Annotated[Any, AfterValidator(_named)],
+}
+"""How values with a mark are read."""

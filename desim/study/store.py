@@ -105,7 +105,7 @@ def _naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Argument
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
         try:
             return method(*args, **kwargs)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # a message of SQLite may quote what is damaged
             raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
 
     return call
