@@ -217,7 +217,7 @@ class Store:
         """
         if name not in self.about:
             raise StoreError(f"{self.path}: is damaged: {name} is missing in about")
-        return self._read(_adapter(Json[kind]), "about", (name, self.about[name]), 1)
+        return self._read(_adapter(Annotated[kind, Json]), "about", (name, self.about[name]), 1)
 
     def _read(self, adapter: TypeAdapter[Any], table: str, row: Sequence[Any], column: int | None = None) -> Any:
         """Return a row, or one column of it, as the values that it stands for.
@@ -345,7 +345,7 @@ _FIELDS: dict[str, Any] = {
 }
 Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
 """A summary as JSON has it."""
-RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[Numbers] | None, str]  # type: ignore[valid-type]
+RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[Numbers] | None, str]
 SETTINGS = Json[dict[str, bool | int | float | str]]
 """What a row of `runs`, and the settings of a configuration, are."""
 
