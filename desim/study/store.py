@@ -135,6 +135,14 @@ class Store:
         if path is not None and not read_only:
             path.parent.mkdir(parents=True, exist_ok=True)
         self._database = _connected(path, read_only)
+        try:
+            self._prepare(path, read_only)
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self, path: Path | None, read_only: bool) -> None:
+        """Check what is there, or create it."""
         if there := _schema(self._database):
             _check_schema(path, there)
             self._check_content()
@@ -373,7 +381,11 @@ def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection
     """Return a connection to a file, or to a new database in memory."""
     database = sqlite3.connect(":memory:" if path is None else _address(path, read_only), PATIENCE, uri=True)
     database.text_factory = lambda raw: raw.decode(errors="replace")  # a checksum then tells of what is no UTF-8
-    database.execute("PRAGMA trusted_schema = OFF")
+    try:
+        database.execute("PRAGMA trusted_schema = OFF")
+    except sqlite3.Error:
+        database.close()
+        raise
     return database
 
 
