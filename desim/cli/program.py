@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from traceback import extract_tb
 from typing import Any
 
@@ -22,7 +23,8 @@ class Program(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
-            with raising():
+            with raising(), warnings.catch_warnings():
+                warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}", err=True)
                 return super().invoke(ctx)
         except KeyboardInterrupt as error:
             told = f"interrupted {error}".rstrip()

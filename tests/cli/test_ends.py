@@ -2,11 +2,14 @@
 
 import os
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from desim.cli import main
+from desim.cli.program import Program
 from desim.scenario_file import load
 from tests.command import desim
 
@@ -117,3 +120,9 @@ def test_a_byte_order_mark_is_no_part_of_a_file(file, tmp_path):
     assert done.stderr.startswith(f"{tmp_path}/f.toml:1: horizons: unknown key")
     (tmp_path / "f.toml").write_bytes(b"\xef\xbb\xbf#\n\xe9")
     assert desim("check", tmp_path / "f.toml").stderr.startswith(f"{tmp_path}/f.toml:2: not TOML: not UTF-8 text")
+
+
+@pytest.mark.filterwarnings("always")
+def test_a_warning_is_one_line_without_the_source_that_gave_it():
+    command = Program("warn", callback=lambda: warnings.warn("the store has a rollback journal", stacklevel=1))
+    assert CliRunner().invoke(command).stderr == "warning: the store has a rollback journal\n"
