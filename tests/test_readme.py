@@ -5,12 +5,15 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from desim.scenario_file import read
 from desim.study.configurations import cells
+from tests.command import accepted
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -18,6 +21,7 @@ TABLES = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_python_of_the_readme_runs_block_after_block():
     program = "\n".join(BLOCKS)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=ROOT)
@@ -26,22 +30,25 @@ def test_the_python_of_the_readme_runs_block_after_block():
     assert "[9, 9, 9, 9, 9, 9, 9, 9]" in done.stdout
 
 
-def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(tmp_path):
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "mine.toml", "--allow-import"],
+        pytest.param(["run", "{}/mine.toml", "-n", "2", "-j", "2", "--allow-import"], marks=pytest.mark.slow),
+    ],
+)
+def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(words, tmp_path):
     (rule,) = [block for block in BLOCKS if "class Stubborn" in block]
     (table,) = [each for each in TABLES if "my_rules" in each]
     assert len(rule.splitlines()) < 60
     (tmp_path / "my_rules.py").write_text(rule)
-    (tmp_path / "mine.toml").write_text(table)
-    for words in (
-        ["run", "mine.toml", "--allow-import"],
-        ["run", str(tmp_path / "mine.toml"), "-n", "2", "-j", "2", "--allow-import"],
-        ["check", "mine.toml", "--allow-import"],
-    ):
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=tmp_path
-        )
-        assert done.returncode == 0, done.stderr
-        assert "mine: 20 pursuers" in done.stdout or "inertia = 0.5" in done.stdout
+    (tmp_path / "mine.toml").write_text("horizon = 5.0\n" + table)
+    words = [word.format(tmp_path) for word in words]
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "mine: 20 pursuers" in done.stdout or "inertia = 0.5" in done.stdout
 
 
 def test_the_grid_of_the_readme_is_one_of_its_example():
@@ -71,22 +78,21 @@ def test_every_path_the_readme_names_is_there(path):
 
 @pytest.mark.parametrize("module", sorted(set(re.findall(r"python -m ([\w.]+)", README))))
 def test_every_study_the_readme_names_has_help(module):
-    done = subprocess.run(
-        [sys.executable, "-m", module, "--help"], capture_output=True, text=True, check=False, cwd=ROOT
-    )
-    assert done.returncode == 0
+    done = CliRunner().invoke(import_module(module).main, ["--help"], catch_exceptions=False)
+    assert done.exit_code == 0
     assert done.stdout.startswith("Usage:")
 
 
-@pytest.mark.parametrize(
-    "command", [shlex.split(line.split("#")[0]) for line in README.splitlines() if line.startswith("    desim ")]
-)
-def test_every_command_the_readme_names_runs(command, tmp_path):
-    words = [str(tmp_path / word) if word.startswith("out/") else word for word in command[1:] if word != ">"]
-    words = [word for word in words if word != "scenario.schema.json"]
+@pytest.mark.parametrize("line", [line[10:] for line in README.splitlines() if line.startswith("    desim ")])
+def test_every_command_the_readme_names_runs(line, tmp_path, monkeypatch):
+    """Each for 1.5 s of simulated time and, where it makes many runs, for two of each in this process."""
+    monkeypatch.chdir(ROOT)
+    words = shlex.split(line.split("#")[0].split(">")[0])
+    words = [str(tmp_path / word) if word.startswith("out/") else word for word in words]
+    if words[0] in {"run", "sweep", "explain", "replay", "draw"}:
+        words += ["--set", "horizon=1.5"]
+    if "-j" in words:
+        words += ["-j", "1", "-n", "2"]
     if words[0] in {"sweep", "explain"}:
-        words += ["-n", "2", "-o", str(tmp_path / "out")]
-    done = subprocess.run(
-        [sys.executable, "-m", "desim", *words], capture_output=True, text=True, check=False, cwd=ROOT
-    )
-    assert done.returncode == 0, done.stderr
+        words += ["-o", str(tmp_path / "out")]
+    accepted(*words)
