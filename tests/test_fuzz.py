@@ -42,16 +42,16 @@ from tests.test_cli import JARGON, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
-LIMIT = 2.0
+LIMIT = 0.5
 """Time after which a run is ended, s."""
-SLOW = 10.0
-"""Longest time that a command may take whose run is ended after the limit, s."""
+SLOW = 100.0
+"""Longest time that a command may take whose run is ended after the limit, s: it hangs, however slow the machine."""
 OK, OUT_OF_TIME, WRONG_INPUT, FAILED = 0, 1, 2, 3
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Glyph:UserWarning"),
     pytest.mark.own_trace,
-    pytest.mark.timeout(24 * 3600 if CASES else 120),
+    pytest.mark.timeout(24 * 3600 if CASES else 600),
 ]
 
 
@@ -307,7 +307,7 @@ def call(*args: object) -> tuple[int, str, str]:
     if made.exit_code == WRONG_INPUT:
         assert made.stdout == ""
     if made.exit_code == OUT_OF_TIME:
-        assert re.search(r"^--timeout: took longer than 2 s: .*\.py:\d+ \(", made.stderr, re.MULTILINE), made.stderr
+        assert re.search(rf"^--timeout: took longer than {LIMIT} s: .*\.py:\d+ \(", made.stderr, re.MULTILINE), made.stderr
         if "of simulated time" in made.stderr:
             assert re.search(r"processes wait\n  (the world|pursuer \d+): \S+\.py:\d+ \(\S+\): ", made.stderr)
     return made.exit_code, made.stdout, made.stderr

@@ -77,23 +77,23 @@ def apart(found, published):
 def test_the_static_excess_is_that_of_two_prototypes(latency, duration, first, second):
     """L lambda = 0, 1, 4 with lambda = 5 per s: excess / (N^2 delta) within 3 joint standard errors of both.
 
-    60 runs, standard errors of about 0.06, 0.07 and 0.085. The control: L lambda = 0 and 1 are told apart, 0.54 or 7
-    joint errors, and so is 4 from half of it, for which 500 runs gave 2.916(24), by 1.2 or 13.
+    24 runs, standard errors of about 0.1, 0.11 and 0.13. The control: L lambda = 0 and 1 are told apart, 0.54 or 5
+    joint errors, and so is 4 from half of it, for which 500 runs gave 2.916(24), by 1.2 or 9.
     """
-    found = excess(Poisson(rate=5.0), latency / 5.0, 60, duration)
-    assert found[1] < 0.1
+    found = excess(Poisson(rate=5.0), latency / 5.0, 24, duration)
+    assert found[1] < 0.16
     assert apart(found, first) < 3.0
     assert apart(found, second) < 3.0
     controls = {0.0: (2.328, 0.024), 1.0: (1.785, 0.023), 4.0: (2.916, 0.024)}
-    assert apart(found, controls[latency]) > 5.0
+    assert apart(found, controls[latency]) > 3.0
 
 
 @pytest.mark.parametrize(
     ("schedule", "runs", "duration", "expected"),
     [
-        (TokenRing(hold=DELTA), 40, 2.0, 0.84),
-        (SharedSeed(slot=DELTA), 140, 14.0, 1.73),
-        (Rounds(period=N * DELTA), 40, 6.0, 1.54),
+        (TokenRing(hold=DELTA), 20, 2.0, 0.84),
+        (SharedSeed(slot=DELTA), 40, 14.0, 1.73),
+        (Rounds(period=N * DELTA), 20, 6.0, 1.54),
     ],
     ids=lambda value: getattr(value, "kind", None),
 )
@@ -101,24 +101,24 @@ def test_the_static_excess_of_a_schedule_is_that_of_the_prototypes(schedule, run
     """L = 0, every pursuer revises once in N delta on average: ring 0.84, i.i.d. 1.73, rounds 1.54, in N^2 delta.
 
     In units of the round P = N delta that of the rounds is 1.54 N P, or 1.54 / N in N^2 P. The prototypes' figures come
-    without standard errors, which are taken to be as great as ours: 0.02, 0.03 and 0.019. Longer runs gave 0.835(10),
-    1.789(14) and 1.563(6). The control: 15 % more or less is told apart.
+    without standard errors, which are taken to be as great as ours: 0.03, 0.06 and 0.027. Longer runs gave 0.835(10),
+    1.789(14) and 1.563(6). The control: 25 % more or less is told apart.
     """
     found = excess(schedule, 0.0, runs, duration)
-    assert found[1] < 0.05
+    assert found[1] < 0.07
     assert apart(found, (expected, found[1])) < 3.0
-    for other in (0.85 * expected, 1.15 * expected):
+    for other in (0.75 * expected, 1.25 * expected):
         assert apart(found, (other, found[1])) > 3.0
 
 
-ACTIVE_TIMES = {0.0: (11.92, 0.13), 0.1: (12.79, 0.13), 0.5: (17.43, 0.18), 1.0: (22.99, 0.27)}
+ACTIVE_TIMES = {0.0: (11.92, 0.13), 0.5: (17.43, 0.18), 1.0: (22.99, 0.27)}
 
 
-@pytest.mark.parametrize(("latency", "first"), [(0.0, 12.0), (0.1, 13.2), (0.5, 18.0), (1.0, 23.4)])
+@pytest.mark.parametrize(("latency", "first"), [(0.0, 12.0), (0.5, 18.0), (1.0, 23.4)])
 def test_the_total_active_time_of_a_pursuit_is_that_of_two_prototypes(latency, first):
     """N = 20, delta = 0.01, h = 0.005, shared seed, all active at first, the paper's boxes: within 3 joint errors.
 
-    50 runs, standard errors 0.3 to 0.6. The control: half the latency, and twice the latency, is told apart.
+    16 runs, standard errors 0.5 to 1.1. The control: half the latency, and twice the latency, is told apart.
     """
     scenario = Scenario(
         horizon=30.0,
@@ -129,8 +129,8 @@ def test_the_total_active_time_of_a_pursuit_is_that_of_two_prototypes(latency, f
         network=Links(latency=Constant(value=latency)),
         record=Recording(trajectory=0.0),
     )
-    found = mean(run_many([(scenario, seed) for seed in range(50)], jobs=1, measure=active_time))
-    assert found[1] < 0.8
+    found = mean(run_many([(scenario, seed) for seed in range(16)], jobs=1, measure=active_time))
+    assert found[1] < 1.5
     assert apart(found, (first, 0.2)) < 3.0
     assert apart(found, ACTIVE_TIMES[latency]) < 3.0
     others = {0.5: 1.0, 1.0: 0.5}
