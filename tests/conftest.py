@@ -1,11 +1,15 @@
-"""What holds in every test: no history of a network breaks its invariants."""
+"""What holds in every test: no history of a network breaks its invariants; and runs that tests share."""
 
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
 import pytest
 from hypothesis import settings
 
+import desim
+import protocols
 from desim import load, run
 from desim.kernel.events import Trace
 from desim.kernel.invariants import Conservation
@@ -16,6 +20,11 @@ settings.register_profile("steady", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("steady")
 BENCHMARKS = Path(__file__).parent / "benchmarks"
+
+# A module that is first imported while a test has patched another would keep the patch for the rest of the process.
+for package in (desim, protocols):
+    for module in walk_packages(package.__path__, f"{package.__name__}."):
+        import_module(module.name)
 
 
 @pytest.fixture(autouse=True)

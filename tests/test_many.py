@@ -60,14 +60,14 @@ LAWS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(name):
-    """48,000 decisions, one at a time, over instant links, in 20 batches: all 64 profiles within 5 errors.
+    """24,000 decisions, one at a time, over instant links, in 10 batches: all 64 profiles within 5 errors.
 
     A batch of 2,400 decisions is long: a profile is forgotten within a hundred or two. The control: the laws of
     temperatures that are 20 % off are 0.13 of total variation away. What tells temperatures apart best is the mean
-    welfare: of the others it is 10 errors off where the rule is the lazy one that tries its present action again, and
-    20 to 27 where it is not.
+    welfare: of the others it is 7 errors off where the rule is the lazy one that tries its present action again, and
+    14 to 19 where it is not.
     """
-    found = batches(game_of_three(*LAWS[name]), 4, ORDER)
+    found = batches(game_of_three(*LAWS[name]), 2, ORDER)
     law, error = by_batches(found)
     mean, spread = by_batches(found @ WELFARES)
     exact = gibbs(PHI, HORIZON, TAU)
@@ -77,7 +77,7 @@ def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(nam
     for off in (0.8, 1.2):
         other = gibbs(PHI, HORIZON, off * TAU)
         assert distance(law, other) > 0.1
-        assert abs(mean - other @ WELFARES) > 7 * spread
+        assert abs(mean - other @ WELFARES) > 5 * spread
 
 
 def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
