@@ -4,6 +4,7 @@ The documents follow from the models themselves, so that a new key or kind is fu
 are tried here; as many as one likes with the environment variable FUZZ=10000, new ones each time.
 """
 
+import itertools
 import json
 import math
 import os
@@ -11,6 +12,7 @@ import random
 import re
 import signal
 import sqlite3
+import sys
 import time
 import tomllib
 from contextlib import closing, contextmanager
@@ -307,7 +309,8 @@ def call(*args: object) -> tuple[int, str, str]:
     if made.exit_code == WRONG_INPUT:
         assert made.stdout == ""
     if made.exit_code == OUT_OF_TIME:
-        assert re.search(rf"^--timeout: took longer than {LIMIT} s: .*\.py:\d+ \(", made.stderr, re.MULTILINE), made.stderr
+        said = rf"^--timeout: took longer than {LIMIT} s: .*\.py:\d+ \("
+        assert re.search(said, made.stderr, re.MULTILINE), made.stderr
         if "of simulated time" in made.stderr:
             assert re.search(r"processes wait\n  (the world|pursuer \d+): \S+\.py:\d+ \(\S+\): ", made.stderr)
     return made.exit_code, made.stdout, made.stderr
@@ -594,27 +597,33 @@ def try_sweep(tables, sweep):
 COMMANDS = ["sweep", "run", "file", "two"]
 
 
-def start(*args: object) -> int:
-    """Start the command in a process of its own, in which all is imported that is here."""
+def calls_of(*args: object) -> int:
+    """Return how many calls of functions a command takes."""
+    calls = itertools.count()
+    sys.setprofile(lambda *_: next(calls))
+    try:
+        assert call(*args)[0] == OK
+    finally:
+        sys.setprofile(None)
+    return next(calls)
+
+
+def killed(after: int, *args: object) -> bool:
+    """Start the command in a process of its own, kill it after so many calls, and return whether it was in time."""
     process = os.fork()
     if not process:
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(1, 2)
+            calls = itertools.count()
+            sys.setprofile(lambda *_: next(calls) == after and os.kill(os.getpid(), signal.SIGKILL))
             main([str(each) for each in args])
         finally:
             os._exit(0)
-    return process
-
-
-def killed(delay: float, *args: object) -> bool:
-    """Start the command and kill it after a while, s; return whether it was in time."""
-    process = start(*args)
-    time.sleep(delay)
-    os.kill(process, signal.SIGKILL)
     return os.waitpid(process, 0)[1] == signal.SIGKILL
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path):
     """At seeded moments, over nothing or over what an earlier command left that was killed, too."""
@@ -622,9 +631,7 @@ def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path):
     file = tmp_path / "fuzz.toml"
     file.write_text("horizon = 1.0\nteam.count = 3\nsweep = { reps = 4, grid = { 'team.count' = [2, 3] } }\n")
     assert call("run", file, "-o", tmp_path / "first")[0] == OK  # so that all is imported
-    begin = time.monotonic()
-    os.waitpid(start("run", file, "-o", tmp_path / "second"), 0)
-    whole = time.monotonic() - begin
+    whole = calls_of("run", file, "-o", tmp_path / "second")
     for k in range(kills):
         how = COMMANDS[k % len(COMMANDS)]
         out = tmp_path / f"{how}{k // len(COMMANDS) // 3}"
@@ -632,7 +639,7 @@ def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path):
         options = ["-o", out, "--set", messages]
         if how != "sweep":
             options += ["-n", 2 if how == "two" else 1, "--seed", k, "--set", f"horizon={0.5 + k % 3}"]
-        in_time += killed(moments.uniform(0.0, 1.2 * whole), "sweep" if how == "sweep" else "run", file, *options)
+        in_time += killed(moments.randrange(whole * 6 // 5), "sweep" if how == "sweep" else "run", file, *options)
         if how != "sweep":
             check_folders(out, is_whole=False)
             for home in (out, *out.glob("seed-*")):  # the picture, which takes longest, is there where run.json is

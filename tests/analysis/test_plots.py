@@ -97,6 +97,7 @@ def test_the_svg_has_no_date_and_its_text_is_text_and_the_png_has_no_time(saved)
     assert {"x (m)", "y (m)", "chase, seed 3", "evader", "capture, 2.00 s"} <= set(texts(ElementTree.parse(vector)))
 
 
+@pytest.mark.slow
 def test_a_picture_named_by_its_suffix_is_that_one(tmp_path):
     heads = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF", ".PDF": b"%PDF"}
     with styled((1.0, 1.0)) as figure:

@@ -412,6 +412,7 @@ def observe(make, graph, links, acts, seed, **options):
     return seen, left, list(trace)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(histories())
 def test_landing_by_events_is_observationally_equal_to_arriving_without(history):

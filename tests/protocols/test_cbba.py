@@ -206,6 +206,7 @@ def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
     assert chasing(result) == [1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [Rounds(period=0.1), Poisson(rate=5.0), SharedSeed(slot=0.01)])
 def test_patience_outlasts_what_is_lost(schedule):
     """Half of all heartbeats are lost; in 60 s the winner, once alone, is never given up. With 0.15 s it often is."""

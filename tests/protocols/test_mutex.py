@@ -185,6 +185,7 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
     assert slot == pytest.approx((1.0 / 5.0 + 2.0 * 0.02 + 352 * 8 / 9600) / 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
 def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistaken(graph):
     """A neighbour is left out wrongly if none of 10 requests is answered: .51^10 = 1 of 840; 5 runs of 10 s.

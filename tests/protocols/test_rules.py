@@ -843,6 +843,7 @@ def test_the_others_ignore_who_cannot_capture_even_if_it_chases(kind):
     assert settled(result)[0] == (True, True, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY)
 def test_if_who_would_be_late_is_pruned_nobody_is_ordered_to_chase_in_vain(kind):
     """At each order to chase phi < r, and of those that are active at the start, too; some would be late: the control.

@@ -37,6 +37,7 @@ def frozen(network, count=8, p0=0.5):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p0", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(
     "network",
@@ -58,6 +59,7 @@ def test_without_a_network_everybody_chases_who_can_be_in_time(deaf):
     assert final_profile(result) == (True,) * 8
 
 
+@pytest.mark.slow
 def test_latency_costs_active_time():
     """Paired over 12 seeds: half a second costs some 5 s, more than 5 standard errors; no latency costs nothing."""
 

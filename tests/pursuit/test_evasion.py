@@ -130,6 +130,7 @@ def test_a_turned_and_moved_pursuit_has_a_turned_heading(strategy, team, evader,
     assert strategy(there, rng) == pytest.approx(turn * strategy(here, rng), abs=1e-8)
 
 
+@pytest.mark.slow
 @given(crowds, points, points, st.integers(0, 3))
 def test_a_vertex_is_at_the_same_place_of_an_arena_that_is_moved_and_turned_by_right_angles(team, evader, shift, k):
     """The headings may differ where two vertices are equally far; how far it can go may not."""
@@ -251,6 +252,7 @@ def turned(strategy, step, walkers=500, duration=0.5):
     return variance, variance * sqrt(2 / (walkers - 1))
 
 
+@pytest.mark.slow
 def test_a_heading_diffuses_by_sigma_squared_t_whatever_the_step():
     """0.6^2 0.5 s = 0.18 rad^2, to 4 standard errors of 0.011; the control turns by as much at every step."""
 

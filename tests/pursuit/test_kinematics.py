@@ -113,6 +113,7 @@ def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():
     assert world.end.t == SECOND
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frozen", [False, True])
 def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
     """600 of them, more than are all looked at, on a line 10 m apart; one runs 95 m along it, heard all the way."""

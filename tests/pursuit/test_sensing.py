@@ -51,6 +51,7 @@ def looks(questions, period=0.1):
     return behaviour, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "payload"), [("sap", "action"), ("cbba", "time"), ("argmin", "state")])
 def test_who_sees_everything_does_as_who_is_not_limited(kind, payload):
     """Beyond any distance there is, but finite: all that is decided and sampled is the same, event for event."""
@@ -98,6 +99,7 @@ def late_by(estimate, runs):
     return np.array([believed - true for _, _, (believed, true, able) in found if able and believed != true])
 
 
+@pytest.mark.slow
 def test_the_worst_case_is_an_upper_bound_in_every_case():
     """Ten thousand cases and more in which the evader was not seen; a bound only for this estimate, the control."""
     excess = late_by("worst_case", runs=3)
