@@ -44,7 +44,7 @@ from tests.test_cli import JARGON, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
-LIMIT = 0.5
+LIMIT = 2.0
 """Time after which a run is ended, s."""
 SLOW = 100.0
 """Longest time that a command may take whose run is ended after the limit, s: it hangs, however slow the machine."""
@@ -309,7 +309,7 @@ def call(*args: object) -> tuple[int, str, str]:
     if made.exit_code == WRONG_INPUT:
         assert made.stdout == ""
     if made.exit_code == OUT_OF_TIME:
-        said = rf"^--timeout: took longer than {LIMIT} s: .*\.py:\d+ \("
+        said = rf"^--timeout: took longer than {LIMIT:g} s: .*\.py:\d+ \("
         assert re.search(said, made.stderr, re.MULTILINE), made.stderr
         if "of simulated time" in made.stderr:
             assert re.search(r"processes wait\n  (the world|pursuer \d+): \S+\.py:\d+ \(\S+\): ", made.stderr)
@@ -404,6 +404,7 @@ def test_what_was_wrong_once_runs_or_is_refused(tables):
     try_document({"horizon": 0.3, "team": {"count": 3}} | tables, "")
 
 
+@pytest.mark.slow
 @fuzz(0.7)
 @given(tables=documents(), more=HOW)
 def test_whatever_follows_the_schema_runs_or_is_refused_by_line_and_key(tables, more):
@@ -477,6 +478,7 @@ def mutations(draw) -> bytes:
     return content
 
 
+@pytest.mark.slow
 @fuzz(0.15)
 @given(content=mutations())
 @example(content=b"")
