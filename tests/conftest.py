@@ -27,6 +27,17 @@ for package in (desim, protocols):
         import_module(module.name)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark as slow all but the first case of each test that is `slow_but_one`."""
+    begun = set()
+    for item in items:
+        if item.get_closest_marker("slow_but_one"):
+            if item.function in begun:
+                item.add_marker("slow")
+            begun.add(item.function)
+
+
 @pytest.fixture(autouse=True)
 def _conserved(request):
     """Let every trace that is made in the process of a test be watched, unless it is made by hand."""

@@ -187,6 +187,7 @@ def test_the_repository_of_a_hook_that_runs_us_is_not_meant(repository, monkeypa
     assert environment._checkout() != (commit, False)
 
 
+@pytest.mark.slow
 def test_the_code_is_that_of_all_that_decides_what_comes_of_a_run(tmp_path, monkeypatch):
     """A change of a protocol or of the kernel is another code, one of a command or a picture is not."""
     root = Path(environment.__file__).parent.parent

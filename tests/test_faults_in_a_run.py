@@ -253,6 +253,7 @@ def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_fo
         assert summary(result).capturer in {1, 2}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize("announce", [{"forget_after": inf}, {"trigger": "change"}], ids=["never forget", "on change"])
 def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announce):

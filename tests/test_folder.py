@@ -122,6 +122,7 @@ def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
 FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring", "server", "reckoning")
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("name", "evaders"), [*((name, 1) for name in FILES), ("relay", 3), ("reckoning", 3)])
 def test_a_run_that_was_written_is_read_again(name, evaders, tmp_path):
     """The same events, and the same numbers from them: beliefs too, which come from what was relayed."""

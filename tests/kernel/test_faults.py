@@ -253,6 +253,7 @@ def downtimes(crashes, horizon):
     return np.array([number[node] for node in nodes]), np.array([down[node] for node in nodes])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("seed", range(5))
 def test_random_crashes_follow_the_alternating_renewal_process(seed):
     """The chance to be down at t is p(t) = q (1 - exp(-k t)), q = a m / (1 + a m), k = a + 1 / m, and crashes come at
@@ -273,6 +274,7 @@ def test_random_crashes_follow_the_alternating_renewal_process(seed):
     assert error(number, rate * horizon) > 50
 
 
+@pytest.mark.slow
 def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_plus_it():
     """0.5 1/s and 1 s make 1/3; 200 nodes over 1000 s, within 5 standard errors and far from 1/2."""
     horizon = 1000.0

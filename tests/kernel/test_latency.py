@@ -249,6 +249,7 @@ def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
     assert worst(PerPair(base=BASE.model_copy(update={"scale": 0.0105}), symmetric=symmetric), min) > 2.2
 
 
+@pytest.mark.slow
 def test_the_jitter_is_added_to_every_message_anew():
     """Over the pairs, mean and variance are the sums of those of base and jitter; over a pair's messages, the jitter's.
 

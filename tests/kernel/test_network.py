@@ -441,6 +441,7 @@ def test_a_latency_may_be_any_kind_of_number(latency):
     assert network.heard(1)[0] == (clock.now, Record(0, 1, 0, "x"))
 
 
+@pytest.mark.slow
 def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     clock = Clock()
     network = Network(clock, nx.complete_graph(5), Links(latency=Uniform(0.01)))

@@ -138,6 +138,7 @@ def test_who_comes_nearer_does_not_lose_a_frozen_link(model):
     assert far < near
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("model", "off", "law"),
     [

@@ -168,6 +168,7 @@ def answers(topology, message):
     )
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("frozen", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
 @pytest.mark.parametrize("knows", ["speed", "all", "in place"])
@@ -288,6 +289,7 @@ def test_a_graph_that_somebody_changes_later_stays_as_it_was_read():
     assert not topology.are_linked(0, 2)
 
 
+@pytest.mark.slow
 def test_what_a_network_costs_at_first_does_not_grow_with_the_pairs():
     """A hundred thousand nodes: nobody walks along the edges, or asks more nodes than one who hears them."""
     with patch.object(nx.Graph, "edges", property(lambda graph: pytest.fail("somebody walks along all edges"))):

@@ -77,6 +77,7 @@ EVENTS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(EVENTS))
 def test_a_trace_that_was_written_is_read_again(events):
     lines = list(map(line_of, events))

@@ -279,6 +279,7 @@ def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_g
     assert len(sizes) >= 4
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, schedule):
@@ -395,6 +396,7 @@ def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
     assert wrong >= 5
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("warm", [False, True])
 def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):
@@ -426,6 +428,7 @@ def test_a_winner_that_breaks_down_blocks_the_auction_without_stamps_for_ever():
     assert chasing(result, 2.1) == chasing(result) == []
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("node", [1, 2])

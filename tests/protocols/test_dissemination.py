@@ -318,6 +318,7 @@ def test_flooding_under_loss_uses_every_path():
         assert abs(share - (11 / 16 - expected)) > 4 * error
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("spread", [OneHop(), Flooding(), Flooding(hops=2, jitter=0.1), Gossip()])
 @pytest.mark.parametrize("seed", range(3))
 def test_no_message_appears_or_disappears_while_word_is_passed_on(spread, seed):

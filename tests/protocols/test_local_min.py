@@ -283,6 +283,7 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
 # argmin_known.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("graph", "spread", "profile"),
     [

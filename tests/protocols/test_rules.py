@@ -784,6 +784,7 @@ def ever_active(result):
     return start, start | {d.pursuer for d in result.trace.of(Decided) if d.active}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", EVERY)
 def test_who_cannot_capture_never_chases_unless_nobody_is_pruned(kind):
     """Everybody is active at first if nobody is pruned, and otherwise all but the two that are too slow."""
@@ -802,6 +803,7 @@ class Hot:
         return 0.0
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", ["sap", "binary_log_linear", "selective_sap"])
 @pytest.mark.parametrize(("prune", "share"), [("none", 0.5), ("inf", 0.0), ("infeasible", 0.0)])
 def test_at_infinite_temperature_who_cannot_capture_chases_at_every_second_turn_unless_it_is_pruned(kind, prune, share):

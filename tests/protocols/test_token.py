@@ -127,6 +127,7 @@ def test_the_ring_decides_in_cyclic_order_every_hold_and_latency(latency):
     assert len({token.body.epoch for token in bodies(result, Token)}) == 1
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
 @pytest.mark.parametrize(
@@ -233,6 +234,7 @@ class Scale:
         return next(self._steps)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("absent", [(), (3,)])
 @pytest.mark.parametrize("graph", [nx.star_graph(5), nx.path_graph(6), nx.complete_graph(6), nx.wheel_graph(6)])
 def test_the_walk_leaves_the_uniform_law_as_it_is(graph, absent):

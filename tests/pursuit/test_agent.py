@@ -344,6 +344,7 @@ def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
     assert set(said) == {(False, Claim(False, 7)), (True, Claim(False, 7) if memory else Assignment(False))}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", ["action", "state", "time"])
 @pytest.mark.parametrize("spread", [OneHop(), Flooding(hops=2), Gossip()])
 @pytest.mark.parametrize("scope", ["radio", "robot"])

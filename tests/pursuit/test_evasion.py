@@ -79,6 +79,7 @@ headings = st.just(0j) | angles.map(lambda angle: rect(1.0, angle))
 # What holds of all of them.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("strategy", ALL, ids=named)
 @settings(max_examples=25)
 @given(teams, points, headings, st.floats(0.0, 5.0), st.booleans(), st.integers(0, 10**10), st.data())
@@ -176,6 +177,7 @@ def test_a_weighted_flight_adds_up_unit_vectors_weighted_by_distance():
         assert heading_of(WeightedFlee(power=power), -1 + 0j, -2j) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 @given(crowds, points)
 def test_a_weighted_flight_tends_to_pure_evasion(team, evader):
     """With p = 200 a pursuer a fifth farther than the nearest weighs less than 1.2^-200 = 2e-16."""

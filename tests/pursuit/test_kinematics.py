@@ -86,6 +86,7 @@ def test_times_of_capture_of_some_are_those_of_all(known, count):
     assert all(0.0 < each < inf for each in few[1:])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing()])
 @pytest.mark.parametrize("evaders", [1, 3])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])

@@ -90,6 +90,7 @@ def test_the_expected_gain_is_the_mean_over_the_1024_sets_of_ten(utility):
         assert utility.expected(*game) == pytest.approx(exact, rel=0.0, abs=1e-12 * 60 * (1 + n))
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("utility", EXPECTING, ids=repr)
 @given(game=uncertain_games(), data=st.data())
 def test_if_it_is_certain_who_is_active_the_expected_gain_is_the_gain(utility, game, data):
@@ -124,6 +125,7 @@ def by_poisson_binomials(own, others, chances, reward):
     return mean
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("count", "certain"), [(40, 0.0), (200, 0.0), (200, 0.5), (199, 0.5)])
 def test_the_expected_gain_of_many_is_that_of_the_poisson_binomials(count, certain):
     """To 1e-12 of 60 s; half of all chances 0 or 1 if so said. The control: one chance off by 1e-6 is seen."""
@@ -257,6 +259,7 @@ def boltzmann(height, phi, reward, graph, tau):
     return weight / weight.sum()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", EXACT)
 @given(game=games_on_graphs(most=4), tau=st.floats(0.5, 50.0))
 def test_the_gibbs_law_of_the_potential_is_stationary(name, game, tau):
