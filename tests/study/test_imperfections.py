@@ -132,7 +132,7 @@ CHANGES = {
         "network.preset": None,
         "network.loss.kind": "bernoulli",
         "network.loss.p": 0.0,
-        **below("network.loss", "share", "burst", "advance"),
+        **below("network.loss", "share", "burst", "loss_good", "loss_bad", "advance"),
         **{
             f"network.{where}.{key}": each
             for where in ("graph.edges.0", "graph.edges.1", "link.0")

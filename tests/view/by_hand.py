@@ -10,7 +10,7 @@ from desim.simulation import Result
 MS = 1_000_000
 CRASH = Crash(node=0, at=0.4, until=0.6)
 JAMMING = Jamming(centre=(1.0, 2.0), radius=3.0, at=0.7)
-ACTIVE, INACTIVE = Assignment(True), Assignment(False)
+ACTIVE, INACTIVE = Assignment(1), Assignment(0)
 
 
 def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Result:
@@ -34,14 +34,14 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         Queued(950 * MS, 4, 0, (1,), 24),
     ]
     own = [
-        Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (True, True, False)),
-        Decided(150 * MS, 1, False),
-        Decided(160 * MS, 1, False),
+        Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 0)),
+        Decided(150 * MS, 1, 0),
+        Decided(160 * MS, 1, 0),
         Began(400 * MS, CRASH),
         Halted(400 * MS, 0),
         Over(600 * MS, CRASH),
         Began(700 * MS, JAMMING),
-        Decided(800 * MS, 2, True),
+        Decided(800 * MS, 2, 1),
     ]
     sampled = [
         Sampled(t * MS, (5.0, 5.0 + t / 1000), ((4.0 * min(t / 400, 1.0), 0.0), (10.0, 0.0), (0.0, 10.0)))
