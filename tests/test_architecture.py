@@ -392,6 +392,7 @@ def test_a_digit_that_depends_on_the_processor_would_be_noticed(line):
     assert not rounded_by_processor("from math import exp; exp(a) + math.log(b) + np.sqrt(c) + (a * b).sum()")
 
 
+@pytest.mark.slow
 def test_the_mathematics_loads_without_a_simulator():
     program = (
         "import sys; import desim.pursuit.game, desim.pursuit.motion, desim.pursuit.evasion, desim.kernel.links;"
@@ -433,6 +434,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_nothing_is_loaded_that_is_not_needed(name):
     """What is slow to import is imported by whatever needs it: the start of a short run is most of its time."""

@@ -89,6 +89,7 @@ def test_other_seeds_make_other_traces_and_summaries():
     assert len(set(found)) == len(found) == 12
 
 
+@pytest.mark.slow
 def test_a_name_that_a_terminal_has_no_letters_for_is_printed_all_the_same(tmp_path):
     file = tmp_path / "named.toml"
     file.write_text('name = "Jäger ≤ 3"\nhorizon = 1.0\n', encoding="utf-8")
@@ -97,6 +98,7 @@ def test_a_name_that_a_terminal_has_no_letters_for_is_printed_all_the_same(tmp_p
     assert done.stdout.startswith(b"J\xe4ger \\u2264 3")
 
 
+@pytest.mark.slow
 def test_traces_are_equal_for_one_worker_and_two():
     tasks = [(load(RELAY), seed) for seed in range(4)]
     one, two = (run_many(tasks, jobs, measure=lines) for jobs in (1, 2))
@@ -162,6 +164,7 @@ def test_the_global_random_generators_are_untouched():
     assert random.random() == 0.13436424411240122
 
 
+@pytest.mark.slow
 def test_recording_and_watching_change_nothing_that_happens():
     quiet = load(RELAY, ["record.messages=false", "record.trajectory=0"])
     unkept = {"Broadcast", "Lost", "Sampled"}

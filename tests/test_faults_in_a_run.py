@@ -191,6 +191,7 @@ def test_a_broken_radio_never_stops_the_protocol_but_may_make_it_forget(memory):
     assert log == [(0.75, [0, 2]), (1.5, [0, 2]), (2.25, [0, 2] if memory else [])]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "schedule", [SharedSeed(slot=0.05), Poisson(), Rounds(period=0.2), Periodic()], ids=lambda schedule: schedule.kind
 )
@@ -239,6 +240,7 @@ def first_chase_after(result, time):
     return later[0] if later else None
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_forgotten(payload):
     """Its last heartbeat came up to 1.02 s; it is forgotten 3 T + 2 L = 0.34 s later; somebody revises within 1 s."""

@@ -143,6 +143,7 @@ TO_FILE = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messag
 WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})
 
 
+@pytest.mark.slow
 def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_that_of_the_result(tmp_path):
     result = simulate(tmp_path / "a", TO_FILE, 5)
     assert list(result.trace) == list(run(TO_FILE, 5).trace)
@@ -154,6 +155,7 @@ def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_th
     assert names(tmp_path / "a") == DATA | PICTURES
 
 
+@pytest.mark.slow
 def test_what_needs_no_messages_is_measured_though_they_go_to_a_file_and_all_of_it_is_once_they_are_read(tmp_path):
     numbers = plain(write(simulate(tmp_path, TO_FILE, 5), tmp_path, simulated_there=True))
     whole = plain(summary(run(WITH_MESSAGES, 5)))
@@ -369,6 +371,7 @@ def shown_or_refused(recorded, folder, seeds, commands):
     assert outcomes == {0, 2}
 
 
+@pytest.mark.slow
 def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
     shown_or_refused(recorded, tmp_path, range(20), (["replay"], ["draw", "perfetto"]))
 

@@ -316,6 +316,7 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
     assert falls(protocol=BestResponse(schedule=Periodic())) == 0
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "changes",
     [

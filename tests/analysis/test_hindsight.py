@@ -344,6 +344,7 @@ def test_between_samples_the_times_of_capture_are_nearly_those_of_fine_samples()
 # Beside an ideal network.
 
 
+@pytest.mark.slow
 def test_the_regret_of_a_network_is_what_a_metric_is_beyond_that_of_the_ideal_one():
     faults, network = 0, 0
     for seed in range(4):

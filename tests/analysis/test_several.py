@@ -276,6 +276,7 @@ def decided_switches(result):
     return count
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("case", "evaders"), ALL)
 def test_all_numbers_are_what_brute_force_finds(case, evaders, seed):

@@ -105,6 +105,7 @@ def four_errors(probability, trials):
     return 4.0 * sqrt(probability * (1.0 - probability) / trials)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("law", "count", "expected"),
     [
@@ -376,6 +377,7 @@ def test_a_target_of_any_width_ends_at_the_first_look():
     assert runs_needed([*SIGNS, 5.0], float("inf"), at_most=100) == 30
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(st.lists(MAYBE, min_size=60, max_size=60), st.floats(50.0, 1000.0), st.integers(1, 60), st.integers(2, 20))
 def test_an_interrupted_study_ends_where_it_would_have_ended_anyway(values, target, at_most, first_look):

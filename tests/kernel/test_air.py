@@ -192,6 +192,7 @@ def test_nobody_is_deaf_on_a_shared_channel_however_long_messages_travel():
     assert net.tally()[1:4] == (6, 6, 0)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):
     """(1 - rho) rho^K / (1 - rho^(K + 1)), K = limit + 1, whoever is dropped, as sizes are exponential; rho = 0.8.
@@ -210,6 +211,7 @@ def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):
     assert abs(shares.mean() - theory(limit + 2)) > 5 * error
 
 
+@pytest.mark.slow
 def test_without_room_to_wait_messages_of_one_size_are_lost_as_erlang_says():
     """M/D/1/1: rho / (1 + rho) whatever the law of the airtime; rho = 0.8: 0.444. The control is rho = 0.7."""
     shares = [poisson_traffic(0.8, fixed, seed, limit=0, count=1500)[1].tally() for seed in SEEDS]
@@ -352,6 +354,7 @@ def test_octets_and_transmissions_count_what_left_and_messages_each_receiver():
     assert (tally.transmissions, tally.bytes_sent) == (2, 5)
 
 
+@pytest.mark.slow
 def test_the_utilisation_under_poisson_arrivals_is_the_load():
     """rho = 0.5 of the time in which messages come, on one of two channels; 6 seeds of 1500. The control is 0.55."""
     shares = []

@@ -153,6 +153,7 @@ def test_all_who_are_near_are_found_however_they_jump(data, size, radius, in_pla
             new.setflags(write=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), st.integers(2, 6), st.sampled_from([1e-3, 1.0, 7.3, 1e6]), st.sampled_from([0.0, 1e-3, 1.0, 30.0]))
 def test_all_who_are_near_are_found_however_they_fly(data, size, radius, fastest):

@@ -78,6 +78,7 @@ def rates_off(bad):
     return errors(recovered, before.sum(), 0.2), errors(failed, (~before).sum(), 0.05)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("model", "control"),
     [
@@ -154,6 +155,7 @@ IN_TIME = GilbertElliott(share=SHARE, burst=2.0, advance="time")
 """r = 0.5 /s, p = 0.5 x 0.2 / 0.8 = 0.125 /s, so that the memory fades as exp(-0.625 t)."""
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("steps", [1, 4, 16, 64])
 def test_a_link_that_advances_in_time_forgets_exponentially(steps):
     """Sampled every 0.05 s: of the links that are bad, pi + (1 - pi) exp(-(p + r) k dt) are bad k samples later.
@@ -172,6 +174,7 @@ def test_a_link_that_advances_in_time_forgets_exponentially(steps):
         assert abs(errors(*counts.sum(axis=0), SHARE + (1 - SHARE) * faster)) > 5
 
 
+@pytest.mark.slow
 def test_a_burst_in_time_has_the_mean_duration():
     """Of links that are bad now exp(-r dt) + O(dt^2) are bad dt later: at dt = 1 ms the chance to recover is r dt.
 

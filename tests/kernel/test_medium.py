@@ -81,6 +81,7 @@ def test_every_lora_frame_takes_what_the_formula_of_the_data_sheet_gives(
     assert ours(size) == pytest.approx(float(theirs), rel=1e-12)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 9), st.integers(1, 255), st.sampled_from([7, 12]))
 def test_a_message_that_is_too_long_for_a_lora_frame_takes_several(full, rest, factor):
     """Of 255 bytes each, and one of what is left: 256 bytes take a full frame and one of a single byte."""

@@ -165,7 +165,7 @@ def observe(make, graph, links, acts, seed):
     return seen + [(SECOND, node, network.heard(node)) for node in graph]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(histories())
 def test_publish_is_observationally_equal_to_one_event_per_record(history):
     """Every read sees the same records with the same times of arrival, and none of its own; and so with marks."""

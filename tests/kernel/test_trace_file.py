@@ -162,6 +162,7 @@ def straightforward(event):
     return json.dumps({"event": type(event).__name__} | fields, default=repr) + "\n"
 
 
+@pytest.mark.slow
 @given(st.lists(WRITTEN, max_size=4))
 def test_a_line_says_just_what_the_tables_of_an_event_say(events):
     assert list(map(line_of, events)) == list(map(straightforward, events))
@@ -208,6 +209,7 @@ def test_a_file_bears_its_name_only_when_it_is_complete(tmp_path):
     assert path.read_text() == ""
 
 
+@pytest.mark.slow
 def test_a_file_keeps_nothing_in_memory(tmp_path):
     """Eight times as many messages take no more of it, where a trace takes eight times as much."""
 

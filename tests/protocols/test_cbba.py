@@ -160,6 +160,7 @@ def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedu
         assert chasing(frozen(stubborn, seed=1, fault=(crash,), horizon=12.0)) == []
 
 
+@pytest.mark.slow
 def test_when_the_winner_of_one_of_several_evaders_breaks_down_the_others_agree_without_it():
     """A winner breaks down at 1 s; its successor may come from another evader, and so on."""
     for seed in range(3):

@@ -104,6 +104,7 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(graphs(), st.integers(1, 9), st.booleans())
 def test_flooding_is_breadth_first_search(graph, hops, breakable):
@@ -289,6 +290,7 @@ def test_gossip_tells_nobody_about_itself():
 # Loss.
 
 
+@pytest.mark.slow
 def test_flooding_under_loss_uses_every_path():
     """0 - 3 over 1 or over 2, half of all messages lost: 1 - (1 - 1/4)^2 = 7/16; the control, one path: 1/4.
 

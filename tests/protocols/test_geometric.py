@@ -143,6 +143,7 @@ def test_at_unequal_speeds_the_nearest_is_not_who_would_capture_first():
     assert by_cell != by_time
 
 
+@pytest.mark.slow
 def test_who_would_be_late_is_never_the_owner():
     """Nearest is pursuer 0, phi = (1.1 - 0.1) / (1 - 0.9) = 10 s; pursuer 1 needs (3.1 - 0.1) / (2.9 - 0.9) = 1.5 s.
 
@@ -162,6 +163,7 @@ def test_who_would_be_late_is_never_the_owner():
             assert [*profiles(run(scenario)).values()][-1] == expected
 
 
+@pytest.mark.slow
 def test_of_equals_the_lowest_id_is_the_owner():
     team = Team(positions=[(3.0, 0.0), (0.0, 2.0), (2.0, 0.0)], speeds=1.5)
     evader = Evader(position=(0.0, 0.0))
@@ -289,6 +291,7 @@ def test_who_is_said_to_own_an_evader_chases_that_one():
     assert [said_active(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", ["action", "state"])
 @pytest.mark.parametrize("protocol", [Voronoi(slot=0.5), Argmin(slot=0.5), Argmin(slot=0.5, by="intercept_time")])
 def test_at_rest_the_owners_are_those_of_the_greedy_assignment(protocol, payload):
@@ -333,6 +336,7 @@ def test_hysteresis_reduces_hand_overs_and_always_exactly_one_chases(model):
     assert counts[0.0] > 5 * counts[0.1]
 
 
+@pytest.mark.slow
 def test_with_hysteresis_the_owner_is_within_the_band_and_changes_hands_only_beyond_it():
     """At every slot the distance of the owner is at most 1 / (1 - h) of the least; as it changes hands it was more."""
     h, hand_overs = 0.05, 0
@@ -372,6 +376,7 @@ def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
     assert summary(run(scenario)).messages_sent == expected
 
 
+@pytest.mark.slow
 def test_two_that_each_hold_themselves_for_the_owner_find_out():
     """0 at 10.5 m and 1 at 10 m are both active, within 20 % of each other: 0 stops, 1 goes on."""
     for payload in ("state", "time"):
@@ -415,6 +420,7 @@ def test_random_static_games_end_in_the_relay_profile(payload):
         assert final == relay_profile(phi.tolist(), 30.0)
 
 
+@pytest.mark.slow
 def test_word_that_is_late_makes_them_disagree_for_a_while():
     """The control: with the state told and half a second of latency several or none chase at times."""
     announce = Announcements(payload="state")

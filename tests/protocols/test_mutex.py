@@ -78,6 +78,7 @@ def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
     assert all(believed == true for believed, true in log)
 
 
+@pytest.mark.slow_but_one
 @LATENCIES
 @pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0),)], ids=["clocks agree", "skewed clocks"])
 def test_no_two_neighbours_are_inside_at_once(latency, skew):
@@ -141,6 +142,7 @@ def test_a_request_is_answered_once_though_its_answer_had_to_wait():
     assert not answered - asked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.1, 1.0])
 def test_a_decision_takes_a_round_trip(latency):
     """Two latencies after its first request is sent, at the earliest; and one alone needs just that."""
@@ -234,6 +236,7 @@ def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(att
         assert (late[0], set(late[1:])) == (attempts, {1})
 
 
+@pytest.mark.slow
 def test_after_a_partition_all_exclude_each_other_again():
     log = []
     fault = Partition(at=1.0, until=5.0, groups=((0, 2, 5),))

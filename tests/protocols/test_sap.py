@@ -52,6 +52,7 @@ def test_the_relay_profile_is_reached_on_a_complete_graph_in_spite_of_latency_an
         assert final_profile(result) == relay_profile(phi, 30.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deaf", [Links(loss=Bernoulli(p=1.0)), Links(range=1e-9)])
 def test_without_a_network_everybody_chases_who_can_be_in_time(deaf):
     """The control: whoever hears nobody but a start with nobody active believes itself alone."""

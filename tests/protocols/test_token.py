@@ -417,6 +417,7 @@ def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
     assert np.diff(times) == pytest.approx(0.25 * SECOND)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 def test_a_partition_in_the_middle_of_a_round_has_two_tokens_and_one_when_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
@@ -554,6 +555,7 @@ THIN = {
 NARROW = [(way, count) for way in ("a radio each", "one channel") for count in (5, 20)] + [("lora", 5)]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
 @pytest.mark.parametrize(("way", "count"), NARROW)
 def test_on_a_thin_channel_there_is_one_token_and_no_more_messages_than_it_needs(schedule, way, count):

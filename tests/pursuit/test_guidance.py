@@ -31,6 +31,7 @@ def meeting(gap, flight, speed):
     return min(times, default=None)
 
 
+@pytest.mark.slow
 @given(plane, plane, speeds)
 def test_the_course_leads_to_the_point_of_meeting_and_straight_to_the_evader_if_there_is_none(gap, flight, speed):
     """Held against the roots of |gap + w t|^2 = v^2 t^2, away from the double root, where rounding decides."""

@@ -46,6 +46,7 @@ def truth(work):
     return Outcome(delivered, tables)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", ways.WAYS)
 @pytest.mark.parametrize("work", TINY, ids=lambda work: work.name[:2])
 def test_every_way_has_delivered_at_any_time_what_has_arrived_by_then(work, name):
@@ -89,6 +90,7 @@ def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     assert all(picture.count(f">{way}</text>") == 2 for way in ways.WAYS)
 
 
+@pytest.mark.slow
 def test_ways_and_workloads_can_be_chosen(few):
     rates = few("--parts", "broadcasts", "--only", "send,heapq", "--workloads", "W3")["broadcasts"]
     assert [(each["workload"][:2], each["way"]) for each in rates] == [("W3", "send"), ("W3", "heapq")]
@@ -136,6 +138,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks.LONG + 1.0))]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("says", "reason"),
     [

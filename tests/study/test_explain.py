@@ -106,6 +106,7 @@ ONLY = [
 ]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("scenario", "name"), ONLY)
 def test_if_only_one_thing_is_imperfect_all_is_due_to_it(scenario, name):
     """Exactly, for the scenario without it is the ideal one."""
@@ -242,6 +243,7 @@ def test_what_does_not_add_up_interacts_and_the_table_says_so():
 TIMES = st.lists(st.tuples(*[st.floats(0.0, 1e3)] * 4), min_size=2, max_size=5)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(TIMES)
 def test_the_parts_and_what_they_leave_over_are_what_is_saved_together(times):
@@ -392,6 +394,7 @@ def fails(scenario, seed):
     return False
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("protocol", [fails_late, fails_in_time], ids=["as it is", "removed"])
 def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
     """Of the scenario as it is, too, or the differences would be between other seeds; later they are tried again."""
@@ -598,6 +601,7 @@ def test_the_command_has_100_runs_if_no_number_is_given(file, monkeypatch):
     assert asked == [(100, None), (7, 3)]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize(
     ("name", "place"),

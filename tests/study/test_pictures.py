@@ -81,6 +81,7 @@ def test_lines_over_several_other_keys_are_named_by_all_of_them():
     assert axes.get_xlabel() == "network.range (m)"
 
 
+@pytest.mark.slow
 def test_many_lines_look_different():
     _, lines = drawn({"network.range": [1.0, 2.0], "prune": [str(k) for k in range(20)]})
     assert len({(line.get_color(), line.get_marker()) for line in lines}) == 20
@@ -143,6 +144,7 @@ GRIDS = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
 @pytest.mark.parametrize("metric", ["active_time", "capture_time"])
 def test_a_picture_can_be_saved_also_of_single_runs_and_of_what_nobody_measured(tmp_path, grid, metric):
@@ -186,6 +188,7 @@ def test_small_panels_show_what_the_pictures_of_each_metric_show():
     assert [axes.get_xlabel() for axes in figure.axes] == ["", *["horizon (s)"] * 3, "", ""]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("size", [1, 4, 9])
 def test_the_legend_of_small_panels_is_within_the_picture(size):
     others = {"network.range": [float(k) for k in range(size)], "announce.payload": ["action", "state"]}
@@ -251,12 +254,14 @@ def test_what_is_written_on_dark_is_light():
     assert {each.get_color() for each in axes.texts} == {"white", INK}
 
 
+@pytest.mark.slow
 def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "capture_time").axes[0]
     assert set(written(axes).values()) == {"-"}
     assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("panels", [1, 3])
 @pytest.mark.parametrize("size", [3, 8])
 def test_what_is_written_in_a_cell_fits_into_it(panels, size):

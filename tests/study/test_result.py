@@ -274,6 +274,7 @@ def test_a_record_is_a_run():
 PACK = {"captures": 2, "mean_capture_time": 1.5, "capture_times": {"2": 1.0, "1": 2.0}, "capturers": {"2": 0, "1": 0}}
 
 
+@pytest.mark.slow
 def test_records_tell_what_was_captured_of_several_evaders_if_some_run_had_them(tmp_path):
     some = SweepResult("some", ("x",), (group({"x": 1}, ok(0), failed(1)), group({"x": 2}, ok(0, **PACK), ok(1))))
     records = list(some.records())

@@ -100,6 +100,7 @@ def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told_of_and_what_was_done_is_kept(tmp_path, file, monkeypatch):
     """A store that may have 16 pages of 4 kB holds the configurations, and not all of 200 runs."""
     begin = Store._open
@@ -236,6 +237,7 @@ def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, 
         store.close()
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("options", "told"),
     [

@@ -64,6 +64,7 @@ def test_every_run_is_that_which_one_would_do_by_hand():
         assert [row.summary for row in group.rows] == by_hand([5, 6, 7], network=Links(latency=Constant(value=value)))
 
 
+@pytest.mark.slow
 def test_paired_differences_are_those_of_runs_by_hand():
     metric = "active_time"
     found = sweep(BASE, {"network.latency.value": [0.0, 0.2]}, 8).differences(metric)
@@ -144,6 +145,7 @@ def test_a_precision_takes_as_many_runs_as_the_rule_says_of_the_values():
     assert all(estimate(g.values("active_time")).half_width <= 0.03 for g in found.groups if len(g.rows) < 100)
 
 
+@pytest.mark.slow
 def test_truths_are_as_precise_as_wilsons_interval():
     (group,) = sweep(BASE, {"capture.radius": [0.2]}, until=("captured", 0.12)).groups
     values = group.values("captured")
@@ -178,6 +180,7 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
     assert sweep(BASE, GRID, store=tmp_path / "s.sqlite", **target) == whole
 
 
+@pytest.mark.slow
 def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
     """Of 50 runs ten are lost: 10 are there in order, so that there should be 30 before anybody looks."""
     path, grid = tmp_path / "s.sqlite", {"capture.radius": [0.2]}
@@ -188,6 +191,7 @@ def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
         assert len(module._wanted(Plan.of(BASE, grid, 100), store, "active_time", 1e-6)) == 30
 
 
+@pytest.mark.slow
 def test_runs_that_fail_are_runs_but_say_nothing_of_the_mean():
     """A third of the seeds fail: to have 30 values takes more than 40 runs."""
     scenario = BASE.model_copy(update={"protocol": Moody()})
@@ -385,6 +389,7 @@ def test_a_store_knows_the_scenario_of_each_configuration(tmp_path):
 # Parts.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("parts", [1, 3, 5, 20])
 def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
     plan = Plan.of(BASE, GRID, 4)

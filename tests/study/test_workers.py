@@ -312,6 +312,7 @@ def interruptible():
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
     """That of a progress bar, say, has not blocked it; an interrupt half-way leaves a worker that is told nothing."""

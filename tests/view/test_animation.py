@@ -65,6 +65,7 @@ def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
     assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("asked", "count", "pause"),
     [
@@ -83,6 +84,7 @@ def test_a_film_lasts_as_long_as_the_run_at_its_speed(asked, count, pause, tmp_p
     assert loop == 0
 
 
+@pytest.mark.slow
 def test_a_frame_depends_on_the_one_before_only_by_what_was_lost_since():
     """The loss at 100 ms is in the second frame and not in the third."""
     lost, after = frames(history(), [0, 150 * MS, 300 * MS])[1:]
@@ -107,6 +109,7 @@ def test_nothing_is_cut_off_at_the_edge():
             assert (edge == 255).all()
 
 
+@pytest.mark.slow
 def test_a_film_made_twice_is_the_same_bytes_and_leaves_luck_and_style_alone(tmp_path):
     luck, style = np.random.get_state()[1].tolist(), dict(mpl.rcParams)  # noqa: NPY002 - the global generator is meant
     for name, messages in (("one", True), ("two", True), ("three", False)):

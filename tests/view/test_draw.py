@@ -60,6 +60,7 @@ def folder(file, made, tmp_path):
     return shutil.copytree(made[1], tmp_path / "ran")
 
 
+@pytest.mark.slow
 def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     said = call("spacetime", folder, "--from", 0.1, "--to", 0.3, "--pursuers", "4,1", "--width", 8.5)
     assert "spacetime.svg" in said
@@ -74,6 +75,7 @@ def test_a_timeline_of_a_folder_is_that_of_the_run(made, folder):
     assert (folder / "trace.perfetto.json").read_text() == perfetto(made[0])
 
 
+@pytest.mark.slow
 def test_a_film_of_a_folder_is_that_of_the_run(made, folder, tmp_path):
     call("gif", folder, "--from", 0.1, "--to", 0.2, "--speed", 0.5, "--fps", 10)
     animate(made[0], tmp_path / "expected.gif", begin=0.1, end=0.2, speed=0.5, fps=10)
@@ -113,6 +115,7 @@ def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):
     assert says in call(*words, code=2)
 
 
+@pytest.mark.slow
 def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
     write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")
     assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)

@@ -63,6 +63,7 @@ def boxes(axes):
     return [text.get_window_extent() for text in axes.texts]
 
 
+@pytest.mark.slow
 def test_names_of_crowded_places_lie_neither_over_each_other_nor_over_places():
     """Forty places in a column's width. If names did not give way to each other, three pairs would overlap here."""
     rng = np.random.default_rng(4)

@@ -311,6 +311,7 @@ def test_steps_of_more_than_33_metres_are_kept():
     assert column(path["shifts"], "<i4").max() == 50_000
 
 
+@pytest.mark.slow
 def test_of_very_many_evaders_the_last_is_told_too():
     """Actions 0 .. 300, and 301 for nothing heard, are more than a byte has room for."""
     team, evaders = Team(count=2, box=(9.0, 10.0)), Evader(count=300, box=(2.0, 3.0))
