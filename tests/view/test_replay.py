@@ -83,11 +83,6 @@ FILES = {"relay": ("relay.toml", *SHORT), "soak": ("soak.toml", *SHORT), "faults
 OWN = {"crowded": CROWDED, "cold": COLD}
 
 
-def slowly(first, *rest):
-    """Return names of cases, of which all but the first are slow."""
-    return [first, *(pytest.param(each, marks=pytest.mark.slow) for each in rest)]
-
-
 STAYS, CHASES, UNHEARD = range(3)  # what is believed of somebody, where there is one evader
 
 
@@ -171,7 +166,8 @@ def wrong_now(result, t):
 # What the page holds.
 
 
-@pytest.mark.parametrize("name", slowly("soak", "faults", "crowded", "radio"))
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", ["soak", "faults", "crowded", "radio"])
 def test_the_page_has_as_many_messages_in_flight_as_the_trace_at_any_time(name, result_of):
     """At ticks of nanoseconds, nothing is rounded in runs of up to 2.1 s; else the times between events are judged."""
     result = result_of(name)
@@ -241,7 +237,8 @@ def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick()
     assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [4 * 10**8, 4 * 10**8 + 1, LATEST]
 
 
-@pytest.mark.parametrize("name", slowly("soak", "cold", "faults", "many"))
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", ["soak", "cold", "faults", "many"])
 def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(name, result_of):
     """The integral of the wrong pairs, by counting them between any two changes, is the belief error x N (N - 1) T."""
     result = result_of(name)
@@ -289,7 +286,8 @@ def test_who_forgot_has_heard_of_nobody():
     assert len(column(told["source"], "<u2")[then]) == 7
 
 
-@pytest.mark.parametrize("name", slowly("soak", "many"))
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", ["soak", "many"])
 def test_everyone_is_where_it_was_to_the_millimetre(name, result_of):
     result = result_of(name)
     path = _document(result)["path"]
@@ -602,7 +600,8 @@ AT = """(t => {
 
 
 @in_chromium
-@pytest.mark.parametrize("name", slowly("soak", "crowded", "many"))
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("name", ["soak", "crowded", "many"])
 def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown, result_of):
     """Between the instants of the trace and, where a tick is a nanosecond, at some of them."""
     result = result_of(name)
