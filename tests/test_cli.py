@@ -398,7 +398,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, command, name, why):
 
 @pytest.mark.parametrize("below", [".", "x", "x/y"])
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_runs(file, tmp_path, monkeypatch, below):
-    monkeypatch.setattr("desim.simulation.run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("desim.simulation.World", lambda *_: pytest.fail("it ran"))
     taken = tmp_path / "taken"
     taken.write_text("precious")
     (said,) = refused("run", file(DUEL), "-o", taken / below)
@@ -415,7 +415,7 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("desim.simulation.run", interrupt)
+    monkeypatch.setattr("desim.simulation.World", interrupt)
     assert desim("run", file(DUEL)).exit_code == 130
 
 
@@ -461,7 +461,7 @@ def test_a_replay_that_cannot_be_made_is_said_in_a_line(file, tmp_path, monkeypa
 
 
 def test_a_replay_under_another_name_is_refused_before_anything_runs(file, monkeypatch):
-    monkeypatch.setattr("desim.simulation.run", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("desim.simulation.World", lambda *_: pytest.fail("it ran"))
     (said,) = refused("replay", file(DUEL), "-o", "x.gif")
     assert said == "--out x.gif: should end in .html, or have no suffix, got .gif"
 
