@@ -1,10 +1,14 @@
 """The command, called in the process of a test, and what it prints."""
 
 import json
+import re
 
 from click.testing import CliRunner, Result
 
 from desim.cli import main
+
+JARGON = re.compile(r"Traceback|Input should|Value error|[Tt]uple|\bvalid\b|pydantic|Keys should be strings")
+"""Words of the machinery, of no use to a person who writes a scenario file."""
 
 
 def desim(*args: object) -> Result:

@@ -17,12 +17,10 @@ from desim.scenario_file import load
 from desim.study import batch
 from desim.study.batch import run_many
 from desim.value import Value, fields_of
-from tests.command import accepted, desim, strict_json
+from tests.command import JARGON, accepted, desim, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 WRONG_INPUT = 2
-JARGON = re.compile(r"Traceback|Input should|Value error|[Tt]uple|\bvalid\b|pydantic|Keys should be strings")
-"""Words of the machinery, of no use to a person who writes a scenario file."""
 
 # The evader flees from pursuer 0 along their line; the centre sends pursuer 1 home at once. The gap of 1 m closes at
 # 2 - 1 m/s down to the radius of 0.1 m: capture after 0.9 s.
@@ -99,190 +97,6 @@ def file(tmp_path):
 
 # What is refused.
 
-KINDS = f"allowed: {', '.join(sorted(PROTOCOLS.choices()))}"
-TOP = f"allowed: {', '.join(sorted(Scenario.model_fields))}"
-
-FAULTS = {
-    "unknown key at the top": ('name = "x"\nhorizn = 3.0', 2, "horizn", ["did you mean 'horizon'?", TOP]),
-    "unknown key like no other": ('name = "x"\n\nzzz = 3.0', 3, "zzz", ["unknown key", TOP]),
-    "unknown key in a table": (
-        "[evader]\nsped = 0.9",
-        2,
-        "evader.sped",
-        ["unknown key, did you mean 'speed'?", "allowed: box, count, position, reaction, sight, speed, strategy"],
-    ),
-    "unknown key of a latency": (
-        "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",
-        3,
-        "network.latency.vlue",
-        ["unknown key, did you mean 'value'?", "allowed: kind, value"],
-    ),
-    "unknown key of a protocol": (
-        "[protocol]\nkind = 'sap'\nslot = 0.1",
-        3,
-        "protocol.slot",
-        ["unknown key", "allowed: kind, schedule, tau"],
-    ),
-    "unknown key of a temperature": (
-        "[protocol]\nkind = 'sap'\n\n[protocol.tau]\nkind = 'paper'\nscal = 1.0",
-        6,
-        "protocol.tau.scal",
-        ["unknown key, did you mean 'scale'?", "allowed: kind, scale"],
-    ),
-    "unknown key of the speeds": (
-        "[team]\nspeeds = { default = 1.0, lst = 2.0 }",
-        2,
-        "team.speeds.lst",
-        ["unknown key, did you mean 'last'?", "allowed: default, last"],
-    ),
-    "unknown table": ('name = "x"\n\n[foo.bar]\na = 1', 3, "foo", ["unknown key", TOP]),
-    "text for a number": ('[evader]\nspeed = "60"', 2, "evader.speed", ["should be a number", "m/s", "(got '60')"]),
-    "truth for a number": ("[evader]\nspeed = true", 2, "evader.speed", ["should be a number", "m/s"]),
-    "truth for a probability": ("[team]\nactive_at_start = true", 2, "team.active_at_start", ["should be a number"]),
-    "truth for a count": ("[team]\ncount = true", 2, "team.count", ["should be an integer"]),
-    "fraction for a count": ("[team]\ncount = 2.0", 2, "team.count", ["should be an integer", "(got 2.0)"]),
-    "number for a truth": ("[motion]\nfrozen = 1", 2, "motion.frozen", ["should be true or false", "(got 1)"]),
-    "number for a text": ("name = 3", 1, "name", ["should be a string", "(got 3)"]),
-    "number for a table": ("seed = 1\nteam = 3", 2, "team", ["should be a table", "(got 3)"]),
-    "table for a number": ("name = 'x'\n\n[horizon]\nx = 1", 3, "horizon", ["should be a number"]),
-    "table below a number": ("name = 'x'\n\n[horizon.x]\ny = 1", 3, "horizon", ["should be a number"]),
-    "array of tables for a table": ("name = 'x'\n\n[[team]]\ncount = 3", 3, "team", ["should be a table"]),
-    "text for a seed": ("seed = '7'", 1, "seed", ["should be an integer", "(got '7')"]),
-    "date for a seed": ("seed = 2020-01-01", 1, "seed", ["should be an integer"]),
-    "number for speeds": ("[team]\nspeeds = 'fast'", 2, "team.speeds", ["one number, one per pursuer, or a table"]),
-    "negative speed of the evader": (
-        "[evader]\nspeed = -1.0",
-        2,
-        "evader.speed",
-        ["should be greater than or equal to 0", "m/s", "(got -1.0)"],
-    ),
-    "negative speed of all": ("[team]\nspeeds = -1", 2, "team.speeds", ["greater than or equal to 0", "(got -1)"]),
-    "negative speed of one": ("[team]\ncount = 2\nspeeds = [1.0, -2.0]", 3, "team.speeds.1", ["or equal to 0"]),
-    "negative speed of the last": ("[team.speeds]\ndefault = 1.0\nlast = -2.0", 3, "team.speeds.last", ["equal to 0"]),
-    "tau of 0": (
-        "[protocol]\nkind = 'sap'\ntau = { kind = 'constant', value = 0.0 }",
-        3,
-        "protocol.tau.value",
-        ["should be greater than 0", "Temperature tau, s", "(got 0.0)"],
-    ),
-    "negative tau": (
-        "[protocol]\nkind = 'sap'\ntau.kind = 'paper'\ntau.scale = -1.0",
-        4,
-        "protocol.tau.scale",
-        ["should be greater than 0", "(got -1.0)"],
-    ),
-    "horizon of 0": ("horizon = 0", 1, "horizon", ["should be greater than 0", "Time t_f", "s (got 0)"]),
-    "negative horizon": ("seed = 1\nhorizon = -30.0", 2, "horizon", ["should be greater than 0", "(got -30.0)"]),
-    "infinite horizon": ("horizon = inf", 1, "horizon", ["should be a finite number", "(got inf)"]),
-    "negative seed": ("seed = -1", 1, "seed", ["greater than or equal to 0", "(got -1)"]),
-    "no pursuers": ("[team]\ncount = 0", 2, "team.count", ["greater than or equal to 1", "(got 0)"]),
-    "empty list of pursuers": ("[team]\npositions = []", 2, "team.positions", []),
-    "too few positions": (
-        "[team]\ncount = 3\npositions = [[1.0, 2.0]]",
-        3,
-        "team.positions",
-        ["should be one per pursuer: count is 3, there are 1", "[x, y]"],
-    ),
-    "too many positions": (
-        "[team]\ncount = 1\npositions = [\n  [1.0, 2.0],\n  [3.0, 4.0],\n]",
-        3,
-        "team.positions",
-        ["should be one per pursuer: count is 1, there are 2"],
-    ),
-    "speeds of the wrong length": (
-        "[team]\ncount = 3\nspeeds = [1.0, 2.0]",
-        3,
-        "team.speeds",
-        ["should be one per pursuer: count is 3, there are 2"],
-    ),
-    "more speeds than positions": (
-        "[team]\npositions = [[0.0, 0.0]]\nspeeds = [1.0, 2.0]",
-        3,
-        "team.speeds",
-        ["should be one per pursuer: count is 1, there are 2"],
-    ),
-    "numbers where points are expected": ("[team]\npositions = [1.0]", 2, "team.positions.0", ["should be a list"]),
-    "a list where a coordinate is expected": (
-        "[team]\npositions = [[0.0, 0.0], [1.0, [2.0]]]",
-        2,
-        "team.positions.1.1",
-        ["should be a number", "(got [2.0])"],
-    ),
-    "a point of three coordinates": (
-        "[team]\npositions = [[1.0, 2.0, 3.0]]",
-        2,
-        "team.positions.0",
-        ["should have at most 2"],
-    ),
-    "a point of one coordinate": ("[team]\npositions = [[1.0]]", 2, "team.positions.0.1", ["is missing"]),
-    "a number where a point is expected": ("[evader]\nposition = 3.0", 2, "evader.position", ["should be a list"]),
-    "box upside down": ("[team]\nbox = [20.0, 0.0]", 2, "team.box", ["[lower, upper]", "m"]),
-    "range of 0": ("[network]\nrange = 0.0", 2, "network.range", ["should be greater than 0", "m;", "inf = any"]),
-    "p0 below 0": ("[team]\nactive_at_start = -0.1", 2, "team.active_at_start", ["[0, 1]", "(got -0.1)"]),
-    "p0 above 1": ("[team]\nactive_at_start = 1.5", 2, "team.active_at_start", ["[0, 1]", "(got 1.5)"]),
-    "loss above 1": ("[network]\nloss = { kind = 'bernoulli', p = 2 }", 2, "network.loss.p", ["[0, 1]", "(got 2)"]),
-    "radius of 0": ("[capture]\nradius = 0.0", 2, "capture.radius", ["should be greater than 0", "m"]),
-    "test that does not exist": ("[capture]\ntest = 'x'", 2, "capture.test", ["'segment' or 'sample'", "(got 'x')"]),
-    "protocol that does not exist": (
-        "name = 'x'\n[protocol]\nkind = 'sop'",
-        3,
-        "protocol.kind",
-        ["there is no 'sop', did you mean 'sap'?", KINDS],
-    ),
-    "protocol that is no word": ("[protocol]\nkind = [1]", 2, "protocol.kind", [KINDS]),
-    "protocol that is no table": ("protocol = 'sap'", 1, "protocol", ["should be a table", "desim protocols"]),
-    "schedule that does not exist": (
-        "[protocol]\nkind = 'sap'\nschedule = { kind = 'posson' }",
-        3,
-        "protocol.schedule.kind",
-        ["did you mean 'poisson'?", "allowed: shared_seed, poisson"],
-    ),
-    "latency without a kind": ("[network]\nlatency = {}", 2, "network.latency", ["kind", "constant"]),
-    "NaN for a horizon": ("horizon = nan", 1, "horizon", ["should be a finite number", "(got nan)"]),
-    "NaN for a range": ("[network]\nrange = nan", 2, "network.range", ["(got nan)"]),
-    "NaN for a probability": ("[team]\nactive_at_start = nan", 2, "team.active_at_start", ["[0, 1]", "(got nan)"]),
-    "NaN for a coordinate": ("[evader]\nposition = [nan, 0.0]", 2, "evader.position.0", ["finite", "(got nan)"]),
-    "NaN for a bound": ("[evader]\nbox = [0.0, nan]", 2, "evader.box.1", ["finite", "(got nan)"]),
-    # Times that the clock of whole nanoseconds cannot tell from 0, or cannot count: such a run would never end.
-    "samples at every instant": (
-        "[record]\ntrajectory = 1e-12",
-        2,
-        "record.trajectory",
-        ["should be"],
-    ),
-    "slot of no length": (
-        "[protocol]\nkind = 'centralised'\nslot = 1e-12",
-        3,
-        "protocol.slot",
-        ["should be"],
-    ),
-    "step of no length": ("[motion]\nstep = 1e-12", 2, "motion.step", ["should be greater than or equal to 0.000001"]),
-    "horizon beyond the clock": ("horizon = 1e300", 1, "horizon", ["should be"]),
-    "latency beyond the clock": (
-        "network.latency = { kind = 'constant', value = 1e300 }",
-        1,
-        "network.latency.value",
-        ["should be"],
-    ),
-    "rate of almost never": (
-        "[protocol]\nkind = 'sap'\nschedule = { kind = 'poisson', rate = 1e-300 }",
-        3,
-        "protocol.schedule.rate",
-        ["should be"],
-    ),
-    # Lengths whose squares are beyond what a float can hold.
-    "radius beyond any plane": ("[capture]\nradius = 1e300", 2, "capture.radius", ["should be"]),
-    "box beyond any plane": ("[evader]\nbox = [0.0, 1.7e308]", 2, "evader.box.1", ["should be"]),
-}
-
-
-@pytest.mark.parametrize(("text", "line", "key", "words"), FAULTS.values(), ids=FAULTS.keys())
-def test_a_fault_is_told_with_file_line_key_and_what_is_allowed(file, text, line, key, words):
-    path = file(text + "\n")
-    (said,) = refused("check", path)
-    assert said.startswith(f"{path}:{line}: {key}: ")
-    assert not [each for each in words if each not in said], said
-
 
 @pytest.mark.parametrize(
     ("text", "key"), [("[evader]\nposition = [[1.0, 2.0]]", "evader.position"), ("team.box = [[0.0, 1.0]]", "team.box")]
@@ -330,23 +144,20 @@ def test_faults_of_overrides_are_told_with_those_of_the_file_and_named_as_such(f
 @pytest.mark.parametrize(
     ("text", "override", "key", "words"),
     [
-        ("", "horizn=3", "horizn", ["unknown key, did you mean 'horizon'?", TOP]),
-        ("horizon = 3.0", "horizon=-1", "horizon", ["should be greater than 0", "(got -1)"]),
-        ("horizon = 3.0", "horizon=", "horizon", ["should be a number"]),
-        ("", "horizon=nan", "horizon", ["should be a finite number", "(got nan)"]),
-        ("", "team.count=many", "team.count", ["(got 'many')"]),
-        ("[evader]\nspeed = 1.0", "evader={ speed = -1.0 }", "evader.speed", ["greater than or equal to 0"]),
-        ("team.positions = [[0.0, 0.0]]", "team.positions.0.1=x", "team.positions.0.1", ["should be a number"]),
-        ("", "protocol={ kind = 'sop' }", "protocol.kind", ["did you mean 'sap'?", KINDS]),
+        ("", "horizn=3", "horizn", "unknown key, did you mean 'horizon'?; allowed: announce, capture"),
+        ("horizon = 3.0", "horizon=", "horizon", "should be a number"),
+        ("", "team.count=many", "team.count", "(got 'many')"),
+        ("[evader]\nspeed = 1.0", "evader={ speed = -1.0 }", "evader.speed", "greater than or equal to 0"),
+        ("team.positions = [[0.0, 0.0]]", "team.positions.0.1=x", "team.positions.0.1", "should be a number"),
         # The file says nothing of the number that the override wants to be a table.
-        ("", "horizon.x=3", "horizon", ["should be a number"]),
-        ("", "team.0.count=3", "team", []),
+        ("", "horizon.x=3", "horizon", "should be a number"),
+        ("", "team.0.count=3", "team", ""),
     ],
 )
 def test_the_fault_of_an_override_is_told_with_the_override(file, text, override, key, words):
     (said,) = refused("check", file(text), "--set", override)
     assert said.startswith(f"--set {override}: {key}")
-    assert not [each for each in words if each not in said], said
+    assert words in said
 
 
 @pytest.mark.parametrize("override", ["horizon", "", "=3", "team..count=3", ".=3", "  =3"])

@@ -26,7 +26,6 @@ from desim.pursuit.outlook import Outlook
 from desim.pursuit.state import State, complex_points, coordinates
 from desim.scenario import Evader
 from desim.scenario_file import load
-from desim.source import ScenarioError
 from desim.value import kind_of
 
 ARENA = (-10.0, 10.0)
@@ -378,58 +377,6 @@ def test_every_strategy_is_tested():
 def test_a_listener_holds_strategies_of_its_own(written):
     file = written('strategy = { kind = "listener", then = { kind = "zigzag", amplitude = 0.5 } }')
     assert load(file).evader.strategy == Listener(then=Zigzag(amplitude=0.5), otherwise=Still())
-
-
-BAD_EVADERS = {
-    "no arena": ('strategy = { kind = "voronoi_vertex" }', "strategy.arena", "is missing"),
-    "no area": ('strategy = { kind = "voronoi_vertex", arena = [5.0, 5.0] }', "strategy.arena", "lower < upper (got 5"),
-    "arena inside out": (
-        'strategy = { kind = "voronoi_vertex", arena = [5.0, 1.0] }',
-        "strategy.arena",
-        "lower < upper",
-    ),
-    "hysteresis": (
-        'strategy = { kind = "voronoi_vertex", arena = [0.0, 1.0], hysteresis = 1.0 }',
-        "strategy.hysteresis",
-        "less than 1",
-    ),
-    "unknown kind": ('strategy = { kind = "zigzak" }', "strategy.kind", "did you mean 'zigzag'"),
-    "no kind": ("strategy = {}", "strategy", 'should be a table with a kind, { kind = "pure_evasion" }'),
-    "period": ('strategy = { kind = "zigzag", period = 0.0 }', "strategy.period", "greater than or equal to 0.000001"),
-    "amplitude": (
-        'strategy = { kind = "zigzag", amplitude = 4.0 }',
-        "strategy.amplitude",
-        "less than or equal to 3.14",
-    ),
-    "sigma": ('strategy = { kind = "diffusion", sigma = -0.1 }', "strategy.sigma", "greater than or equal to 0"),
-    "angle": ('strategy = { kind = "constant_heading", angle = 90 }', "strategy.angle", "less than or equal to 6.28"),
-    "power": ('strategy = { kind = "weighted_flee", power = -1.0 }', "strategy.power", "greater than or equal to 0"),
-    "candidates": ('strategy = { kind = "max_min", candidates = 0 }', "strategy.candidates", "greater than or equal"),
-    "whom": ('strategy = { kind = "max_min", heeds = "nobody" }', "strategy.heeds", "'all' or 'active'"),
-    "inner": (
-        'strategy = { kind = "listener", otherwise = { kind = "zigzag", period = -1.0 } }',
-        "strategy.otherwise.period",
-        "greater than or equal",
-    ),
-    "listener of listeners": (
-        'strategy = { kind = "listener", then = { kind = "listener" } }',
-        "strategy.then.kind",
-        "there is no 'listener'",
-    ),
-    "sight": ("sight = -1.0", "sight", "greater than or equal to 0"),
-    "reaction": ("reaction = -0.1", "reaction", "greater than or equal to 0"),
-    "reaction for ever": ("reaction = inf", "reaction", "finite"),
-}
-
-
-@pytest.mark.parametrize(("text", "key", "words"), BAD_EVADERS.values(), ids=BAD_EVADERS)
-def test_an_evader_that_cannot_be_is_refused_with_file_line_and_key(written, text, key, words):
-    file = written(text)
-    with pytest.raises(ScenarioError) as refused:
-        load(file)
-    (said,) = str(refused.value).splitlines()
-    assert said.startswith(f"{file}:4: evader.{key}: ")
-    assert words in said
 
 
 # Points.

@@ -1,0 +1,372 @@
+"""What a scenario file may not say is refused with file, line, key and what is allowed.
+
+Bounds, types and choices are derived from the models, those of every kind included: each file plants a wrong value in
+all keys of one table, as many files as the key with the most bounds needs. One example each of all other faults is
+written out.
+"""
+
+from collections.abc import Iterator
+from decimal import Decimal
+from math import inf, nextafter
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
+
+import annotated_types
+import pytest
+from pydantic import Field, WrapValidator, create_model
+from pydantic.fields import FieldInfo
+from pydantic.types import AllowInfNan
+
+from desim import scenario_file
+from desim.kernel.graphs import Edges
+from desim.kernel.latency import Empirical
+from desim.scenario import PROTOCOLS, Scenario
+from desim.scenario_file import load
+from desim.source import ScenarioError
+from desim.value import Value, choices_of, fields_of, models_in
+from tests.command import JARGON
+from tests.golden import golden
+
+BOUNDS = {
+    annotated_types.Ge: ("ge", "greater than or equal to", -inf),
+    annotated_types.Gt: ("gt", "greater than", 0.0),
+    annotated_types.Le: ("le", "less than or equal to", inf),
+    annotated_types.Lt: ("lt", "less than", 0.0),
+}
+"""Of each kind of bound its attribute, its words, and in which direction from it the nearest wrong number lies."""
+TYPES = {float: ("true", "a number"), int: ("2.5", "an integer"), bool: ("1", "true or false"), str: ("3", "a string")}
+"""A TOML value of another type, and what is said of it."""
+
+
+class Wrong(NamedTuple):
+    """A value that a key refuses."""
+
+    toml: str
+    words: str
+    """What is said after "should be"."""
+    below: tuple[int, ...] = ()
+    """Positions in the lists that the value is, down to what is wrong."""
+
+
+class Table(NamedTuple):
+    """A table of a scenario file that a model describes."""
+
+    path: tuple[tuple[str, str | None, bool], ...]
+    """Key, kind and whether it is a list of tables, of each table from the top down to it."""
+    model: type[Value]
+
+    @property
+    def place(self) -> str:
+        """Its place as refusals name it, with the kind that it has."""
+        return ".".join(f"{key}.0" if listed else key for key, _, listed in self.path)
+
+    def __str__(self) -> str:
+        return ".".join(f"{key}.{kind}" if kind else key for key, kind, _ in self.path) or "the top"
+
+
+def tables(model: type[Value] = Scenario) -> Iterator[Table]:
+    """Yield a table for each model that a scenario may hold, where it is least deep."""
+    seen, found = {model}, [Table((), model)]
+    for table in found:  # it grows
+        yield table
+        for key, field in fields_of(table.model).items():
+            listed = get_origin(field.annotation) is tuple
+            kinds = [item for choices in choices_of(field) for item in choices.choices().items()]
+            for kind, inner in kinds or [(None, each) for each in models_in(field.annotation)]:
+                if issubclass(inner, Value) and inner not in seen:
+                    seen.add(inner)
+                    found.append(Table((*table.path, (key, kind, listed)), inner))
+
+
+def wrong_of(field: FieldInfo) -> list[Wrong]:
+    """Return values that a key refuses."""
+    wrong = list(wrong_values(field.annotation, tuple(field.metadata)))
+    if kinds := [kind for choices in choices_of(field) for kind in choices.choices()]:
+        words = f'a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
+        wrong.append(Wrong("[3]", words, (0,)) if wrong else Wrong("3", words))
+    elif not wrong and any(models_in(field.annotation)):
+        wrong.append(Wrong("3", "a table"))
+    return wrong
+
+
+def wrong_values(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[Wrong]:
+    """Yield values just beyond each bound of a type, one of another type and, of a float, what is not finite."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        yield from wrong_values(inner[0], (*_flat(inner[1:]), *metadata))
+    elif origin in {Union, UnionType}:
+        arms = [each for each in inner if each is not NoneType]
+        found = [wrong for each in arms for wrong in wrong_values(each)]
+        yield from (wrong for wrong in found if len(arms) == 1 or wrong.words != "a list")
+    elif origin is Literal:
+        *others, last = map(repr, inner)
+        yield Wrong("'nonsense'", f"{', '.join(others)} or {last}" if others else last)
+    elif origin is tuple:
+        yield Wrong("3", "a list")
+        yield from (Wrong(f"[{each.toml}]", each.words, (0, *each.below)) for each in wrong_values(inner[0]))
+    elif annotation in TYPES:
+        yield Wrong(*TYPES[annotation])
+        bounds = [each for each in metadata if type(each) in BOUNDS]
+        for bound in bounds:
+            name, words, outwards = BOUNDS[type(bound)]
+            limit = getattr(bound, name)
+            step = 0 if not outwards else 1 if outwards > 0 else -1
+            beyond = limit + step if annotation is int else nextafter(limit, outwards) if step else float(limit)
+            yield Wrong(str(beyond), f"{words} {Decimal(str(limit)):f}".removesuffix(".0"))
+        if annotation is float:
+            yield Wrong("nan", "")
+            if AllowInfNan(False) in metadata:
+                yield Wrong("inf", "a finite number")
+
+
+def _flat(metadata: tuple[Any, ...]) -> Iterator[Any]:
+    """Yield the marks of a type, those of a `Field` one by one."""
+    for each in metadata:
+        yield from each.metadata if isinstance(each, FieldInfo) else [each]
+
+
+def not_refused(table: Table, folder) -> list[str]:
+    """Return the wrong values that the refusals of a table's keys do not tell of as they should.
+
+    The refusal of each names file, line, key, what the key takes and, if it has a sentence, what it means.
+    """
+    wrong = {key: wrong_of(field) for key, field in fields_of(table.model).items() if (table.model, key) not in BY_HAND}
+    file, missed = folder / "f.toml", []
+    for k in range(max(map(len, wrong.values()), default=0)):
+        lines = _headers(table)
+        planted = {}
+        for key, each in wrong.items():
+            if each:
+                planted[key] = (len(lines) + 1, each[k % len(each)])
+                lines.append(f"{key} = {planted[key][1].toml}")
+        file.write_text("\n".join(lines) + "\n")
+        try:
+            load(file)
+            said = []
+        except ScenarioError as error:
+            said = str(error).splitlines()
+        for key, (line, value) in planted.items():
+            meaning = " ".join((fields_of(table.model)[key].description or "").split()).rstrip(".")
+            place = ".".join([*filter(None, [table.place]), key, *map(str, value.below)])
+            start = f"{file}:{line}: {place}: should be {value.words}"
+            if not any(each.startswith(start) and meaning in each and not JARGON.search(each) for each in said):
+                missed.append((f"{key} = {value.toml}", start, said))
+    return missed
+
+
+def _headers(table: Table) -> list[str]:
+    """Return the lines of the tables that lead to a table, up to its keys."""
+    lines = []
+    for depth, (_, kind, listed) in enumerate(table.path, start=1):
+        name = ".".join(key for key, *_ in table.path[:depth])
+        lines += ["", f"[[{name}]]" if listed else f"[{name}]", *([f"kind = '{kind}'"] if kind else [])]
+    return lines
+
+
+TABLES = list(tables())
+BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges)}
+"""Keys whose refusals are written out below: what another key says decides what they take."""
+
+
+@pytest.mark.parametrize("table", TABLES, ids=str)
+def test_a_wrong_value_is_told_with_file_line_key_and_what_is_allowed(table, tmp_path):
+    assert not_refused(table, tmp_path) == []
+
+
+def test_the_keys_with_what_they_take_and_their_defaults_are_golden():
+    """A bound that is moved or taken away is seen here: above, what is refused follows from it."""
+    golden("keys.txt", "".join(f"{line}\n" for table in TABLES for line in _keys(table)))
+
+
+def _keys(table: Table) -> Iterator[str]:
+    for key, field in fields_of(table.model).items():
+        if key == "kind":
+            continue
+        default = "" if field.is_required() else f" = {_plain(field.get_default(call_default_factory=True))!r}"
+        takes = ", ".join(dict.fromkeys(each.words for each in wrong_of(field) if each.words))
+        yield f"{table}: {key}{default}: {takes}"
+
+
+def _plain(default: Any) -> Any:
+    return default.plain() if isinstance(default, Value) else default
+
+
+def unbounded(model: type[Value]) -> list[str]:
+    """Return the keys that take any number."""
+    said = {key: [each.words for each in wrong_of(field)] for key, field in fields_of(model).items()}
+    return [key for key, words in said.items() if {"a number", "an integer"} & {*words} and not _bounded(words)]
+
+
+def _bounded(words: list[str]) -> bool:
+    return any(each.startswith(("greater than", "less than")) for each in words)
+
+
+def test_no_key_takes_any_number():
+    assert [(str(table), unbounded(table.model)) for table in TABLES if unbounded(table.model)] == []
+
+
+class Lax(Value):
+    """A table whose keys are declared, but whose bounds are missing or not enforced."""
+
+    whatever: float = 0.0
+    unenforced: Annotated[float, Field(ge=0), WrapValidator(lambda value, _: value)] = 0.0
+    bounded: Annotated[float, Field(ge=0, strict=True)] = 0.0
+    """A length, m."""
+
+
+def test_a_bound_that_is_missing_or_not_enforced_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(scenario_file, "Scenario", create_model("Scenario", __base__=Scenario, lax=(Lax, Lax())))
+    assert unbounded(Lax) == ["whatever"]
+    missed = not_refused(Table((("lax", None, False),), Lax), tmp_path)
+    assert {each.split(" = ")[0] for each, *_ in missed} == {"whatever", "unenforced"}
+
+
+PROTOCOLS_ALLOWED = f"allowed: {', '.join(sorted(PROTOCOLS.choices()))}"
+TOP = f"allowed: {', '.join(sorted(Scenario.model_fields))}"
+LOSS = "loss = { kind = 'bernoulli' }"
+FAULTS = {
+    "unknown key": ("name = 'x'\nhorizn = 3.0", "horizn", f"unknown key, did you mean 'horizon'?; {TOP}"),
+    "unknown key like no other": ("name = 'x'\n\nzzz = 3.0", "zzz", f"unknown key; {TOP}"),
+    "unknown key of a table": (
+        "[evader]\nsped = 0.9",
+        "evader.sped",
+        "unknown key, did you mean 'speed'?; allowed: box, count, position, reaction, sight, speed, strategy",
+    ),
+    "unknown key of a kind": (
+        "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",
+        "network.latency.vlue",
+        "unknown key, did you mean 'value'?; allowed: kind, value",
+    ),
+    "unknown key of a kind in a kind": (
+        "[protocol]\nkind = 'sap'\n\n[protocol.tau]\nkind = 'paper'\nscal = 1.0",
+        "protocol.tau.scal",
+        "unknown key, did you mean 'scale'?; allowed: kind, scale",
+    ),
+    "unknown key of a table that may be a number": (
+        "[team]\nspeeds = { default = 1.0, lst = 2.0 }",
+        "team.speeds.lst",
+        "unknown key, did you mean 'last'?; allowed: default, last",
+    ),
+    "unknown table": ("name = 'x'\n\n[foo.bar] # here\na = 1", "foo", f"unknown key; {TOP}"),
+    "missing key": ("evader.strategy = { kind = 'voronoi_vertex' }", "evader.strategy.arena", "is missing"),
+    "text for a number": ("[evader]\nspeed = '60'", "evader.speed", "should be a number; Speed v_e, m/s (got '60')"),
+    "text for several types": ("[team]\nspeeds = 'fast'", "team.speeds", "one number, one per pursuer, or a table"),
+    "truth for a count": ("[team]\ncount = true", "team.count", "should be an integer"),
+    "date for a count": ("seed = 2020-01-01", "seed", "should be an integer"),
+    "table for a number": ("[horizon.x] # here\ny = 1", "horizon", "should be a number"),
+    "array of tables for a table": ("name = 'x'\n\n[[team]] # here\ncount = 3", "team", "should be a table"),
+    "file that is a number": ("network.graph = { kind = 'edges', file = 3 }", "network.graph", "file should be a path"),
+    "kind that does not exist": (
+        "name = 'x'\n[protocol]\nkind = 'sop'",
+        "protocol.kind",
+        f"there is no 'sop', did you mean 'sap'?; {PROTOCOLS_ALLOWED}",
+    ),
+    "kind that is no text": ("[protocol]\nkind = [1]", "protocol.kind", PROTOCOLS_ALLOWED),
+    "kind that is missing": ("network.latency = {}", "network.latency", 'should be a table with a kind, { kind = "con'),
+    "kind of an item": ("fault = [{ kind = 'crahs' }]", "fault.0.kind", "did you mean 'crash'"),
+    "kind that may not be inside its own": (
+        "evader.strategy = { kind = 'listener', then = { kind = 'listener' } }",
+        "evader.strategy.then.kind",
+        "there is no 'listener'",
+    ),
+    "kind in a kind": (
+        "evader.strategy = { kind = 'listener', otherwise = { kind = 'zigzag', period = -1.0 } }",
+        "evader.strategy.otherwise.period",
+        "greater than or equal",
+    ),
+    "kind in an item": (
+        "network.link = [{ src = 0, dst = 2, latency = { kind = 'constant', value = -2.0 } }]",
+        "network.link.0.latency.value",
+        "greater than or equal to 0",
+    ),
+    "too long a list": ("team.positions = [[1.0, 2.0, 3.0]]", "team.positions.0", "should have at most 2"),
+    "too short a list": ("team.positions = [[1.0]]", "team.positions.0.1", "is missing"),
+    "empty list": ("team.positions = []", "team.positions", "should be one per pursuer: count is 20, there are 0"),
+    "fewer than the count": (
+        "[team]\ncount = 3\npositions = [[1.0, 2.0]]",
+        "team.positions",
+        "should be one per pursuer: count is 3, there are 1; Initial positions, one [x, y]",
+    ),
+    "more than the count that follows from another key": (
+        "[team]\npositions = [\n  [0.0, 0.0],\n]\nspeeds = [1.0, 2.0]",
+        "team.speeds",
+        "should be one per pursuer: count is 1, there are 2",
+    ),
+    "box upside down": ("team.box = [20.0, 0.0]", "team.box", "should be [lower, upper] (got 20 and 0)"),
+    "box without area": (
+        "evader.strategy = { kind = 'voronoi_vertex', arena = [5.0, 5.0] }",
+        "evader.strategy.arena",
+        "lower < upper (got 5",
+    ),
+    "neither 0 nor long enough": ("record.trajectory = 1e-12", "record.trajectory", "should be 0 or at least 1e-06 s"),
+    "bounds in the wrong order": (
+        "network.latency = { kind = 'uniform', low = 2.0, high = 1.0 }",
+        "network.latency",
+        "low",
+    ),
+    "bursts that cannot be": (
+        "network.loss = { kind = 'gilbert_elliott', share = 0.9, burst = 2.0 }",
+        "network.loss",
+        "at least 9 messages",
+    ),
+    "window that ends before it starts": (
+        "fault = [{ kind = 'crash', node = 1, at = 2.0, until = 1.0 }]",
+        "fault.0.until",
+        "later than at (got 1 and 2)",
+    ),
+    "groups that overlap": (
+        "fault = [{ kind = 'partition', at = 1.0, groups = [[0, 1], [1]] }]",
+        "fault.0.groups",
+        "should be disjoint, 1 is named twice",
+    ),
+    "neither of two keys": ("network.latency = { kind = 'empirical' }", "network.latency", "needs values"),
+    "link like all others": (
+        "network.link = [{ src = 0, dst = 2 }]",
+        "network.link.0",
+        "a latency, a loss or an order",
+    ),
+    "link to nobody": (
+        f"team.count = 4\nnetwork.link = [{{ src = 0, dst = 2, {LOSS} }}, {{ src = 1, dst = 9, {LOSS} }}]",
+        "network.link.1.dst",
+        "there is no pursuer 9: they are 0 .. 3",
+    ),
+    "link that is no edge": (
+        f"network = {{ graph = {{ kind = 'ring' }}, link = [{{ src = 0, dst = 2, {LOSS} }}] }}",
+        "network.link.0",
+        "no link from 0 to 2",
+    ),
+    "graph of another size": (
+        "team.count = 4\nnetwork.graph = { kind = 'edges', nodes = 3, edges = [{ src = 0, dst = 1 }] }",
+        "network.graph",
+        "the graph has 3 nodes, the team 4",
+    ),
+    "edge to nobody": (
+        "team.count = 4\nnetwork.graph = { kind = 'edges', edges = [{ src = 0, dst = 4 }] }",
+        "network.graph",
+        "the nodes should be 0 .. 3",
+    ),
+    "centre that is not there": (
+        "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
+        "network.graph",
+        "there is no node 4",
+    ),
+    "file that is not there": ("network.graph = { kind = 'edges', file = 'no.json' }", "network.graph", "no.json"),
+    "node that is not there": (
+        "fault = [{ kind = 'crash', node = 1, at = 2.0 }, { kind = 'crash', node = 20, at = 2.0 }]",
+        "fault.1.node",
+        "there is no pursuer 20: they are 0 .. 19",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "key", "words"), FAULTS.values(), ids=FAULTS)
+def test_each_kind_of_fault_is_told_with_file_line_key_and_what_is_allowed(tmp_path, text, key, words):
+    file = tmp_path / "bad.toml"
+    file.write_text(f"{text}\n")
+    with pytest.raises(ScenarioError) as refused:
+        load(file)
+    (said,) = str(refused.value).splitlines()
+    line = text.split("# here")[0].count("\n") + 1
+    assert said.startswith(f"{file}:{line}: {key}: ")
+    assert words in said
+    assert not JARGON.search(said)
