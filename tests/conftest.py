@@ -70,3 +70,15 @@ def run_of():
         return run(load(SCENARIOS / file, list(overrides)), seed, Conservation())
 
     return ran
+
+
+@pytest.fixture
+def pictures():
+    """Let pictures be written, for a test that looks at them in a module that writes none else."""
+
+
+@pytest.fixture
+def _undrawn(request, monkeypatch):
+    """Write no pictures, which takes a second each, unless the test asks for `pictures`."""
+    if "pictures" not in request.fixturenames:
+        monkeypatch.setattr("desim.analysis.plots.save", lambda *_: [])

@@ -21,6 +21,7 @@ from tests.command import JARGON, accepted, desim, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 WRONG_INPUT = 2
+pytestmark = pytest.mark.usefixtures("_undrawn")
 
 # The evader flees from pursuer 0 along their line; the centre sends pursuer 1 home at once. The gap of 1 m closes at
 # 2 - 1 m/s down to the radius of 0.1 m: capture after 0.9 s.
@@ -391,11 +392,11 @@ def test_protocols_lists_each_protocol_with_each_of_its_parameters():
     assert text.count("rate = 5.0: Revisions per second of each pursuer") == 1
 
 
-@pytest.mark.parametrize("args", [["--help"], ["run", "--help"], ["--version"]], ids=" ".join)
-def test_help_loads_nothing_that_takes_time_to_import(args):
+def test_help_loads_nothing_that_takes_time_to_import():
     program = (
         "import sys\nfrom desim.cli import main\n"
-        f"try:\n    main({args})\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "for args in (['--help'], ['run', '--help'], ['--version']):\n"
+        "    try:\n        main(args)\n    except SystemExit as end:\n        assert end.code == 0\n"
         "heavy = {'numpy', 'scipy', 'simpy', 'networkx', 'pydantic', 'matplotlib', 'loky', 'tqdm'}\n"
         "print('loaded:', sorted(heavy & set(sys.modules)))"
     )
@@ -430,6 +431,8 @@ def test_run_tells_when_the_evader_got_away(file):
     table = rows(accepted("run", file(DUEL), "--set", "horizon=0.5").stdout)
     assert table["captured"] == "no, the pursuit ended after 0.500 s"
     assert table["idle time"].startswith("0.500 s")
+    (run,) = strict_json(accepted("run", file(DUEL), "--json", "--set", "horizon=0.5").stdout)["runs"]
+    assert (run["captured"], run["capture_time"], run["capturer"]) == (False, None, None)
 
 
 @pytest.mark.parametrize(
@@ -472,11 +475,6 @@ def test_json_tells_the_numbers_of_a_capture(file):
         "messages_lost": 0,
     }
     assert {key: run[key] for key in expected} == expected
-
-
-def test_json_has_null_for_what_did_not_happen(file):
-    (run,) = strict_json(accepted("run", file(DUEL), "--json", "--set", "horizon=0.5").stdout)["runs"]
-    assert (run["captured"], run["capture_time"], run["capturer"]) == (False, None, None)
 
 
 @pytest.mark.parametrize("options", [(), ("-n", 2)], ids=["one run", "two runs"])
@@ -533,25 +531,26 @@ def test_the_number_of_workers_changes_nothing_that_is_printed_or_written(file, 
     path = file(LUCK)
     written = []
     for jobs in (1, 2):
-        out = tmp_path / f"jobs-{jobs}"
-        printed = accepted("run", path, "-n", 4, "-j", jobs, "--json", "-o", out).stdout
+        out, options = tmp_path / f"jobs-{jobs}", ("--set", "record.trajectory=0", "--json")
+        printed = accepted("run", path, "-n", 4, "-j", jobs, *options, "-o", out).stdout
         files = sorted(each for each in out.rglob("*") if each.is_file())
         written.append((printed, {str(each.relative_to(out)): each.read_bytes() for each in files}))
     assert written[0] == written[1]
     assert len(written[0][1]) == 4 * len(FILES) + 1
 
 
-FILES = ["run.json", "scenario.toml", "summary.json", "trace.jsonl", "trajectory.png", "trajectory.svg"]
+FILES = ["run.json", "scenario.toml", "summary.json", "trace.jsonl"]
+PICTURES = ["trajectory.png", "trajectory.svg"]
 
 
 def names(folder: Path) -> list[str]:
     return sorted(each.name for each in folder.iterdir())
 
 
-def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, tmp_path):
+def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, tmp_path, pictures):
     out = tmp_path / "deep" / "out"
     printed = accepted("run", file(LUCK), "-s", 11, "-o", out, "--json").stdout
-    assert names(out) == FILES
+    assert names(out) == FILES + PICTURES
     assert strict_json((out / "summary.json").read_text(encoding="utf-8")) == strict_json(printed)["runs"][0]
     events = [strict_json(line) for line in (out / "trace.jsonl").read_text(encoding="utf-8").splitlines()]
     assert {event["event"] for event in events} >= {"Started", "Decided", "Broadcast", "Sampled", "Tally", "Ended"}
@@ -584,7 +583,7 @@ def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_messages_that_go_to_a_file_are_in_the_folders_of_all_runs(file, tmp_path, jobs):
     """The traces are those of runs that keep their messages; repeated from run.json, all is the same."""
-    path, out = file(LUCK), tmp_path / "file"
+    path, out = file(LUCK.replace("messages = true", "trajectory = 0.0")), tmp_path / "file"
     accepted("run", path, "--set", 'record.messages="file"', "-n", 2, "-j", jobs, "-o", out)
     accepted("run", path, "--set", "record.messages=true", "-n", 2, "-o", tmp_path / "kept")
     for seed in ("seed-7", "seed-8"):
@@ -601,16 +600,16 @@ def test_a_trace_that_cannot_be_written_is_told(file, tmp_path):
     assert said.startswith(f"--out {tmp_path / 'out' / 'trace.jsonl.part'}: cannot be written")
 
 
-def test_without_recorded_positions_there_is_no_picture(file, tmp_path):
+def test_without_recorded_positions_there_is_no_picture(file, tmp_path, pictures):
     result = accepted("run", file(LUCK), "--set", "record.trajectory=0", "-o", tmp_path / "out")
-    assert names(tmp_path / "out") == FILES[:4]
+    assert names(tmp_path / "out") == FILES
     assert result.stderr == f"wrote {tmp_path / 'out'}\n"
 
 
-def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, monkeypatch):
+def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, pictures, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
     result = accepted("run", file(LUCK), "-o", tmp_path / "out")
-    assert names(tmp_path / "out") == FILES[:4]
+    assert names(tmp_path / "out") == FILES
     warning = "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'"
     assert result.stderr.splitlines() == [warning, f"wrote {tmp_path / 'out'}"]
 
@@ -789,14 +788,22 @@ def swept(*args: object) -> dict:
     return strict_json(accepted("sweep", *args, "--json").stdout)
 
 
+@pytest.fixture(scope="module")
+def coins(tmp_path_factory):
+    """Return a folder with the scenario file COINS, and its sweep in `out`, for reading only; and what was printed."""
+    folder = tmp_path_factory.mktemp("coins")
+    (folder / "coins.toml").write_text(COINS)
+    return folder, accepted("sweep", folder / "coins.toml", "-o", folder / "out")
+
+
 def seeds_of(table: Path) -> list[tuple[str, ...]]:
     """Return range, kind and seed of each run in a file."""
     with table.open(newline="") as stream:
         return [(row["network.range"], row["protocol.kind"], row["seed"]) for row in csv.DictReader(stream)]
 
 
-def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(file, tmp_path):
-    result = accepted("sweep", file(COINS), "-o", tmp_path / "out")
+def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(coins):
+    folder, result = coins
     means, differences = result.stdout.split("\n\n")
     assert means.startswith("coins: 4 configurations, 12 runs; ")
     assert [line.split()[:3] for line in means.splitlines()[2:]] == [
@@ -811,13 +818,13 @@ def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(file, 
         ["inf", "best_response", "3"],
     ]
     assert re.fullmatch(
-        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 were there; all are in {tmp_path}/out/sweep.sqlite\n", result.stderr
+        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 were there; all are in {folder}/out/sweep.sqlite\n", result.stderr
     )
-    assert names(tmp_path / "out") == ["run.json", "sweep.png", "sweep.sqlite", "sweep.svg", "sweep.txt"]
-    assert (tmp_path / "out" / "sweep.txt").read_text() == result.stdout
+    assert names(folder / "out") == ["run.json", "sweep.png", "sweep.sqlite", "sweep.svg", "sweep.txt"]
+    assert (folder / "out" / "sweep.txt").read_text() == result.stdout
 
 
-def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file, tmp_path, monkeypatch):
+def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file, tmp_path, coins, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = file(COINS)
     first = accepted("sweep", path, "-n", 2)
@@ -825,7 +832,7 @@ def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file,
     second = accepted("sweep", path)
     assert second.stderr.startswith("4 runs in")
     assert "8 were there; all are in out/coins/sweep.sqlite" in second.stderr
-    assert accepted("sweep", path, "-o", tmp_path / "anew").stdout == second.stdout
+    assert second.stdout == coins[1].stdout
 
 
 def test_the_runs_of_a_sweep_have_the_seeds_of_the_option(file, tmp_path):
@@ -878,7 +885,7 @@ def test_what_would_be_run_is_said_and_nothing_is_written(file, tmp_path):
     assert {each.name: each.read_bytes() for each in out.iterdir()} == before
 
 
-def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path):
+def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path, coins):
     """12 runs in parts of 3, 3, 2, 2, 2: five stores, merged, and then nothing is left to be done."""
     path, parts = file(COINS), tmp_path / "parts"
     for k in range(1, 6):
@@ -888,9 +895,9 @@ def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path):
     assert merged.stdout == f"12 runs are in {tmp_path}/all/sweep.sqlite\n"
     rest = accepted("sweep", path, "-o", tmp_path / "all")
     assert rest.stderr.startswith("0 runs in")
-    assert rest.stdout == accepted("sweep", path, "-o", tmp_path / "whole").stdout
-    for folder in ("all", "whole"):
-        accepted("export", tmp_path / folder, tmp_path / f"{folder}.csv")
+    assert rest.stdout == coins[1].stdout
+    accepted("export", tmp_path / "all", tmp_path / "all.csv")
+    accepted("export", coins[0] / "out", tmp_path / "whole.csv")
     assert (tmp_path / "all.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
@@ -950,12 +957,11 @@ def test_a_run_json_that_cannot_be_read_is_written_anew(file, tmp_path, typed):
     assert asked(tmp_path / "out") == [words]
 
 
-def test_runs_are_exported_a_row_each(file, tmp_path):
+def test_runs_are_exported_a_row_each(coins, tmp_path):
     import pandas as pd
 
-    accepted("sweep", file(COINS), "-o", tmp_path / "out")
     for name in ("x.csv", "x.parquet"):
-        result = accepted("export", tmp_path / "out", tmp_path / name)
+        result = accepted("export", coins[0] / "out", tmp_path / name)
         assert result.stderr == f"wrote 12 runs to {tmp_path / name}\n"
     table, frame = pd.read_csv(tmp_path / "x.csv"), pd.read_parquet(tmp_path / "x.parquet")
     assert len(table) == len(frame) == 12
@@ -1047,15 +1053,14 @@ def test_what_is_no_store_is_refused(file, tmp_path):
     assert not target.exists()
 
 
-def test_a_file_that_cannot_be_exported_to_is_refused(file, tmp_path):
-    accepted("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
-    (why,) = refused("export", tmp_path / "out", tmp_path / "x.txt")
+def test_a_file_that_cannot_be_exported_to_is_refused(coins, tmp_path):
+    (why,) = refused("export", coins[0] / "out", tmp_path / "x.txt")
     assert why == f"{tmp_path}/x.txt: should end in .csv or .parquet"
-    (why,) = refused("export", tmp_path / "out", tmp_path / "none" / "x.csv")
+    (why,) = refused("export", coins[0] / "out", tmp_path / "none" / "x.csv")
     assert why == f"{tmp_path}/none/x.csv: cannot be written: No such file or directory"
 
 
-def test_without_matplotlib_a_sweep_has_no_picture(file, tmp_path, monkeypatch):
+def test_without_matplotlib_a_sweep_has_no_picture(file, tmp_path, pictures, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     accepted("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
     assert names(tmp_path / "out") == ["run.json", "sweep.sqlite", "sweep.txt"]
