@@ -7,6 +7,7 @@ from click.testing import CliRunner, Result
 
 from desim.cli import main
 
+WRONG_INPUT = 2
 JARGON = re.compile(r"Traceback|Input should|Value error|[Tt]uple|\bvalid\b|pydantic|Keys should be strings")
 """Words of the machinery, of no use to a person who writes a scenario file."""
 
@@ -30,3 +31,12 @@ def strict_json(text: str):
         raise AssertionError(f"{constant} is not JSON")
 
     return json.loads(text, parse_constant=refuse)
+
+
+def refused(*args: object) -> str:
+    """Call the command, see that it ends as it should on wrong input, and return what it tells on stderr."""
+    result = desim(*args)
+    assert result.exit_code == WRONG_INPUT, result.output
+    assert result.stdout == ""
+    assert not JARGON.search(result.stderr), result.stderr
+    return result.stderr

@@ -79,6 +79,7 @@ def pictures():
 
 @pytest.fixture
 def _undrawn(request, monkeypatch):
-    """Write no pictures, which takes a second each, unless the test asks for `pictures`."""
+    """Draw and write no pictures, which takes a second each, unless the test asks for `pictures`."""
     if "pictures" not in request.fixturenames:
-        monkeypatch.setattr("desim.analysis.plots.save", lambda *_: [])
+        for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.pictures.means"):
+            monkeypatch.setattr(f"desim.{name}", lambda *_: [])

@@ -15,7 +15,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.events import Decided, Ended
 from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Capture, Evader, Motion, Recording, Scenario, Speeds, Team
+from desim.scenario import PROTOCOLS, Evader, Recording, Scenario, Speeds, Team
 from desim.simulation import run
 from desim.value import kind_of
 from desim.warnings import warnings
@@ -141,26 +141,6 @@ def test_who_is_active_at_a_small_share_is_active_at_a_larger_one(seed, one, oth
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_nobody_is_active_at_share_0_and_everybody_at_share_1(share):
     assert (Team(count=4000, active_at_start=share).start_profile(3) == bool(share)).all()
-
-
-@pytest.mark.parametrize(
-    ("fastest", "evader", "warned"), [(1.0, 0.999, False), (1.0, 1.0, True), (1.0, 1.1, True), (0.0, 0.0, True)]
-)
-def test_a_team_none_of_which_is_faster_than_the_evader_is_warned_of(fastest, evader, warned):
-    scenario = Scenario(team=Team(count=2, speeds=(0.0, fastest)), evader=Evader(speed=evader))
-    found = list(warnings(scenario))
-    assert [key for key, _ in found] == ["team.speeds"] * warned
-    assert all(f"{fastest} m/s" in why and f"{evader} m/s" in why for _, why in found)
-
-
-@pytest.mark.parametrize(
-    ("test", "step", "warned"),
-    [("sample", 0.5, False), ("sample", 0.51, True), ("segment", 0.51, False)],
-)
-def test_a_step_across_the_capture_disc_is_warned_of(test, step, warned):
-    """At 2 m/s a step of 0.5 s is 1 m, just the 2 x 0.5 m of the disc."""
-    scenario = Scenario(motion=Motion(step=step), capture=Capture(test=test, radius=0.5))
-    assert [key for key, _ in warnings(scenario)] == ["motion.step"] * warned
 
 
 def test_plain_is_strict_json_of_which_the_same_scenario_can_be_made():
@@ -312,50 +292,3 @@ def test_a_graph_of_one_s_own_that_does_not_fit_the_team_is_refused(graph, says)
     (error,) = refused.value.errors()
     assert error["msg"].startswith("network.graph: ")
     assert says in error["msg"]
-
-
-NO_RANGE = {"network": {"reach": {"kind": "log_distance"}}}
-FLOODING = {"spread": {"kind": "flooding"}}
-SLOW = {"kind": "bitrate", "bitrate": 3840.0}  # 48 bytes take 0.1 s
-
-
-@pytest.mark.parametrize(
-    ("given", "key", "says"),
-    [
-        (NO_RANGE, "network.reach", "it has no effect while the range is inf"),
-        ({"network": NO_RANGE["network"] | {"range": 5.0}}, None, ""),
-        ({"announce": {"trigger": "never"} | FLOODING}, "announce.spread", "nothing is ever announced"),
-        ({"announce": {"trigger": "change"} | FLOODING}, None, ""),
-        ({"announce": {"trigger": "never"}}, None, ""),
-        ({"fault": [{"kind": "crash", "node": 0, "at": 30.0}]}, "fault.0.at", "it would begin after the horizon"),
-        ({"fault": [{"kind": "crash", "node": 0, "at": 29.0}, {"kind": "random"}]}, None, ""),
-        ({"network": {"preset": "wifi"}}, None, ""),
-        (
-            {"network": {"preset": "wifi", "latency": {"kind": "constant"}}},
-            "network.latency",
-            "it is given, and is not that of the preset 'wifi'",
-        ),
-        (
-            {"network": {"medium": SLOW}, "announce": {"heartbeat": 0.08, "payload": "state"}},
-            "announce.heartbeat",
-            "heartbeats of 48 bytes alone would keep the channel busy 1.2 times over",
-        ),
-        ({"network": {"medium": SLOW}, "announce": {"heartbeat": 0.1}}, None, ""),
-        ({"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 2.0}}, None, ""),
-        (
-            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0, "payload": "state"}},
-            "announce.heartbeat",
-            "busy 2.0 times over",
-        ),
-        (
-            {"network": {"medium": SLOW | {"shared": True}}, "announce": {"heartbeat": 1.0, "trigger": "change"}},
-            None,
-            "",
-        ),
-    ],
-)
-def test_what_has_no_effect_and_what_no_channel_carries_is_warned_of(given, key, says):
-    """Of 20 pursuers; nothing else is warned of, but for assumptions of the protocol."""
-    found = {place: why for place, why in warnings(Scenario(**given)) if " assumes " not in why}
-    assert list(found) == [key] * (key is not None)
-    assert says in found.get(key, "")

@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 
 import click
 import pytest
-from click.testing import CliRunner
 
 import desim
 from desim import Scenario, value
@@ -27,6 +26,8 @@ from desim.study.explain import explain
 from desim.study.pictures import waterfall
 from desim.study.store import Store, StoreError
 from desim.study.sweep import sweep
+from tests.command import accepted, refused
+from tests.command import desim as call
 
 ROOT = Path(__file__).parent.parent
 SHORT = "horizon = 0.1\nteam.count = 2\n"
@@ -81,23 +82,6 @@ def written(tmp_path):
 def _no_pictures(monkeypatch):
     """They take a second."""
     monkeypatch.setattr(folders, "can_plot", lambda: False)
-
-
-def command(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
-
-
-def refused(*words) -> str:
-    done = command(*words)
-    assert done.exit_code == 2, (done.output, done.exception)
-    assert done.stdout == ""
-    return done.stderr
-
-
-def accepted(*words) -> str:
-    done = command(*words)
-    assert done.exit_code == 0, (done.output, done.exception)
-    return done.stdout
 
 
 # Code that a file names.
@@ -637,12 +621,12 @@ def test_a_terminal_is_told_nothing_but_text(written, tmp_path):
         ["sweep", "--dry-run"],
     ):
         out = [] if words[0] in {"check", "run"} or "--dry-run" in words else ["-o", tmp_path / words[0]]
-        done = command(*words, file, *out)
+        done = call(*words, file, *out)
         assert done.exit_code == 0, done.output
         assert harmless(done.stdout), words
         assert harmless(done.stderr), words
     again = tmp_path / "again.toml"
-    again.write_text(accepted("check", file), encoding="utf-8")
+    again.write_text(accepted("check", file).stdout, encoding="utf-8")
     assert desim.load(again).name == WORST
 
 
@@ -666,7 +650,7 @@ def test_an_error_tells_a_terminal_nothing_but_text(written, name):
 
 def test_a_record_tells_a_terminal_nothing_but_text(ran):
     changed(ran / "run.json", lambda made: made["versions"].update({WORST: WORST}))
-    done = command("run", "--from", ran / "run.json")
+    done = call("run", "--from", ran / "run.json")
     assert "owned" in done.stderr
     assert harmless(done.stderr)
 

@@ -14,7 +14,7 @@ from desim.interrupts import SIGNALS
 ROOT = Path(__file__).parents[2]
 MARK = "SWEEP_OF_A_TEST"
 """A variable of the environment by which all processes of a test are known."""
-LONG_ENOUGH = 5.0
+LONG_ENOUGH = 60.0
 """How long a process may outlive what it works for, s."""
 
 # Chance in the positions, the start, the slots, the decisions, the losses and the latencies.

@@ -53,8 +53,7 @@ def test_what_is_measured_is_returned():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 3, 150], ids="{} tasks".format)
-@pytest.mark.parametrize("jobs", [2, 0], ids="{} jobs".format)
+@pytest.mark.parametrize(("jobs", "count"), [(2, 1), (2, 150), (0, 3)])
 def test_the_number_of_workers_changes_neither_order_nor_value(jobs, count):
     """150 tasks on two workers go out in chunks of more than one, and long runs come back after short ones."""
     tasks = [(LONGER if seed < 2 else SMALL, seed) for seed in range(count)]

@@ -51,7 +51,7 @@ GOOD = Scenario(
 LATE = GOOD.model_copy(update={"network": Links(latency=Constant(value=0.4))})
 BAD = GOOD.model_copy(
     update={
-        "horizon": 6.0,
+        "horizon": 3.0,
         "network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5), range=12.0),
         "fault": (Crash(node=0, at=0.5, until=3.0), Crash(node=1, at=1.0)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
@@ -93,6 +93,7 @@ ONLY = [
         pytest.param(GOOD.model_copy(update={"protocol": rule, **spoilt}), name, id=f"{kind}-{name}")
         for kind, rule in RULES.items()
         for name, spoilt in SPOILT.items()
+        if kind in ("sap", "server")
     ),
     *(
         pytest.param(
@@ -100,8 +101,7 @@ ONLY = [
             "serial decisions",
             id=f"{rule.__name__}-{schedule.kind}",
         )
-        for rule in (SpatialAdaptivePlay, CBBA, LocalMin)
-        for schedule in TURNS
+        for rule, schedule in zip((LocalMin, CBBA, SpatialAdaptivePlay, CBBA), TURNS, strict=True)
     ),
 ]
 
@@ -162,9 +162,15 @@ def test_two_that_hide_each_other_cost_nothing_each_and_interact():
 # By hand.
 
 
+@pytest.fixture(scope="module")
+def whole():
+    """Return what three runs of BAD cost, from seed 11 on."""
+    return explain(BAD, 3, seed=11)
+
+
 @pytest.mark.slow
-def test_costs_are_those_of_runs_done_by_hand_seed_by_seed():
-    found = explain(BAD, 3, seed=11)
+def test_costs_are_those_of_runs_done_by_hand_seed_by_seed(whole):
+    found = whole
     assert (found.name, found.runs, found.failed, found.absent) == ("small", 3, 0, ())
     ideal = BAD
     for remove in IMPERFECTIONS.values():
@@ -330,12 +336,11 @@ def test_variants_that_are_the_same_are_run_once(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_workers_and_a_store_that_was_interrupted_change_nothing(tmp_path):
-    whole = explain(BAD, 3)
+def test_two_workers_and_a_store_that_was_interrupted_change_nothing(whole, tmp_path):
     store = tmp_path / "some.sqlite"
-    few = explain(BAD, 2, store=store)
-    assert explain(BAD, 3, 2, store=store) == whole
-    assert explain(BAD, 2, store=store) == few  # of three that are there
+    few = explain(BAD, 2, store=store, seed=11)
+    assert explain(BAD, 3, 2, store=store, seed=11) == whole
+    assert explain(BAD, 2, store=store, seed=11) == few  # of three that are there
     assert (few.runs, whole.runs) == (2, 3)
 
 
@@ -501,9 +506,8 @@ def test_the_picture_has_a_bar_per_part_between_the_two_ends():
 
 
 @pytest.mark.slow
-def test_the_last_step_of_a_picture_ends_where_the_scenario_is():
-    found = explain(BAD, 2)
-    figure = waterfall(found)
+def test_the_last_step_of_a_picture_ends_where_the_scenario_is(whole):
+    figure = waterfall(whole)
     assert len(figure.axes) == len(EXPLAINED)
     for axes in figure.axes:
         names = [label.get_text() for label in axes.get_xticklabels()]

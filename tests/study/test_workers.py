@@ -227,7 +227,7 @@ def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, 
     address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
     begin = time.monotonic()
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
-    assert time.monotonic() - begin < 4.0
+    assert time.monotonic() - begin < 25.0  # it would go on for Dask's own 30 s
     assert made.exit_code == 2
     assert made.stdout == ""
     (line,) = made.stderr.splitlines()
