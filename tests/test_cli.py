@@ -139,45 +139,6 @@ def test_faults_of_overrides_are_told_with_those_of_the_file_and_named_as_such(f
 
 
 @pytest.mark.parametrize(
-    ("text", "override", "key", "words"),
-    [
-        ("", "horizn=3", "horizn", "unknown key, did you mean 'horizon'?; allowed: announce, capture"),
-        ("horizon = 3.0", "horizon=", "horizon", "should be a number"),
-        ("", "team.count=many", "team.count", "(got 'many')"),
-        ("[evader]\nspeed = 1.0", "evader={ speed = -1.0 }", "evader.speed", "greater than or equal to 0"),
-        ("team.positions = [[0.0, 0.0]]", "team.positions.0.1=x", "team.positions.0.1", "should be a number"),
-        # The file says nothing of the number that the override wants to be a table.
-        ("", "horizon.x=3", "horizon", "should be a number"),
-        ("", "team.0.count=3", "team", ""),
-    ],
-)
-def test_the_fault_of_an_override_is_told_with_the_override(file, text, override, key, words):
-    (said,) = refused("check", file(text), "--set", override)
-    assert said.startswith(f"--set {override}: {key}")
-    assert words in said
-
-
-@pytest.mark.parametrize("override", ["horizon", "", "=3", "team..count=3", ".=3", "  =3"])
-def test_an_override_that_is_not_key_and_value_is_refused_with_an_example(file, override):
-    (said,) = refused("check", file(DUEL), "--set", override)
-    assert said.startswith(f"--set {override}: should be KEY=VALUE, for instance network.latency.value=0.05")
-
-
-@pytest.mark.parametrize(
-    "key", ["horizon.x", "horizon.x.y", "team.speeds.last", "team.positions.2", "evader.position.x"]
-)
-def test_an_override_below_what_is_no_table_is_refused(file, key):
-    """DUEL gives a number, two lists of two, and a point."""
-    (said,) = refused("check", file(DUEL), "--set", f"{key}=3")
-    assert said.startswith(f"--set {key}=3: {key} is not a key of a table")
-
-
-def test_an_override_whose_key_is_no_number_in_spite_of_its_looks_is_refused(file):
-    (said,) = refused("check", file(DUEL), "--set", "team.positions.²=3")
-    assert said.startswith("--set team.positions.²=3: ")
-
-
-@pytest.mark.parametrize(
     ("text", "line"),
     [
         ("name = 'x'\nhorizon =\n", 2),
@@ -612,20 +573,6 @@ def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, pi
 
 def test_the_default_scenario_needs_no_key_at_all(file):
     assert load(file("")) == Scenario()
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ('name="a', "is not a TOML value"),
-        ("seed=1\nhorizon=-2", "is more than one value"),
-        ("team.count=100000000000", "should be less than or equal to 1000000"),
-    ],
-)
-def test_an_override_that_is_no_value_is_refused(file, override, words):
-    (said, *rest) = refused("check", file(DUEL), "--set", override)
-    assert said.startswith("--set ")
-    assert words in "\n".join([said, *rest])
 
 
 def test_a_folder_that_cannot_be_made_for_one_of_several_runs_is_told(file, tmp_path):

@@ -8,6 +8,7 @@ written out.
 from collections.abc import Iterator
 from decimal import Decimal
 from math import inf, nextafter
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
@@ -20,9 +21,10 @@ from pydantic.types import AllowInfNan
 from desim import scenario_file
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
-from desim.scenario import PROTOCOLS, Scenario
-from desim.scenario_file import load
+from desim.scenario import Scenario
+from desim.scenario_file import load, read
 from desim.source import ScenarioError
+from desim.study.configurations import cells
 from desim.value import Value, choices_of, fields_of, models_in
 from tests.command import JARGON
 from tests.golden import golden
@@ -221,152 +223,119 @@ def test_a_bound_that_is_missing_or_not_enforced_is_noticed(tmp_path, monkeypatc
     assert {each.split(" = ")[0] for each, *_ in missed} == {"whatever", "unenforced"}
 
 
-PROTOCOLS_ALLOWED = f"allowed: {', '.join(sorted(PROTOCOLS.choices()))}"
-TOP = f"allowed: {', '.join(sorted(Scenario.model_fields))}"
-LOSS = "loss = { kind = 'bernoulli' }"
-FAULTS = {
-    "unknown key": ("name = 'x'\nhorizn = 3.0", "horizn", f"unknown key, did you mean 'horizon'?; {TOP}"),
-    "unknown key like no other": ("name = 'x'\n\nzzz = 3.0", "zzz", f"unknown key; {TOP}"),
-    "unknown key of a table": (
-        "[evader]\nsped = 0.9",
-        "evader.sped",
-        "unknown key, did you mean 'speed'?; allowed: box, count, position, reaction, sight, speed, strategy",
-    ),
-    "unknown key of a kind": (
-        "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",
-        "network.latency.vlue",
-        "unknown key, did you mean 'value'?; allowed: kind, value",
-    ),
-    "unknown key of a kind in a kind": (
-        "[protocol]\nkind = 'sap'\n\n[protocol.tau]\nkind = 'paper'\nscal = 1.0",
-        "protocol.tau.scal",
-        "unknown key, did you mean 'scale'?; allowed: kind, scale",
-    ),
-    "unknown key of a table that may be a number": (
-        "[team]\nspeeds = { default = 1.0, lst = 2.0 }",
-        "team.speeds.lst",
-        "unknown key, did you mean 'last'?; allowed: default, last",
-    ),
-    "unknown table": ("name = 'x'\n\n[foo.bar] # here\na = 1", "foo", f"unknown key; {TOP}"),
-    "missing key": ("evader.strategy = { kind = 'voronoi_vertex' }", "evader.strategy.arena", "is missing"),
-    "text for a number": ("[evader]\nspeed = '60'", "evader.speed", "should be a number; Speed v_e, m/s (got '60')"),
-    "text for several types": ("[team]\nspeeds = 'fast'", "team.speeds", "one number, one per pursuer, or a table"),
-    "truth for a count": ("[team]\ncount = true", "team.count", "should be an integer"),
-    "date for a count": ("seed = 2020-01-01", "seed", "should be an integer"),
-    "table for a number": ("[horizon.x] # here\ny = 1", "horizon", "should be a number"),
-    "array of tables for a table": ("name = 'x'\n\n[[team]] # here\ncount = 3", "team", "should be a table"),
-    "file that is a number": ("network.graph = { kind = 'edges', file = 3 }", "network.graph", "file should be a path"),
-    "kind that does not exist": (
-        "name = 'x'\n[protocol]\nkind = 'sop'",
-        "protocol.kind",
-        f"there is no 'sop', did you mean 'sap'?; {PROTOCOLS_ALLOWED}",
-    ),
-    "kind that is no text": ("[protocol]\nkind = [1]", "protocol.kind", PROTOCOLS_ALLOWED),
-    "kind that is missing": ("network.latency = {}", "network.latency", 'should be a table with a kind, { kind = "con'),
-    "kind of an item": ("fault = [{ kind = 'crahs' }]", "fault.0.kind", "did you mean 'crash'"),
-    "kind that may not be inside its own": (
-        "evader.strategy = { kind = 'listener', then = { kind = 'listener' } }",
-        "evader.strategy.then.kind",
-        "there is no 'listener'",
-    ),
-    "kind in a kind": (
-        "evader.strategy = { kind = 'listener', otherwise = { kind = 'zigzag', period = -1.0 } }",
-        "evader.strategy.otherwise.period",
-        "greater than or equal",
-    ),
-    "kind in an item": (
-        "network.link = [{ src = 0, dst = 2, latency = { kind = 'constant', value = -2.0 } }]",
-        "network.link.0.latency.value",
-        "greater than or equal to 0",
-    ),
-    "too long a list": ("team.positions = [[1.0, 2.0, 3.0]]", "team.positions.0", "should have at most 2"),
-    "too short a list": ("team.positions = [[1.0]]", "team.positions.0.1", "is missing"),
-    "empty list": ("team.positions = []", "team.positions", "should be one per pursuer: count is 20, there are 0"),
-    "fewer than the count": (
-        "[team]\ncount = 3\npositions = [[1.0, 2.0]]",
-        "team.positions",
-        "should be one per pursuer: count is 3, there are 1; Initial positions, one [x, y]",
-    ),
-    "more than the count that follows from another key": (
-        "[team]\npositions = [\n  [0.0, 0.0],\n]\nspeeds = [1.0, 2.0]",
-        "team.speeds",
-        "should be one per pursuer: count is 1, there are 2",
-    ),
-    "box upside down": ("team.box = [20.0, 0.0]", "team.box", "should be [lower, upper] (got 20 and 0)"),
-    "box without area": (
-        "evader.strategy = { kind = 'voronoi_vertex', arena = [5.0, 5.0] }",
-        "evader.strategy.arena",
-        "lower < upper (got 5",
-    ),
-    "neither 0 nor long enough": ("record.trajectory = 1e-12", "record.trajectory", "should be 0 or at least 1e-06 s"),
-    "bounds in the wrong order": (
-        "network.latency = { kind = 'uniform', low = 2.0, high = 1.0 }",
-        "network.latency",
-        "low",
-    ),
-    "bursts that cannot be": (
-        "network.loss = { kind = 'gilbert_elliott', share = 0.9, burst = 2.0 }",
-        "network.loss",
-        "at least 9 messages",
-    ),
-    "window that ends before it starts": (
-        "fault = [{ kind = 'crash', node = 1, at = 2.0, until = 1.0 }]",
-        "fault.0.until",
-        "later than at (got 1 and 2)",
-    ),
-    "groups that overlap": (
-        "fault = [{ kind = 'partition', at = 1.0, groups = [[0, 1], [1]] }]",
-        "fault.0.groups",
-        "should be disjoint, 1 is named twice",
-    ),
-    "neither of two keys": ("network.latency = { kind = 'empirical' }", "network.latency", "needs values"),
-    "link like all others": (
-        "network.link = [{ src = 0, dst = 2 }]",
-        "network.link.0",
-        "a latency, a loss or an order",
-    ),
-    "link to nobody": (
-        f"team.count = 4\nnetwork.link = [{{ src = 0, dst = 2, {LOSS} }}, {{ src = 1, dst = 9, {LOSS} }}]",
-        "network.link.1.dst",
-        "there is no pursuer 9: they are 0 .. 3",
-    ),
-    "link that is no edge": (
-        f"network = {{ graph = {{ kind = 'ring' }}, link = [{{ src = 0, dst = 2, {LOSS} }}] }}",
-        "network.link.0",
-        "no link from 0 to 2",
-    ),
-    "graph of another size": (
-        "team.count = 4\nnetwork.graph = { kind = 'edges', nodes = 3, edges = [{ src = 0, dst = 1 }] }",
-        "network.graph",
-        "the graph has 3 nodes, the team 4",
-    ),
-    "edge to nobody": (
-        "team.count = 4\nnetwork.graph = { kind = 'edges', edges = [{ src = 0, dst = 4 }] }",
-        "network.graph",
-        "the nodes should be 0 .. 3",
-    ),
-    "centre that is not there": (
-        "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
-        "network.graph",
-        "there is no node 4",
-    ),
-    "file that is not there": ("network.graph = { kind = 'edges', file = 'no.json' }", "network.graph", "no.json"),
-    "node that is not there": (
-        "fault = [{ kind = 'crash', node = 1, at = 2.0 }, { kind = 'crash', node = 20, at = 2.0 }]",
-        "fault.1.node",
-        "there is no pursuer 20: they are 0 .. 19",
-    ),
-}
+FAULTS = [
+    "name = 'x'\nhorizn = 3.0",
+    "name = 'x'\n\nzzz = 3.0",
+    "[evader]\nsped = 0.9",
+    "[network]\nrange = 3.0\nlatency = { kind = 'constant', vlue = 1.0 }",
+    "[protocol]\nkind = 'sap'\n\n[protocol.tau]\nkind = 'paper'\nscal = 1.0",
+    "[team]\nspeeds = { default = 1.0, lst = 2.0 }",
+    "name = 'x'\n\n[foo.bar]\na = 1",
+    "evader.strategy = { kind = 'voronoi_vertex' }",
+    "[evader]\nspeed = '60'",
+    "[team]\nspeeds = 'fast'",
+    "[team]\ncount = true",
+    "seed = 2020-01-01",
+    "[horizon.x]\ny = 1",
+    "name = 'x'\n\n[[team]]\ncount = 3",
+    "network.graph = { kind = 'edges', file = 3 }",
+    "name = 'x'\n[protocol]\nkind = 'sop'",
+    "[protocol]\nkind = [1]",
+    "network.latency = {}",
+    "fault = [{ kind = 'crahs' }]",
+    "evader.strategy = { kind = 'listener', then = { kind = 'listener' } }",
+    "evader.strategy = { kind = 'listener', otherwise = { kind = 'zigzag', period = -1.0 } }",
+    "network.link = [{ src = 0, dst = 2, latency = { kind = 'constant', value = -2.0 } }]",
+    "team.positions = [[1.0, 2.0, 3.0]]",
+    "team.positions = [[1.0]]",
+    "team.positions = []",
+    "[team]\ncount = 3\npositions = [[1.0, 2.0]]",
+    "[team]\npositions = [\n  [0.0, 0.0],\n]\nspeeds = [1.0, 2.0]",
+    "team.box = [20.0, 0.0]",
+    "evader.strategy = { kind = 'voronoi_vertex', arena = [5.0, 5.0] }",
+    "record.trajectory = 1e-12",
+    "network.latency = { kind = 'uniform', low = 2.0, high = 1.0 }",
+    "network.loss = { kind = 'gilbert_elliott', share = 0.9, burst = 2.0 }",
+    "fault = [{ kind = 'crash', node = 1, at = 2.0, until = 1.0 }]",
+    "fault = [{ kind = 'partition', at = 1.0, groups = [[0, 1], [1]] }]",
+    "network.latency = { kind = 'empirical' }",
+    "network.link = [{ src = 0, dst = 2 }]",
+    "team.count = 4\nnetwork.link = [{ src = 0, dst = 2, order = 'fifo' }, { src = 1, dst = 9, order = 'fifo' }]",
+    "network = { graph = { kind = 'ring' }, link = [{ src = 0, dst = 2, order = 'fifo' }] }",
+    "team.count = 4\nnetwork.graph = { kind = 'edges', nodes = 3, edges = [{ src = 0, dst = 1 }] }",
+    "team.count = 4\nnetwork.graph = { kind = 'edges', edges = [{ src = 0, dst = 4 }] }",
+    "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
+    "network.graph = { kind = 'edges', file = 'no.json' }",
+    "fault = [{ kind = 'crash', node = 1, at = 2.0 }, { kind = 'crash', node = 20, at = 2.0 }]",
+]
+"""Files that are wrong in ways that no type tells, or in one way of each kind."""
+GRIDS = [
+    '"team.count" = [0]',
+    "team.count = [1, 0]",
+    'protocol.kind = ["sapp"]',
+    'protocol = ["sap"]',
+    'protocol = [{ kind = "sap", tua = 1 }]',
+    'network.preset = ["wify"]',
+    "team.positions = [[[0.0, 1.0]]]",
+    "fault.0.at = [1.0]",
+    "horizon.x = [1.0]",
+    "horizon = 1.0",
+    'prune = "inf"',
+    "horizon = []",
+    "motion.step = []",
+    "",
+    "horizon = {}",
+    'horizn = [1.0, 2.0]\nmotion.steps = [1.0]\n"network.latency.valu" = [0.0]',
+    "horizon = [1.0, -1.0]\n\n\n\n\nteam.count = [2, 0]\nmotion.steps = [0.1, 0.2]",
+    'horizon = [1.0]\n"seed" = [1, 2]',
+    'horizon = [1.0]\n"name" = [1, 2]',
+    'horizon = [1.0]\n"sweep.reps" = [1, 2]',
+    'horizon = [1.0]\n"sweep.grid" = [1, 2]',
+    "prune = ['inf']\nhorizon = [1.0, 2.0, 1.0]",
+    "prune = ['inf']\nhorizon = [1, 2, 1]",
+    "prune = ['inf']\nhorizon = [1, 2, 1.0]",
+    'horizon = [1.0, 2.0]\nteam.count = [2, 4]\nfault = [[{ kind = "crash", node = 1, at = 0 }], '
+    '[{ kind = "crash", node = 3, at = 0 }]]',
+]
+"""Grids that are wrong, over GRID."""
+GRID = 'horizon = 1.0\nteam.count = 2\nnetwork.latency = { kind = "constant", value = 0.02 }\n[sweep.grid]\n'
+OVERRIDES = [
+    ("", "horizn=3"),
+    ("horizon = 3.0", "horizon="),
+    ("", "team.count=many"),
+    ("[evader]\nspeed = 1.0", "evader={ speed = -1.0 }"),
+    ("team.positions = [[0.0, 0.0]]", "team.positions.0.1=x"),
+    ("", "horizon.x=3"),
+    ("", "team.0.count=3"),
+    *(("", each) for each in ("horizon", "", "=3", "team..count=3", ".=3", "  =3")),
+    ("horizon = 3.0", "horizon.x=3"),
+    ("horizon = 3.0", "horizon.x.y=3"),
+    ("team.speeds = [1.0, 2.0]", "team.speeds.last=3"),
+    ("team.positions = [[0.0, 0.0]]", "team.positions.2=3"),
+    ("team.positions = [[0.0, 0.0]]", "team.positions.\u00b2=3"),
+    ("evader.position = [1.0, 0.0]", "evader.position.x=3"),
+    ("", 'name="a'),
+    ("", "seed=1\nhorizon=-2"),
+]
+"""Files that are right, and overrides that are not."""
 
 
-@pytest.mark.parametrize(("text", "key", "words"), FAULTS.values(), ids=FAULTS)
-def test_each_kind_of_fault_is_told_with_file_line_key_and_what_is_allowed(tmp_path, text, key, words):
-    file = tmp_path / "bad.toml"
+def told(folder: Path, text: str, *overrides: str) -> str:
+    """Return a file and its overrides, and how they are refused, with the name of the file instead of its path."""
+    file = folder / "f.toml"
     file.write_text(f"{text}\n")
     with pytest.raises(ScenarioError) as refused:
-        load(file)
-    (said,) = str(refused.value).splitlines()
-    line = text.split("# here")[0].count("\n") + 1
-    assert said.startswith(f"{file}:{line}: {key}: ")
-    assert words in said
+        cells(read(file, overrides)) if text.startswith(GRID) else load(file, overrides)
+    said = str(refused.value).replace(f"{folder}/", "")
     assert not JARGON.search(said)
+    given = [*text.removeprefix(GRID).splitlines(), *(f"--set {each}" for each in overrides)]
+    return "".join(f"    {each}\n" for each in given) + f"{said}\n\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "cases"),
+    [("files", [(each,) for each in FAULTS]), ("grids", [(GRID + each,) for each in GRIDS]), ("overrides", OVERRIDES)],
+)
+def test_refusals_are_golden(name, cases, tmp_path):
+    """Each tells file, line, key and what is allowed: look at it when it is made anew."""
+    golden(f"refused_{name}.txt", "".join(told(tmp_path, *each) for each in cases))

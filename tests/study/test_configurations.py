@@ -218,54 +218,6 @@ def test_functions_and_models_that_are_not_installed_are_swept_and_set_inside():
 # What is refused.
 
 
-def test_unknown_keys_are_told_with_their_lines_and_what_was_meant(refused):
-    lines = refused('horizn = [1.0, 2.0]\nmotion.steps = [1.0]\n"network.latency.valu" = [0.0]')
-    assert [line.split("; ")[0] for line in lines] == [
-        "f:5: sweep.grid: horizn: unknown key, did you mean 'horizon'?",
-        "f:6: sweep.grid: motion.steps: unknown key, did you mean 'step'?",
-        "f:7: sweep.grid: network.latency.valu: unknown key, did you mean 'value'?",
-    ]
-
-
-WRONG = {
-    "quoted": ('"team.count" = [0]', "team.count: should be greater than or equal to 1"),
-    "unquoted": ("team.count = [1, 0]", "team.count: should be greater than or equal to 1"),
-    "kind": ('protocol.kind = ["sapp"]', "protocol.kind: there is no 'sapp', did you mean 'sap'?"),
-    "text for a table": ('protocol = ["sap"]', "protocol: should be a table with a kind"),
-    "inside a table": ('protocol = [{ kind = "sap", tua = 1 }]', "protocol.tua: unknown key, did you mean 'tau'?"),
-    "preset": ('network.preset = ["wify"]', "network.preset: "),
-    "list": ("team.positions = [[[0.0, 1.0]]]", "team.positions: should be one per pursuer: count is 2, there are 1"),
-    "item of no list": ("fault.0.at = [1.0]", "fault.0.at: the list fault is empty"),
-    "below a number": ("horizon.x = [1.0]", "horizon.x: horizon.x is not a key of a table"),
-}
-
-
-@pytest.mark.parametrize(("text", "why"), WRONG.values(), ids=WRONG)
-def test_a_wrong_value_is_told_with_the_line_of_its_key(refused, text, why):
-    (line,) = refused(f"network.range = [3.0, inf]\n{text}")
-    assert line.startswith(f"f:6: sweep.grid: {why}"), line
-    assert "(with " not in line
-
-
-LISTS = {
-    "scalar": ("horizon = 1.0", "f:5: sweep.grid.horizon: should be a list (got 1.0)"),
-    "text": ('prune = "inf"', "f:5: sweep.grid.prune: should be a list (got 'inf')"),
-    "empty": ("horizon = []", "f:5: sweep.grid.horizon: should have at least 1 items, has 0 (got [])"),
-    "empty, unquoted": (
-        "motion.step = []",
-        "f:5: sweep.grid.motion.step: should have at least 1 items, has 0 (got [])",
-    ),
-    "none": ("", "f:4: sweep.grid: should have at least one key of the scenario"),
-    "table": ("horizon = {}", "f:5: sweep.grid.horizon: should be a list (got {})"),
-}
-
-
-@pytest.mark.parametrize(("text", "why"), LISTS.values(), ids=LISTS)
-def test_what_is_no_list_of_values_is_refused(refused, text, why):
-    (line,) = refused(text)
-    assert line.startswith(why), line
-
-
 @pytest.mark.parametrize("grid", [{}, {"horizon": []}, {"horizon": 1.0}, {"prune": "inf"}, {"horizon": np.float64(1)}])
 def test_what_is_no_list_of_values_is_refused_in_a_script(grid):
     with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid"):
@@ -275,16 +227,6 @@ def test_what_is_no_list_of_values_is_refused_in_a_script(grid):
 def test_a_set_is_refused_for_it_has_no_order():
     with pytest.raises(ScenarioError, match="a set has no order"):
         of({"prune": {"inf", "none"}})
-
-
-def test_several_faults_are_told_at_once_in_the_order_of_lines(refused):
-    """-1 and 0 occur in four configurations each, and are told once."""
-    lines = refused("horizon = [1.0, -1.0]\n\n\n\n\nteam.count = [2, 0]\nmotion.steps = [0.1, 0.2]")
-    assert [re.sub(r": should be|: unknown key.*", "", line)[:32].split(" g")[0] for line in lines] == [
-        "f:5: sweep.grid: horizon",
-        "f:10: sweep.grid: team.count",
-        "f:11: sweep.grid: motion.steps",
-    ]
 
 
 def test_a_fault_that_has_no_line_comes_first(tmp_path):
@@ -303,41 +245,10 @@ def test_of_many_faults_the_first_are_told(refused):
     assert lines[-1] == "... and 10 more"
 
 
-def test_values_that_do_not_fit_together_are_told_with_the_settings_that_do_not(refused):
-    """Of 8 configurations those with 2 pursuers and a crash of pursuer 3 are wrong, whatever the horizon."""
-    crash = '[{{ kind = "crash", node = {}, at = 0.5 }}]'.format
-    (line,) = refused(f"horizon = [1.0, 2.0]\nteam.count = [2, 4]\nfault = [{crash(1)}, {crash(3)}]")
-    assert line == (
-        "f:7: sweep.grid: fault.0.node: there is no pursuer 3: they are 0 .. 1"
-        " (with team.count = 2, fault = [crash(node=3, at=0.5)])"
-    )
-
-
 def test_what_does_not_fit_elsewhere_is_told_with_the_settings(refused):
     base = BASE + 'fault = [{ kind = "crash", node = 1, at = 0.5 }]\n'
     (line,) = refused("horizon = [1.0, 2.0]\nteam.count = [2, 1]", base)
     assert line == "f:4: fault.0.node: there is no pursuer 1: they are 0 .. 0 (with team.count = 1)"
-
-
-@pytest.mark.parametrize(
-    ("key", "why"),
-    [
-        ("seed", "the number of seeds is sweep.reps"),
-        ("name", "a name changes nothing in a run"),
-        ("sweep.reps", "it is the same for all configurations"),
-        ("sweep.grid", "it is the same for all configurations"),
-    ],
-)
-def test_what_does_not_tell_configurations_apart_cannot_be_swept(refused, key, why):
-    assert refused(f'horizon = [1.0]\n"{key}" = [1, 2]') == [f"f:6: sweep.grid: {key}: cannot be swept; {why}"]
-
-
-@pytest.mark.parametrize("values", ["[1.0, 2.0, 1.0]", "[1, 2, 1]", "[1, 2, 1.0]"])
-def test_the_same_value_twice_is_refused(refused, values):
-    """Its runs would count twice."""
-    assert refused(f"prune = ['inf']\nhorizon = {values}") == [
-        "f:6: sweep.grid: horizon: 'prune = inf, horizon = 1' is the same configuration as 'prune = inf, horizon = 1'"
-    ]
 
 
 def test_a_default_that_is_spelt_out_is_the_same_configuration():
