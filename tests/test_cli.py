@@ -95,25 +95,6 @@ def file(tmp_path):
 # What is refused.
 
 
-@pytest.mark.parametrize(
-    ("text", "key"), [("[evader]\nposition = [[1.0, 2.0]]", "evader.position"), ("team.box = [[0.0, 1.0]]", "team.box")]
-)
-def test_a_nested_list_where_a_point_is_expected_is_told_wherever_it_hurts(file, text, key):
-    """It is wrong twice: its first coordinate is a list, and it has no second."""
-    path = file(text)
-    line = text.count("\n") + 1
-    said = refused("check", path)
-    assert said
-    assert all(each.startswith(f"{path}:{line}: {key}.") for each in said)
-
-
-def test_a_key_that_is_named_like_the_kind_of_its_table_does_not_hide_another_fault(file):
-    path = file("[protocol]\nkind = 'sap'\nsap = 1\ntau = { kind = 'constant', value = -1.0 }\n")
-    unknown, negative = refused("check", path)
-    assert unknown.startswith(f"{path}:3: protocol.sap: unknown key")
-    assert negative.startswith(f"{path}:4: protocol.tau.value: should be greater than 0")
-
-
 def test_all_faults_of_a_file_are_told_at_once_in_order_of_lines(file):
     """Keys are neither in the order of the model nor of the alphabet, and 10 comes after 9."""
     path = file(
@@ -192,22 +173,12 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
-@pytest.mark.parametrize("speed", [2.0, 2.5])
-def test_a_team_of_which_nobody_is_faster_than_the_evader_is_warned_of(file, command, speed):
+def test_a_team_of_which_nobody_is_faster_than_the_evader_is_warned_of(file, command):
     path = file(DUEL)
-    result = accepted(command, path, "--set", f"evader.speed={speed}")
+    result = accepted(command, path, "--set", "evader.speed=2.0")
     assert result.stderr.startswith(f"warning: {path}:7: team.speeds: no pursuer is faster than the evader: ")
-    assert "2.0 m/s" in result.stderr
-    assert f"the evader at {speed} m/s" in result.stderr
+    assert "2.0 m/s, the evader at 2.0 m/s" in result.stderr
     assert result.stderr.count("\n") == 1
-
-
-def test_a_step_that_may_jump_across_the_capture_disc_is_warned_of(file):
-    """0.2 s x 2 m/s = 0.4 m, and the disc is 0.2 m across."""
-    path = file(DUEL + "\n[capture]\ntest = 'sample'\n\n[motion]\nstep = 0.2\n")
-    result = accepted("check", path)
-    assert result.stderr.startswith(f"warning: {path}:20: motion.step: ")
-    assert "0.4 m is more than 2 x radius = 0.2 m" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -684,19 +655,6 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
     assert "warning" not in result.stdout
 
 
-@pytest.mark.parametrize("count", [6, 200])
-def test_heartbeats_that_a_channel_cannot_carry_are_told_with_the_line_of_their_period(file, count):
-    """48 bytes take 97.5 ms at SF 7: of 6 pursuers every 0.5 s that is 1.2 times all the time there is."""
-    path = file(
-        f'team.count = {count}\n\n[network]\npreset = "lora_sf7"\n\n[announce]\nheartbeat = 0.5\npayload = "state"\n'
-    )
-    (said,) = accepted("check", path).stderr.splitlines()
-    assert said == (
-        f"warning: {path}:7: announce.heartbeat: heartbeats of 48 bytes alone would keep the channel busy"
-        f" {count * 0.195:.1f} times over, so that messages wait for longer and longer, or are dropped"
-    )
-
-
 def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_is_warned_of():
     """One may wait, on LoRa at SF 7 and a shared channel as before."""
     (lora,) = (path for path in SCENARIOS if path.stem == "lora")
@@ -936,19 +894,6 @@ def test_a_sweep_that_makes_no_sense_is_refused_before_anything_is_written(file,
 def test_a_file_without_a_grid_is_refused(file, tmp_path):
     (line,) = refused("sweep", file(LUCK), "-o", tmp_path / "out")
     assert line.startswith(f"{file(LUCK)}:1: sweep.grid: should have at least one key of the scenario")
-
-
-def test_all_faults_of_a_grid_are_told_with_their_lines(file, tmp_path):
-    path = file(COINS + 'prune = "inf"\n')
-    assert refused("sweep", path) == [f"{path}:13: sweep.grid.prune: should be a list (got 'inf')"]
-    path = file(COINS + "motion.steps = [0.1]\nhorizon.x = [1.0]\nprune = ['inf', 'fin']\nseed = [1, 2]\n")
-    lines = refused("sweep", path)
-    assert [re.split(", did|; | 'none'", line)[0] for line in lines] == [
-        f"{path}:13: sweep.grid: motion.steps: unknown key",
-        f"{path}:14: sweep.grid: horizon.x: horizon.x is not a key of a table",
-        f"{path}:15: sweep.grid: prune: should be",
-        f"{path}:16: sweep.grid: seed: cannot be swept",
-    ]
 
 
 @pytest.mark.parametrize(

@@ -270,14 +270,6 @@ def recorded(path: Path, *overrides: str, allow_import: bool = False) -> Scenari
     return validate(source(path, read(path), overrides, allow_import=allow_import))
 
 
-@pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
-def test_a_recorded_scenario_is_the_one_that_was_given(file, tmp_path):
-    scenario = load(file)
-    write(tmp_path, document("run", scenario, seed=scenario.seed, folder=file.parent))
-    assert recorded(tmp_path / "run.json") == scenario
-    assert dump(recorded(tmp_path / "run.json")) == dump(scenario)
-
-
 def test_a_scenario_of_numbers_that_json_has_not_is_the_one_that_was_given(tmp_path):
     """Its name stays a text."""
     file = tmp_path / "far.toml"

@@ -267,6 +267,11 @@ FAULTS = [
     "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
     "network.graph = { kind = 'edges', file = 'no.json' }",
     "fault = [{ kind = 'crash', node = 1, at = 2.0 }, { kind = 'crash', node = 20, at = 2.0 }]",
+    "[evader]\nposition = [[1.0, 2.0]]",
+    "[protocol]\nkind = 'sap'\nsap = 1\ntau = { kind = 'constant', value = -1.0 }",
+    "[[evader]]\n\n[[evader]]\nspeed = -0.8\nstrategy = { kind = 'max_min', candidates = 0 }\n"
+    "[[evader]]\ncolour = 'red'\n[evader.strategy]\nkind = 'zigzag'\namplitud = 0.1\n"
+    "[[evader]]\nstrategy = { kind = 'voronoi_vertex' }",
 ]
 """Files that are wrong in ways that no type tells, or in one way of each kind."""
 GRIDS = [
@@ -329,7 +334,7 @@ def told(folder: Path, text: str, *overrides: str) -> str:
     said = str(refused.value).replace(f"{folder}/", "")
     assert not JARGON.search(said)
     given = [*text.removeprefix(GRID).splitlines(), *(f"--set {each}" for each in overrides)]
-    return "".join(f"    {each}\n" for each in given) + f"{said}\n\n"
+    return "".join(f"    {each}".rstrip() + "\n" for each in given) + f"{said}\n\n"
 
 
 @pytest.mark.parametrize(

@@ -200,26 +200,6 @@ def test_the_cost_of_finding_lines_grows_with_the_length_of_the_file_only(monkey
     assert sum(read_so_far) <= 10 * len(text)
 
 
-def test_a_fault_in_one_of_several_evaders_has_its_own_key_and_line(tmp_path):
-    """Also in a strategy, and whatever pydantic calls what lies between."""
-    path = tmp_path / "evaders.toml"
-    path.write_text(
-        "[[evader]]\n\n[[evader]]\nspeed = -0.8\nstrategy = { kind = 'max_min', candidates = 0 }\n"
-        "[[evader]]\ncolour = 'red'\n[evader.strategy]\nkind = 'zigzag'\namplitud = 0.1\n"
-        "[[evader]]\nstrategy = { kind = 'voronoi_vertex' }\n"
-    )
-    with pytest.raises(ScenarioError) as error:
-        load(path)
-    told = [line.removeprefix(f"{path}:").split(";")[0] for line in str(error.value).splitlines()]
-    assert told == [
-        "4: evader.1.speed: should be greater than or equal to 0",
-        "5: evader.1.strategy.candidates: should be greater than or equal to 1",
-        "7: evader.2.colour: unknown key",
-        "10: evader.2.strategy.amplitud: unknown key, did you mean 'amplitude'?",
-        "12: evader.3.strategy.arena: is missing",
-    ]
-
-
 # Overrides.
 
 
