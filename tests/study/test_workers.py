@@ -16,6 +16,7 @@ from importlib import import_module
 import cloudpickle
 import pytest
 from click.testing import CliRunner
+from distributed import Client
 
 import desim
 from desim.cli import main
@@ -275,7 +276,8 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
 
             killer = threading.Thread(target=kill)
             killer.start()
-            monkeypatch.setattr(places, "PATIENCE", 10.0)  # for the worker to start
+            with Client(address) as client:
+                client.wait_for_workers(1, timeout=100)
             made = command("sweep", file, "--allow-import", "-o", out, "--cluster", address)
             killer.join()
             worker.kill()
@@ -295,12 +297,13 @@ def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
             time.sleep(0.05)
         address = json.loads(note.read_text())["address"]
         with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
-            monkeypatch.setattr(places, "PATIENCE", 5.0)
+            with Client(address) as client:
+                client.wait_for_workers(1, timeout=100)
             made = command("sweep", file, "--allow-import", "-o", tmp_path / "out", "--cluster", address)
             worker.kill()
         scheduler.kill()
     assert made.exit_code == 2
-    assert made.stderr == f"{address}: has no workers within 5 s\n"
+    assert made.stderr == f"{address}: has no workers within 2 s\n"
     assert sweeps.count(tmp_path / "out" / "sweep.sqlite") >= 1
 
 
