@@ -156,13 +156,23 @@ def _outcome(task: Task, measure: Measure, simulate: Simulate) -> Outcome:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too
-        return Outcome("error", error=_passable(error), traceback=traceback.format_exc(limit=-INNERMOST))
+        told = traceback.format_exc(limit=-INNERMOST)
+        return Outcome("error", error=_passable(error), traceback=told)
 
 
 def _passable(error: BaseException) -> BaseException | None:
-    """Return an exception if another process can be told of it."""
+    """Return an exception if another process can be told of it, without its traceback if that cannot be pickled.
+
+    Once distributed is imported, exceptions are pickled with their tracebacks.
+    """
+    if not _survives_pickling(error):
+        error.__traceback__ = error.__context__ = None
+    return error if _survives_pickling(error) else None
+
+
+def _survives_pickling(error: BaseException) -> bool:
     try:
         pickle.loads(cloudpickle.dumps(error))
     except Exception:
-        return None
-    return error
+        return False
+    return True

@@ -74,7 +74,11 @@ def test_no_tasks_have_no_results(jobs):
     assert run_many([], jobs) == []
 
 
-def test_what_a_run_raises_is_raised():
+@pytest.mark.parametrize("with_dask", [False, True])
+def test_what_a_run_raises_is_raised(with_dask):
+    """Also once Dask has exceptions pickled with their tracebacks, which hold more than can be pickled."""
+    if with_dask:
+        pytest.importorskip("tblib.pickling_support").install(BrokenRunError)
     with pytest.raises(BrokenRunError, match="pursuer 0"):
         run_many([(SMALL, 0), (BROKEN, 1), (SMALL, 2)], jobs=1)
 
