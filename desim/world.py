@@ -218,16 +218,26 @@ class World:
         """Return how fast a pursuer moves if it does, m/s."""
         return float(self._speeds[pursuer])
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
-        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
+    def reckoned(
+        self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
+    ) -> complex:
+        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
 
         Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
         is now.
+
+        Args:
+            position: where it was, m.
+            speed: m/s.
+            age: how long ago it was there, ns.
+            evader: which one it chased.
+            exact: whether along its pursuit.
+            ended: how long ago it stopped, at most `age`, ns; asked for again with the same start, no longer ago.
         """
-        if self._motion.frozen or not age:
+        if self._motion.frozen or age == ended:
             return position
         target, now = self._targets[evader - 1], self._env.now
-        end = now if target.captured is None else max(target.captured, now - age)
+        end = now - ended if target.captured is None else min(now - ended, max(target.captured, now - age))
         if not exact:
             return nearer(position, self.evader(evader), speed * seconds(end - now + age))
         return target.path.place(position, speed, now - age, end)

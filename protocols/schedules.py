@@ -154,14 +154,15 @@ class Periodic(Value):
             )
 
 
-def ticks(me: Agent, period: float, first: int = 0) -> Iterator[float]:
-    """Yield the multiples of a period (s) from now on, by the own clock, s.
+def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:
+    """Yield the instants phase + k * period (s), k = first, first + 1, ..., from now on, by the own clock, s.
 
     Those are left out that pass meanwhile, because the pursuer is broken down or its clock began late.
     """
     for k in count(first):
-        if k * period >= me.now:
-            yield k * period
+        tick = phase + k * period
+        if tick >= me.now:
+            yield tick
 
 
 def owned_slots(owner: int, team_size: int, rng: np.random.Generator) -> Iterator[int]:

@@ -4,27 +4,38 @@ Paper: the decision is that of the centralised benchmark (`centralised`), Algori
     of an Evader by a Heterogeneous Group of Pursuers Using Potential Games", by a centre that has to be told, and whose
     orders take their time.
 Parameters: host (which pursuer carries the server), period (time between two reports).
-Time: every pursuer reports at the ticks k * period of its clock. The server decides as reports arrive, once for all
-    that arrive at one instant, and whoever gets an order obeys it as it arrives. So an order takes effect exactly one
-    round trip, 2 L, after the states on which it rests, and what happens between two ticks waits for the next tick
-    before that. (A server that decided at ticks would add its own wait: nothing at L = 0, but a whole period as soon as
-    L is a nanosecond.) A changed order is sent at once; every tick repeats it.
+Time: every pursuer reports at once, and then every period from a random phase on. (Reports at the same ticks of an even
+    number of motion steps would always meet the evader's chatter between two pursuers in the same state.) The server
+    decides as reports arrive, once for all that arrive at one instant. The host obeys at once, the others as they get
+    an order. A changed order is sent at once; every period it is repeated.
+Prediction: with a round trip of m reports, m orders are under way. A server that forgets them takes a pursuer that it
+    has sent for one that stays, and orders go to and fro for ever. So it reckons each pursuer on from its last report
+    by the orders that it has given since, each from when it takes effect, `me.latency` and an airtime after sending;
+    then an order of now takes effect, too, and whoever is not under way by then loses the time until then: it is
+    compared by phi plus that time. With a constant latency and no loss this is an omniscient centre whose orders are
+    late by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
 Assumes: that the host reaches everybody and everybody reaches the host in one hop, and that nobody breaks down. While
-    the host is down nobody leads: everybody goes on with what it was ordered last. Reports of who chases are reckoned
-    on by their time stamps, so clocks that differ mislead the server a little.
-Messages: per period N - 1 reports of 72 bytes and an order to each of N - 1, of 24 bytes and 8 for each evader that is
-    chased; an order to each per change.
+    the host is down nobody leads: everybody goes on with what it was ordered last. A host that lost its memory has
+    forgotten its orders, too, and goes by what is reported until it gives new ones. Reports are reckoned on by their
+    time stamps, so clocks that differ mislead the server a little.
+Messages: a first report of each and, per period, N - 1 reports of 72 bytes and an order to each of N - 1, of 24 bytes
+    and 8 for each evader that is chased; an order to each per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order that was overtaken by a newer one is not
-    obeyed. Who has not been heard for long (`announce.forget_after`, where "auto" goes by the period of the reports) is
-    left out, and the server decides without any report only if none has come for 3 periods and a round trip.
+    obeyed. The server takes its orders for obeyed: one that is lost or late misplaces its pursuer by the way of the
+    time since its last report at most, and only until the repetition. Who has not been heard for long
+    (`announce.forget_after`, where "auto" goes by the period of the reports) is left out, and the server decides
+    without any report only if none has come for 3 periods and a round trip.
 """
 
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from desim.kernel.clock import nanoseconds
+from desim.kernel.clock import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
+from desim.pursuit.belief import Orders
 from desim.pursuit.word import Relayed
 from desim.value import Period, Value
 from protocols.centralised import matching
@@ -69,7 +80,7 @@ class Server(Value):
     def _follow(self, me: Agent) -> Process:
         """Report at every tick, and obey the newest order."""
         newest = -1
-        for tick in ticks(me, self.period):
+        for tick in self._ticks(me):
             alarm = me.at(tick)
             while not alarm.processed:
                 yield me.arrival(PORT) | alarm
@@ -82,42 +93,80 @@ class Server(Value):
     def _lead(self, me: Agent) -> Process:
         """Decide on what has arrived, obey oneself, and tell the others."""
         told = Order(-1, None)
-        reporters: set[int] = set()
-        silence = 3.0 * self.period + 2.0 * (me.latency + me.airtime(me.located())) if me.team_size > 1 else 0.0
+        orders: dict[int, list[tuple[int, int]]] = {}
+        flight = me.latency + me.airtime(me.located())
+        silence = 3.0 * self.period + 2.0 * flight if me.team_size > 1 else 0.0
         last_word = me.now
-        for tick in ticks(me, self.period):
+        for tick in self._ticks(me):
             alarm = me.at(tick)
             due = False
             while not due:
                 yield me.arrival(PORT) | alarm
                 yield me.after_decisions()  # when all reports of this instant are in
                 due = alarm.processed
-                reports = me.mail(PORT)
-                for message in reports:
-                    me.learn(message.body.records)
-                    reporters.add(message.src)
+                reports = [record for message in me.mail(PORT) for record in message.body.records]
+                me.learn(reports)
+                for src, _, sent, _ in reports:
+                    orders[src] = since(sent, orders.get(src, []))
                 if reports:
                     last_word = me.now
                 changed = False
                 if reports or me.now >= last_word + silence:
-                    chaser = self._chaser(me, reporters)
+                    chaser = self._chaser(me, orders, flight)
                     changed = told.number < 0 or chaser != told.chaser
                     # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
                     told = Order(max(nanoseconds(me.now), told.number + 1, 0), chaser) if changed else told
                     obey(me, told)
                 if changed or (due and told.number >= 0):
                     me.send(None, told, PORT)
+                    for j, ordered in orders.items():
+                        if not ordered or ordered[-1][1] != told.action(j):
+                            ordered.append((nanoseconds(me.now + flight), told.action(j)))
 
-    def _chaser(self, me: Agent, reporters: set[int]) -> int | tuple[int | None, ...] | None:
-        """Return who is to chase, of the host and those of whom it has word; see `Order`."""
-        beliefs = [me.beliefs(self.period, evader) for evader in range(1, me.evader_count + 1)]
-        ids = sorted({me.id, *(reporters & beliefs[0].keys())})
-        phi = [
-            [me.capture_time(evader) if j == me.id else known[j].capture_time for j in ids]
-            for evader, known in enumerate(beliefs, start=1)
-        ]
+    def _ticks(self, me: Agent) -> Iterator[float]:
+        """Yield when to report or to repeat the order: at once and then every period from a random phase on, s."""
+        yield me.now
+        yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
+
+    def _chaser(self, me: Agent, orders: Orders, flight: float) -> int | tuple[int | None, ...] | None:
+        """Return who is to chase, of the host and those of whom it has word; see `Order`.
+
+        Args:
+            me: the host.
+            orders: of everybody who has reported, its orders since: (when it takes it up, ns; its action), ascending.
+            flight: how long an order takes, s.
+        """
+        now = nanoseconds(me.now)
+        effect = nanoseconds(me.now + flight) if me.time_left(flight) < me.time_left() else now  # at rest nobody waits
+        phi = []
+        for evader in range(1, me.evader_count + 1):
+            known = me.beliefs(self.period, evader, orders)
+            times = {me.id: me.capture_time(evader)}
+            for j in orders.keys() & known.keys():
+                times[j] = known[j].capture_time + seconds(idle(known[j].active, orders[j], evader, now, effect))
+            ids = sorted(times)
+            phi.append([times[j] for j in ids])
         chasers = {evader: ids[row] for row, evader in matching(phi, me.time_left()).items()}
         return tuple(map(chasers.get, range(1, me.evader_count + 1))) if me.evader_count > 1 else chasers.get(1)
+
+
+def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the order that a pursuer was under at a time (ns), and those that it gets later."""
+    return orders[max(sum(begun <= sent for begun, _ in orders) - 1, 0) :]
+
+
+def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
+    """Return for how long a pursuer will not chase an evader before an order of now takes effect, ns.
+
+    Args:
+        reported: its action as it reported it.
+        ordered: the orders that it gets after its report: (when it takes up which action, ns), ascending.
+        evader: which one.
+        now: ns.
+        effect: when an order of now takes effect, ns.
+    """
+    legs = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
+    return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(legs) if action != evader)
 
 
 def obey(me: Agent, order: Order) -> None:

@@ -14,12 +14,12 @@ from typing import Any, Self
 import numpy as np
 import simpy
 
-from desim.kernel.clock import Clock, Instant, NodeClock, Phase
+from desim.kernel.clock import Clock, Instant, NodeClock, Phase, nanoseconds
 from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
-from desim.pursuit.belief import Belief, Beliefs, Whereabouts
+from desim.pursuit.belief import UNORDERED, Belief, Beliefs, Orders, Whereabouts
 from desim.pursuit.surroundings import Surroundings, Whole
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.word import PAYLOADS, Announcements, LocatedAssignment
@@ -142,9 +142,9 @@ class Agent:
         (time,) = self._world.capture_times_of([self.id], evader)
         return time
 
-    def time_left(self) -> float:
-        """Return the time left to the horizon by its own clock, r, s."""
-        return self._world.time_left(self._clock.stamp)
+    def time_left(self, ahead: float = 0.0) -> float:
+        """Return the time left to the horizon by its own clock, r, s; now, or what will be left so much later (s)."""
+        return self._world.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
         """Return whether it has the choice to chase an evader (`Scenario.prune`)."""
@@ -184,14 +184,16 @@ class Agent:
         """Return the teammates that it believes to chase an evader; see `believed`."""
         return self._beliefs.rivals(evader)[1]
 
-    def beliefs(self, period: float | None = None, evader: int = 1) -> dict[int, Belief]:
+    def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
 
         Args:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
             evader: to which times of capture belong.
+            orders: what teammates have been ordered to do: who tells its position is reckoned on by these, not as if it
+                went on as it said.
         """
-        return self._beliefs.all(period, evader)
+        return self._beliefs.all(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
         """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""

@@ -1,8 +1,10 @@
 """What a pursuer believes of its teammates: what has arrived of each, as long as it is trusted, reckoned on to now."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from itertools import pairwise
 from math import inf, nan
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +16,11 @@ from desim.pursuit.state import Floats, Points
 from desim.pursuit.surroundings import Surroundings
 from desim.pursuit.word import Announcements, LocatedAssignment, TimedAssignment
 from desim.value import LONGEST
+
+Orders = Mapping[int, Sequence[tuple[int, int]]]
+"""Of teammates: [(t, action)], ascending: by order each takes up an action at a time t (ns, by the reader's clock)."""
+UNORDERED: Orders = MappingProxyType({})
+"""Nobody has been ordered to do anything: a teammate that chases goes on."""
 
 
 class Belief(NamedTuple):
@@ -86,9 +93,10 @@ class Beliefs:
         (own,) = self._world.capture_times_of([self._id], evader)
         return own, chasing, [self._time(words[j][1], evader) for j in chasing]
 
-    def all(self, period: float | None, evader: int) -> dict[int, Belief]:
+    def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""
-        return {j: Belief(word.body.active, self._time(word, evader)) for j, word in self.trusted(period).items()}
+        words = self.trusted(period).items()
+        return {j: Belief(word.body.active, self._time(word, evader, orders)) for j, word in words}
 
     def whereabouts(self, evader: int) -> Whereabouts:
         """Return where everyone is believed to be, and how soon it would capture an evader.
@@ -132,23 +140,32 @@ class Beliefs:
             limit = 3.0 * period + 2.0 * flight if period < inf else inf
         return inf if limit > LONGEST else self._clock.span(limit)  # no run is longer
 
-    def _time(self, record: Record, evader: int) -> float:
+    def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
         """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
         if not isinstance(body, LocatedAssignment):
             return self._world.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._world.capture_time_from(record.src, self._place(record), evader)
+        return self._world.capture_time_from(record.src, self._place(record, orders), evader)
 
-    def _place(self, record: Record) -> complex:
-        """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense."""
+    def _place(self, record: Record, orders: Orders = UNORDERED) -> complex:
+        """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense.
+
+        It goes on as it said, or as it has been ordered to since.
+        """
         body = record.body
         if not isinstance(body, LocatedAssignment):
             return self._world.place(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
-        if not body.active:
+        if not body.active and record.src not in orders:
             return place
-        age = max(self._clock.stamp - record.sent, 0)
+        now = self._clock.stamp
+        since = min(record.sent, now)
+        legs = [(since, body.active), *((max(begun, since), action) for begun, action in orders.get(record.src, ()))]
         exact = self._announcements.reckoning == "exact"
-        return self._world.reckoned(place, body.speed, age, body.active, exact=exact)
+        for (begun, action), (end, _) in pairwise([*legs, (now, 0)]):
+            if action and begun < now:
+                ended = max(now - end, 0)
+                place = self._world.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)
+        return place

@@ -256,17 +256,19 @@ class Sight:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         return (0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader)))
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
-        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m.
+    def reckoned(
+        self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
+    ) -> complex:
+        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
 
         Straight towards where the evader is believed to be, for nobody has seen its whole path.
         """
         if evader not in self._world.evaders():
-            return self._world.reckoned(position, speed, age, evader, exact=False)
+            return self._world.reckoned(position, speed, age, evader, exact=False, ended=ended)
         estimate = self.estimate(evader)
         if estimate is None or self._world.frozen:
             return position
-        return nearer(position, estimate.place, speed * seconds(age))
+        return nearer(position, estimate.place, speed * seconds(age - ended))
 
 
 def spiral(length: float, apart: float) -> complex:

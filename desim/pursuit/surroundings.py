@@ -67,8 +67,13 @@ class Surroundings(Protocol):
         """The distance at which an evader is captured, m."""
         ...
 
-    def reckoned(self, position: complex, speed: float, age: int, evader: int, *, exact: bool) -> complex:
-        """Return where a pursuer is that was at a position (m) an age (ns) ago and has chased an evader since, m."""
+    def reckoned(
+        self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
+    ) -> complex:
+        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
+
+        It stopped so long ago (`ended`, ns).
+        """
         ...
 
     def speed(self, pursuer: int) -> float:

@@ -1,0 +1,68 @@
+"""The centre that `server` cannot be better than: it knows everything, and its orders are late."""
+
+from heapq import merge
+from itertools import pairwise
+from typing import ClassVar, Literal
+
+from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.seeds import stream
+from desim.pursuit.agent import Agent, Process
+from desim.value import Period, Time, Value
+from protocols.centralised import matching
+from protocols.schedules import ticks
+
+
+class RoundTrip(Value):
+    """A synchronous round trip: a centre sees everything at each report, and its orders take effect later.
+
+    It decides `up` after each instant at which a follower of `Server` with the same host, period and seed reports, on
+    what is true by then, and its orders take effect `down` later; the host's at once. An order that is not the
+    present one costs its pursuer the time until it takes effect.
+    """
+
+    announces: ClassVar[bool] = False
+    embodied: ClassVar[bool] = False
+    omniscient: ClassVar[bool] = True
+    kind: Literal["round_trip"] = "round_trip"
+    host: int = 0
+    period: Period = 0.1
+    up: Time = 0.0
+    down: Time = 0.0
+
+    def __call__(self, me: Agent) -> Process:
+        """Decide for everybody."""
+        if me.id != self.host:
+            return
+        in_flight: list[list[tuple[int, int]]] = [[] for _ in range(me.team_size)]
+        told = [None] * me.team_size
+
+        def order(pursuer: int, action: int) -> None:
+            action = action if action in me.evaders() else 0
+            if me.whole.action(pursuer) != action:
+                me.whole.order(pursuer, action)
+
+        def wait(pursuer: int, evader: int) -> float:
+            now = nanoseconds(me.now)
+            later = [each for each in in_flight[pursuer] if each[0] > now]
+            legs = [(now, me.whole.action(pursuer)), *later, (now + nanoseconds(self.down), 0)]
+            return seconds(sum(end - begun for (begun, action), (end, _) in pairwise(legs) if action != evader))
+
+        def decide() -> None:
+            phi = [
+                [t + (wait(j, e) if j != self.host else 0.0) for j, t in enumerate(me.whole.capture_times(e))]
+                for e in range(1, me.evader_count + 1)
+            ]
+            sent = matching(phi, me.time_left())
+            order(self.host, sent.get(self.host, 0))
+            for j in range(me.team_size):
+                action = sent.get(j, 0)
+                if j != self.host and told[j] != action:
+                    told[j] = action
+                    in_flight[j].append((nanoseconds(me.now) + nanoseconds(self.down), action))
+                    me.after(self.down, lambda j=j, action=action: order(j, action))
+
+        phases = [stream(me._seed, "reports", j).uniform(0.0, self.period) for j in range(me.team_size)]
+        others = [ticks(me, self.period, phase=phase) for j, phase in enumerate(phases) if j != self.host]
+        for tick in merge([me.now], *others):
+            yield me.at(tick)
+            me.after(self.up, decide)
