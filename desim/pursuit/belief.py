@@ -158,11 +158,12 @@ class Beliefs:
         if not isinstance(body, LocatedAssignment):
             return self._world.place(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
-        if not body.active and record.src not in orders:
+        told = orders.get(record.src, ())
+        if not body.active and not any(action for _, action in told):
             return place
         now = self._clock.stamp
         since = min(record.sent, now)
-        legs = [(since, body.active), *((max(begun, since), action) for begun, action in orders.get(record.src, ()))]
+        legs = [(since, body.active), *((max(begun, since), action) for begun, action in told)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*legs, (now, 0)]):
             if action and begun < now:
