@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.study.sweeps import ROOT
+from tests.study.sweeps import ROOT, await_workers
 
 CLUSTER = """\
 import sys
@@ -22,9 +22,19 @@ if __name__ == "__main__":
 """
 
 
+@pytest.fixture
+def cluster(scheduler):
+    """Return the address of a Dask scheduler with two workers, which know desim, but none of the folders of a test.
+
+    Those that died in an earlier test have been replaced.
+    """
+    await_workers(scheduler, 2)
+    return scheduler
+
+
 @pytest.fixture(scope="package")
-def cluster(tmp_path_factory):
-    """Yield the address of a Dask scheduler with two workers, which know desim, but none of the folders of a test."""
+def scheduler(tmp_path_factory):
+    """Yield the address of a Dask scheduler that replaces its workers."""
     folder = tmp_path_factory.mktemp("cluster")
     program = folder / "cluster.py"
     program.write_text(CLUSTER)

@@ -176,6 +176,14 @@ def start(*args, mark, program="desim", prepare=lambda: None, **options):
     )
 
 
+def await_workers(address, count):
+    """Wait until a Dask scheduler has some workers, be they new or in place of others that died."""
+    from distributed import Client
+
+    with Client(address) as client:
+        client.wait_for_workers(count, timeout=200)
+
+
 def marked(mark):
     """Return the processes that bear a mark and are no zombies: number and command line."""
     found = {}

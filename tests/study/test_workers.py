@@ -16,7 +16,6 @@ from importlib import import_module
 import cloudpickle
 import pytest
 from click.testing import CliRunner
-from distributed import Client
 
 import desim
 from desim.cli import main
@@ -276,8 +275,7 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
 
             killer = threading.Thread(target=kill)
             killer.start()
-            with Client(address) as client:
-                client.wait_for_workers(1, timeout=100)
+            sweeps.await_workers(address, 1)
             made = command("sweep", file, "--allow-import", "-o", out, "--cluster", address)
             killer.join()
             worker.kill()
@@ -297,8 +295,7 @@ def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
             time.sleep(0.05)
         address = json.loads(note.read_text())["address"]
         with dask("worker", address, "--nthreads", 1, "--no-nanny", "--death-timeout", 1) as worker:
-            with Client(address) as client:
-                client.wait_for_workers(1, timeout=100)
+            sweeps.await_workers(address, 1)
             made = command("sweep", file, "--allow-import", "-o", tmp_path / "out", "--cluster", address)
             worker.kill()
         scheduler.kill()
