@@ -1,12 +1,9 @@
 """Latency and loss models against their theory."""
 
 import numpy as np
-import pytest
-from pydantic import ValidationError
 
 from desim.kernel.hops import Hops
 from desim.kernel.latency import Constant
-from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 
 HOPS = Hops(0, np.arange(1, 1001))
@@ -31,17 +28,3 @@ def test_no_loss_draws_nothing_so_that_it_costs_nothing():
     rng = np.random.default_rng(1)
     assert Bernoulli()(HOPS, rng) is False
     assert rng.random() == np.random.default_rng(1).random()
-
-
-@pytest.mark.parametrize(
-    ("model", "bad"), [(Constant, {"value": -0.1}), (Constant, {"value": float("nan")}), (Bernoulli, {"p": 1.1})]
-)
-def test_values_that_make_no_sense_are_refused(model, bad):
-    with pytest.raises(ValidationError):
-        model(**bad)
-
-
-@pytest.mark.parametrize("reach", [0.0, -1.0, float("nan")])
-def test_a_range_must_be_positive(reach):
-    with pytest.raises(ValidationError):
-        Links(range=reach)

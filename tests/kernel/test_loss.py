@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from desim.kernel.hops import Hops
-from desim.kernel.loss import LOSSES, Bernoulli, ByDistance, GilbertElliott
+from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 
 SEEDS = range(5)
 LINKS = 4000
@@ -309,31 +309,3 @@ def test_losses_by_distance_have_their_probability():
 def test_loss_by_distance_needs_positions():
     with pytest.raises(ValueError, match="nodes have positions"):
         ByDistance()(hops(), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    ("model", "bad"),
-    [
-        (Bernoulli, {"p": -0.1}),
-        (Bernoulli, {"p": float("nan")}),
-        (Bernoulli, {"p": True}),
-        (GilbertElliott, {"share": 1.0}),
-        (GilbertElliott, {"share": -0.1}),
-        (GilbertElliott, {"burst": 0.0}),
-        (GilbertElliott, {"burst": float("inf")}),
-        (GilbertElliott, {"advance": "distance"}),
-        (GilbertElliott, {"loss_good": -0.1}),
-        (GilbertElliott, {"loss_bad": 1.1}),
-        (ByDistance, {"near": 1.5}),
-        (ByDistance, {"far": -0.5}),
-        (ByDistance, {"distance": 0.0}),
-        (ByDistance, {"exponent": 0.0}),
-    ],
-)
-def test_values_that_make_no_sense_are_refused(model, bad):
-    with pytest.raises(ValidationError):
-        model(**bad)
-
-
-def test_every_model_is_tested_here():
-    assert set(LOSSES.choices()) == {"bernoulli", "gilbert_elliott", "by_distance"}
