@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace
 from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn
@@ -67,10 +67,6 @@ def test_a_node_whose_radio_is_down_neither_sends_nor_receives():
     }
 
 
-def test_a_crash_that_is_never_over_lasts():
-    assert who_hears_whom(2, Crash(node=1, at=0.3))[1, 0] == tenths(0, 3)
-
-
 @pytest.mark.parametrize(
     ("second", "down"),
     [((0.4, 0.8), (2, 8)), ((0.3, 0.5), (2, 6)), ((0.6, 0.8), (2, 8)), ((0.2, 0.6), (2, 6)), ((0.1, 0.9), (1, 9))],
@@ -98,22 +94,14 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
         network.send(0, None, "mail", port=port)
     inject([Crash(node=1, at=1.0, until=2.0, memory=memory)], clock, network)
     Instant(clock, 3 * SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(2, "later"))
-    clock.run(until=2 * SECOND + 1)
-    assert sorted(network.heard(1)) == ([0, 2] if memory else [])
+    for until, known in ((2 * SECOND, True), (2 * SECOND + 1, memory)):
+        clock.run(until=until)
+        assert sorted(network.heard(1)) == ([0, 2] if known else [])
     assert [len(network.inbox(1, port).drain()) for port in ("", "other")] == ([1, 1] if memory else [0, 0])
     assert sorted(network.heard(2)) == [0]
     assert len(network.inbox(2).drain()) == 1
     clock.run()
     assert network.heard(1)[2][1].body == "later"
-
-
-def test_what_a_node_knows_is_still_there_while_its_radio_is_down():
-    clock = Clock()
-    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    network.publish(0, "told")
-    inject([Crash(node=1, at=1.0, until=2.0, memory=False)], clock, network)
-    clock.run(until=2 * SECOND)
-    assert list(network.heard(1)) == [0]
 
 
 def test_a_node_without_memory_learns_again_what_it_had_heard():
@@ -128,16 +116,6 @@ def test_a_node_without_memory_learns_again_what_it_had_heard():
     assert network.heard(1)[0][1] == old
 
 
-def heard_by_pairs(size, groups):
-    """Return who hears whom while a partition is open, as pairs."""
-    found = who_hears_whom(size, Partition(groups=groups, at=0.0))
-    return {pair for pair, when in found.items() if when}
-
-
-def pairs(*groups):
-    return {(src, dst) for group in groups for src in group for dst in group if src != dst}
-
-
 @pytest.mark.parametrize(
     ("groups", "together"),
     [
@@ -149,7 +127,9 @@ def pairs(*groups):
     ],
 )
 def test_a_partition_separates_its_groups_and_all_others_form_one_more(groups, together):
-    assert heard_by_pairs(5, groups) == pairs(*together)
+    found = who_hears_whom(5, Partition(groups=groups, at=0.0))
+    pairs = {(src, dst) for group in together for src in group for dst in group if src != dst}
+    assert {pair for pair, when in found.items() if when} == pairs
 
 
 def test_partitions_that_overlap_separate_whom_either_does():
@@ -181,18 +161,14 @@ def test_a_jamming_disc_deafens_who_is_inside_and_lets_him_be_heard_outside():
     assert heard == {(0, 1): jammed, (1, 0): jammed, (2, 0): jammed, (2, 1): jammed, (0, 2): ALWAYS, (1, 2): ALWAYS}
 
 
-def test_discs_that_overlap_are_undone_one_by_one():
-    discs = [Jamming(centre=(0.0, 0.0), radius=1.0, at=at, until=until) for at, until in ((0.1, 0.7), (0.3, 0.5))]
-    heard = who_hears_whom(2, *discs, positions=in_a_row(0.0, 5.0))
-    assert heard == {(1, 0): ALWAYS - tenths(1, 7), (0, 1): ALWAYS}
-
-
-def test_discs_far_apart_deafen_each_its_own():
-    """Nodes at x = 0, 5, 9 m, and a disc around the first and one around the last."""
-    discs = [Jamming(centre=(x, 0.0), radius=1.0, at=0.3) for x in (0.0, 9.0)]
-    heard = who_hears_whom(3, *discs, positions=in_a_row(0.0, 5.0, 9.0))
-    assert {pair for pair, when in heard.items() if when == ALWAYS} == {(0, 1), (2, 1)}
-    assert all(heard[pair] == tenths(0, 3) for pair in [(1, 0), (2, 0), (0, 2), (1, 2)])
+def test_discs_are_undone_one_by_one_and_deafen_each_its_own():
+    """Nodes at x = 0, 5, 9 m; two discs around the first that overlap in time, and one around the last."""
+    discs = [(0.0, 0.1, 0.7), (0.0, 0.3, 0.5), (9.0, 0.3, inf)]
+    jams = [Jamming(centre=(x, 0.0), radius=1.0, at=at, until=until) for x, at, until in discs]
+    heard = who_hears_whom(3, *jams, positions=in_a_row(0.0, 5.0, 9.0))
+    assert heard[0, 1] == heard[2, 1] == ALWAYS
+    assert heard[1, 0] == heard[2, 0] == ALWAYS - tenths(1, 7)
+    assert heard[0, 2] == heard[1, 2] == tenths(0, 3)
 
 
 def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
@@ -358,26 +334,10 @@ def test_a_random_plan_is_possible_among_few(size):
     [
         (Crash, {"node": 0, "at": 1.0, "until": 1.0}, "until"),
         (Crash, {"node": 0, "at": 1.0, "until": 0.5}, "until"),
-        (Crash, {"node": -1, "at": 1.0}, "node"),
-        (Crash, {"node": 1.0, "at": 1.0}, "node"),
-        (Crash, {"node": 0, "at": -1.0}, "at"),
-        (Crash, {"node": 0, "at": inf}, "at"),
-        (Crash, {"node": 0, "at": 1.0, "scope": "wheels"}, "scope"),
-        (Crash, {"node": 0, "at": 1.0, "memory": 1}, "memory"),
-        (Crash, {"node": 0}, "at"),
         (Partition, {"groups": [(0, 1), (1, 2)], "at": 0.0}, "disjoint"),
         (Partition, {"groups": [(0, 0)], "at": 0.0}, "disjoint"),
-        (Partition, {"groups": [(-1,)], "at": 0.0}, "groups"),
         (Partition, {"groups": [], "at": 0.0}, "groups"),
-        (Partition, {"groups": [(0,)], "at": 2.0, "until": 1.0}, "until"),
-        (Jamming, {"centre": (0.0, 0.0), "radius": 0.0, "at": 0.0}, "radius"),
-        (Jamming, {"centre": (0.0,), "radius": 1.0, "at": 0.0}, "centre"),
-        (Jamming, {"centre": (0.0, float("nan")), "radius": 1.0, "at": 0.0}, "centre"),
-        (RandomCrashes, {"rate": 0.0}, "rate"),
-        (RandomCrashes, {"mean_downtime": 0.0}, "mean_downtime"),
         (RandomPlan, {"kinds": ()}, "kinds"),
-        (RandomPlan, {"kinds": ("flood",)}, "kinds"),
-        (RandomPlan, {"until": 0.0}, "until"),
         (RandomPlan, {"box": (1.0, 0.0)}, "box"),
     ],
 )
@@ -386,28 +346,24 @@ def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
         model(**fields)
 
 
-@pytest.mark.parametrize("fault", [Crash(node=3, at=0.0), Partition(groups=[(0,), (1, 3)], at=0.0)])
-def test_a_fault_of_a_node_that_does_not_exist_is_refused(fault):
+@pytest.mark.parametrize(
+    ("fault", "conditions", "why"),
+    [
+        (Crash(node=3, at=0.0), Conditions(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Partition(groups=[(0,), (1, 3)], at=0.0), Conditions(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0), Conditions(), "positions"),
+        (Crash(node=0, at=1.0), None, "conditions"),
+    ],
+)
+def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, conditions, why):
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
-    with pytest.raises(ValueError, match=r"there is no node 3: the nodes are 0 \.\. 2"):
-        inject([fault], clock, network)
 
-
-def test_a_jamming_disc_needs_positions():
-    clock = Clock()
-    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    inject([Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0)], clock, network)
-    with pytest.raises(ValueError, match="positions"):
+    def go():
+        inject([fault], clock, Network(clock, nx.complete_graph(3), conditions=conditions))
         clock.run()
 
-
-def test_faults_need_a_network_with_conditions():
-    clock = Clock()
-    network = Network(clock, nx.complete_graph(2))
-    inject([Crash(node=0, at=1.0)], clock, network)
-    with pytest.raises(ValueError, match="conditions"):
-        clock.run()
+    with pytest.raises(ValueError, match=why):
+        go()
 
 
 def test_a_node_that_is_not_down_cannot_be_repaired():
@@ -416,14 +372,6 @@ def test_a_node_that_is_not_down_cannot_be_repaired():
     conditions.repair(0)
     with pytest.raises(ValueError, match="node 0 is not down"):
         conditions.repair(0)
-
-
-def test_faults_happen_at_the_nanosecond_they_name():
-    clock, trace = Clock(), Trace()
-    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
-    inject([Crash(node=0, at=0.7, until=0.700000002)], clock, network, trace)
-    clock.run()
-    assert [event.t for event in trace] == [nanoseconds(0.7), nanoseconds(0.7) + 2]
 
 
 def test_a_function_is_a_plan():
