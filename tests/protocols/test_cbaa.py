@@ -224,23 +224,6 @@ def quiet(auction):
     return {"patience": inf} if auction is CBBA else {}
 
 
-@pytest.mark.parametrize(("auction", "size"), [(CBAA, 40), (CBBA, 40 + 8 * 4)])
-def test_a_claim_takes_the_bytes_of_its_numbers(auction, size):
-    """16 of header and 8 for each of action, winner, bid, and the four stamps if there are any."""
-    result = frozen(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision"))
-    assert {word.size for word in result.trace.of(Broadcast)} == {size}
-    assert auction().claim_size(4, 1) == size
-
-
-@pytest.mark.parametrize("auction", AUCTIONS)
-def test_who_bids_is_in_time_and_free_to_chase(auction):
-    """phi = 4, 1, 2, 3 s; with t_f = 1 s nobody is strictly in time, and with 1.001 s pursuer 1 is."""
-    assert chasing(frozen(auction(schedule=Rounds()), horizon=1.001)) == [1]
-    late = frozen(auction(schedule=Rounds()), horizon=1.0, announce=Announcements(trigger="revision"))
-    assert not [d for d in late.trace.of(Decided) if d.active]
-    assert {word.body[:3] for word in late.trace.of(Broadcast)} == {(False, -1, -inf)}
-
-
 # Several evaders.
 
 
@@ -297,11 +280,18 @@ def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, sch
         assert chased(result) == greedy_assignment(by_evader(times_of_all(result)), 30.0)
 
 
-@pytest.mark.parametrize(("auction", "size"), [(CBAA, 24 + 16 * 3), (CBBA, 24 + 16 * 3 + 8 * 6)])
-def test_a_claim_to_several_evaders_takes_a_winner_and_a_bid_of_each(auction, size):
-    result = run(easy(auction(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision")))
-    assert {word.size for word in result.trace.of(Broadcast)} == {size}
-    assert auction().claim_size(6, 3) == size
+@pytest.mark.parametrize(
+    ("auction", "alone", "several"), [(CBAA, 40, 24 + 16 * 3), (CBBA, 40 + 8 * 4, 24 + 16 * 3 + 8 * 6)]
+)
+def test_a_claim_takes_the_bytes_of_its_numbers(auction, alone, several):
+    """16 of header, 8 for the action, 16 for a winner and a bid of each evader, 8 for each stamp if there is one."""
+    protocol, told = auction(schedule=Rounds(period=0.1)), Announcements(trigger="revision")
+    for result, team, evaders, size in (
+        (frozen(protocol, announce=told), 4, 1, alone),
+        (run(easy(protocol, announce=told)), 6, 3, several),
+    ):
+        assert {word.size for word in result.trace.of(Broadcast)} == {size}
+        assert auction().claim_size(team, evaders) == size
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -421,13 +411,6 @@ def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(au
 # Trouble with the pursuers.
 
 
-def test_a_winner_that_breaks_down_blocks_the_auction_without_stamps_for_ever():
-    """Pursuer 1 breaks down at 2 s; for the other three it is still the winner. `test_cbba` has what stamps do."""
-    result = frozen(CBAA(schedule=Rounds(period=0.1)), fault=(Crash(node=1, at=2.0),), horizon=60.0)
-    assert chasing(result, 1.9) == [1]
-    assert chasing(result, 2.1) == chasing(result) == []
-
-
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
@@ -513,9 +496,6 @@ def pursuit(protocol, seed, **announce):
 
 # Bids are brought up to date where positions are sensed.
 
-UNSENSED = ["time", "state"]
-"""The payloads with which bids stay as old as they are."""
-
 
 def rivalry(auction, payload, difference, latency, graph):
     """Run two that stand phi = 5 s and so much more from an evader at rest, and one far off; they chase at 1 m/s.
@@ -538,33 +518,29 @@ def rivalry(auction, payload, difference, latency, graph):
 AGES = [(nx.complete_graph(3), 0.0, 0.1), (nx.complete_graph(3), 0.25, 0.3), (nx.path_graph([0, 2, 1]), 0.25, 0.6)]
 
 
-@pytest.mark.parametrize(("graph", "latency", "age"), AGES)
-@pytest.mark.parametrize("auction", AUCTIONS)
-def test_where_positions_are_sensed_one_of_two_near_equal_bidders_gives_way_as_it_hears_of_the_other(
-    auction, graph, latency, age
-):
-    """Both begin at 0.1 s; 1 is the slower by 0.01 s and reads that 0 bids at 0.1 s + age. 0 captures at 5.1 s.
-
-    Until then another than 0 alone chases: nobody, then both (and the third, until it hears of one of them).
-    """
-    result = rivalry(auction, "action", 0.01, latency, graph)
-    assert misassigned_time(result) == pytest.approx(0.1 + age, abs=1e-6)
-    assert result.trace.of(Ended)[0].t == pytest.approx(5.1e9, abs=10)
+UNSENSED = ["time", "state"]
+"""The payloads with which bids stay as old as they are."""
 
 
 @pytest.mark.parametrize(("graph", "latency", "age"), AGES)
-@pytest.mark.parametrize("payload", UNSENSED)
+@pytest.mark.parametrize("payload", ["action", *UNSENSED])
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_where_they_are_not_two_chase_to_the_end_if_word_is_older_than_they_differ(
+def test_one_of_two_near_equal_bidders_gives_way_unless_word_is_older_than_they_differ(
     auction, payload, graph, latency, age
 ):
-    """The control. While both chase each phi falls by 1 s/s, so word of 0 understates its bid by the age of word.
+    """Both begin at 0.1 s and 0 captures at 5.1 s; 1 reads that 0 bids at 0.1 s + age. Where positions are sensed it
+    gives way by then, though it is the slower by 0.01 s only.
 
-    So 1 gives way if its phi is greater by more than that, at 0.1 s + age; else never.
+    Until then another than 0 alone chases: nobody, then both (and the third, until it hears of one of them). The
+    control: unsensed, while both chase each phi falls by 1 s/s, so word of 0 understates its bid by the age of word,
+    and 1 gives way only if its phi is greater by more than that; else never.
     """
-    for difference, until in [(age - 0.05, 5.1), (age + 0.05, 0.1 + age)]:
+    gives_way = 0.1 + age
+    cases = [(0.01, gives_way)] if payload == "action" else [(age - 0.05, 5.1), (age + 0.05, gives_way)]
+    for difference, until in cases:
         result = rivalry(auction, payload, difference, latency, graph)
         assert misassigned_time(result) == pytest.approx(until, abs=1e-6)
+        assert payload != "action" or result.trace.of(Ended)[0].t == pytest.approx(5.1e9, abs=10)
 
 
 @pytest.mark.slow
@@ -624,21 +600,20 @@ def puppet(evaders=1, team_size=2, **known):
 
 
 def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_of_or_not():
-    """Everybody's phi is sensed: 2, 1 s and, of who cannot capture, inf. What is not sensed stays as it was heard."""
+    """Everybody's phi is sensed: 2, 1 s and, of who cannot capture, inf. What is not sensed stays as it was heard.
+
+    Nobody bids for an evader that has been captured.
+    """
     phi = {1: np.array([2.0, 1.0, inf]), 2: np.array([3.0, 4.0, 5.0])}
     me = SimpleNamespace(senses_others=True, evaders=lambda: [1, 2], trusted=dict)
     me.whereabouts = lambda evader: SimpleNamespace(capture_times=phi[evader])
     old = [Bid(0, -9.0), Bid(1, -9.0), Bid(2, -9.0), NO_BID]
     assert [current(me)(bid) for bid in old] == [Bid(0, -2.0), Bid(1, -1.0), Bid(2, -inf), NO_BID]
     assert [current(me, 2)(bid) for bid in old] == [Bid(0, -3.0), Bid(1, -4.0), Bid(2, -5.0), NO_BID]
+    assert [current(me, 3)(bid) for bid in old] == [NO_BID] * 4
     me.senses_others = False
     assert [current(me)(bid) for bid in old] == old
-
-
-@pytest.mark.parametrize("senses", [True, False])
-def test_nobody_bids_for_an_evader_that_has_been_captured(senses):
-    me = SimpleNamespace(senses_others=senses, evaders=lambda: [1, 3])
-    assert [current(me, 2)(bid) for bid in (Bid(0, -9.0), NO_BID)] == [NO_BID, NO_BID]
+    assert [current(me, 3)(bid) for bid in old] == [NO_BID] * 4
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)

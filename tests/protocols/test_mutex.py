@@ -1,9 +1,9 @@
 """Mutual exclusion among neighbours: what they know of each other, what it costs, and that it never stops."""
 
 from collections import Counter
+from functools import partial
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -16,49 +16,14 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.pursuit.events import Decided
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Team
+from desim.scenario import Team
 from protocols.mutex import Later, LocalMutex, Reply, Request, Section
 from protocols.schedules import Poisson
-from tests.protocols.traffic import Storm, bodies
+from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing
 
-SECOND = 1_000_000_000
+frozen = partial(standing, count=7)
 EXPLORING = not settings.default.derandomize
 """More plans, with --hypothesis-profile=explore."""
-
-
-def frozen(protocol, *, count=7, horizon=10.0, latency=0.0, loss=0.0, faults=(), trigger="never", graph=None):
-    """Return a game that stands still, negotiated by a protocol."""
-    model = Constant(value=latency) if isinstance(latency, float) else latency
-    return Scenario(
-        horizon=horizon,
-        team=Team(count=count, speeds=2.0),
-        motion=Motion(frozen=True),
-        protocol=protocol,
-        network=Links(latency=model, loss=Bernoulli(p=loss), graph=graph or Complete()),
-        announce=Announcements(trigger=trigger),
-        fault=faults,
-        record={"trajectory": 0.0, "messages": True},
-    )
-
-
-def flips(schedule, links, log=None):
-    """Return the protocol that decides by a coin, and notes what it believed of its neighbours and what is true."""
-    truth = {}
-
-    def protocol(me):
-        truth.setdefault(me.id, me.action)
-
-        def revise():
-            if log is not None:
-                near = set(links[me.id])
-                log.append((near & set(me.believed_active()), {j for j in near if truth[j]}))
-            me.assign(me.rng.random() < 0.5)
-            truth[me.id] = me.action
-
-        yield from schedule(me, revise)
-
-    return protocol
 
 
 LATENCIES = pytest.mark.parametrize(
@@ -73,7 +38,7 @@ def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
     """Whoever decides knows the last decision of every neighbour, however late messages are and whoever overtakes."""
     log = []
     horizon = 60.0 if latency == 1.0 else 10.0
-    run(frozen(flips(LocalMutex(), graph(7), log), latency=latency, graph=graph, horizon=horizon), 1)
+    run(frozen(flips(LocalMutex(), log, graph(7)), latency=latency, graph=graph, horizon=horizon), 1)
     assert len(log) > 50
     assert all(believed == true for believed, true in log)
 
@@ -106,13 +71,13 @@ def test_no_two_neighbours_are_inside_at_once(latency, skew):
 def test_poisson_clocks_do_not_exclude():
     """The control: announced decisions at the ticks of Poisson clocks are often stale at a latency of half a second."""
     log = []
-    run(frozen(flips(Poisson(rate=5.0), Complete()(7), log), latency=0.5, trigger="both"), 1)
+    run(frozen(flips(Poisson(rate=5.0), log, Complete()(7)), latency=0.5, trigger="both"), 1)
     assert np.mean([believed != true for believed, true in log]) > 0.3
 
 
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
 def test_a_decision_takes_two_messages_per_neighbour(graph):
-    result = run(frozen(flips(LocalMutex(), graph(7)), graph=graph), 0)
+    result = run(frozen(flips(LocalMutex()), graph=graph), 0)
     links = graph(7)
     expected = sum(links.degree[d.pursuer] for d in result.trace.of(Decided))
     assert len(bodies(result, Request)) == len(bodies(result, Reply)) == expected
@@ -134,7 +99,7 @@ def test_of_requests_of_one_time_that_of_the_lower_id_is_the_older():
 
 
 def test_a_request_is_answered_once_though_its_answer_had_to_wait():
-    result = run(frozen(flips(LocalMutex(), Complete()(7)), latency=0.1), 0)
+    result = run(frozen(flips(LocalMutex()), latency=0.1), 0)
     asked = Counter((each.src, each.dst, each.body.stamp) for each in bodies(result, Request))
     answered = Counter((each.dst, each.src, each.body.stamp) for each in bodies(result, Reply))
     assert bodies(result, Later)
@@ -146,7 +111,7 @@ def test_a_request_is_answered_once_though_its_answer_had_to_wait():
 @pytest.mark.parametrize("latency", [0.1, 1.0])
 def test_a_decision_takes_a_round_trip(latency):
     """Two latencies after its first request is sent, at the earliest; and one alone needs just that."""
-    result = run(frozen(flips(LocalMutex(), Complete()(7)), latency=latency, horizon=30.0), 0)
+    result = run(frozen(flips(LocalMutex()), latency=latency, horizon=30.0), 0)
     first = {}
     for sent in bodies(result, Request):
         first.setdefault(sent.body.stamp, sent.t)
@@ -162,7 +127,7 @@ def test_a_decision_takes_a_round_trip(latency):
 @pytest.mark.parametrize("latency", [0.0, 0.02, 1.0])
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
     """Up to what contention adds: less than a third, from idle to saturated sections."""
-    slots, play = set(), flips(LocalMutex(), Complete()(7))
+    slots, play = set(), flips(LocalMutex())
 
     def protocol(me):
         slots.add(LocalMutex().mean_slot(me))
@@ -198,7 +163,7 @@ def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistake
     """
     log = []
     for seed in range(5):
-        result = run(frozen(flips(LocalMutex(), graph(7), log), latency=0.02, loss=0.3, graph=graph), seed)
+        result = run(frozen(flips(LocalMutex(), log, graph(7)), latency=0.02, loss=Bernoulli(p=0.3), graph=graph), seed)
         for pursuer in range(7):
             times = [0, *(d.t for d in result.trace.of(Decided) if d.pursuer == pursuer), 10 * SECOND]
             assert max(b - a for a, b in pairwise(times)) < 4 * SECOND
@@ -210,7 +175,7 @@ def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_
     log = []
     fault = Crash(at=2.0, until=8.0, node=3, scope="radio")
     graph = Complete()(4)
-    protocol = flips(LocalMutex(), graph, log)
+    protocol = flips(LocalMutex(), log, graph)
     result = run(frozen(protocol, count=4, latency=0.05, horizon=20.0, faults=(fault,)), 0)
 
     def pauses(since, until):
@@ -229,7 +194,7 @@ def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(att
     """Once it is known to be silent, each later request is made once."""
     fault = Crash(at=2.0, node=3, scope="radio")
     schedule = LocalMutex(attempts=attempts)
-    result = run(frozen(flips(schedule, Complete()(4)), count=4, latency=0.02, faults=(fault,)), 0)
+    result = run(frozen(flips(schedule), count=4, latency=0.02, faults=(fault,)), 0)
     for src in range(3):
         asked = Counter(sent.body.stamp for sent in bodies(result, Request) if (sent.src, sent.dst) == (src, 3))
         late = [number for stamp, number in asked.items() if stamp[0] > 2 * SECOND]
@@ -240,7 +205,7 @@ def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(att
 def test_after_a_partition_all_exclude_each_other_again():
     log = []
     fault = Partition(at=1.0, until=5.0, groups=((0, 2, 5),))
-    result = run(frozen(flips(LocalMutex(), Complete()(7), log), latency=0.03, horizon=15.0, faults=(fault,)), 0)
+    result = run(frozen(flips(LocalMutex(), log, Complete()(7)), latency=0.03, horizon=15.0, faults=(fault,)), 0)
     apart, again = ([d for d in result.trace.of(Decided) if a < d.t / SECOND < b] for a, b in ((3.0, 5.0), (7.0, 15.0)))
     assert {d.pursuer for d in apart} == {d.pursuer for d in again} == set(range(7))
     assert all(believed == true for believed, true in log[-len(again) :])
@@ -262,16 +227,15 @@ def test_no_storm_ends_in_a_deadlock():
         latency = (Lognormal(mean=0.02, cv=1.0), Constant(value=0.02), Constant())[rng.integers(3)]
         plan = RandomPlan(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=3.0)
         log = []
-        protocol = flips(LocalMutex(), graph(count), log)
-        scenario = frozen(protocol, count=count, latency=latency, graph=graph, faults=(plan,), horizon=7.0)
-        links = scenario.network.model_copy(update={"loss": Storm(float(rng.uniform(0.0, 0.4)), 3.0)})
-        result = run(scenario.model_copy(update={"network": links}), seed)
+        story = {
+            "latency": latency,
+            "graph": graph,
+            "faults": (plan,),
+            "loss": Storm(float(rng.uniform(0.0, 0.4)), 3.0),
+        }
+        result = run(frozen(flips(LocalMutex(), log, graph(count)), count=count, horizon=7.0, **story), seed)
         late = [d for d in result.trace.of(Decided) if d.t > 5 * SECOND]
         stuck[seed] = set(range(count)) - {d.pursuer for d in late}
         mistaken[seed] = sum(believed != true for believed, true in log[len(log) - len(late) :])
     assert {seed: who for seed, who in stuck.items() if who} == {}
     assert {seed: number for seed, number in mistaken.items() if number} == {}
-
-
-def test_the_graphs_of_these_tests_are_connected():
-    assert all(nx.is_connected(graph(7)) for graph in (Complete(), Grid(columns=3), Star()))

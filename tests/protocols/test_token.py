@@ -5,6 +5,7 @@ by it, and the negative controls show that it notices a protocol without regener
 """
 
 from collections import Counter, defaultdict
+from functools import partial
 from itertools import pairwise
 from math import inf
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from desim import Scenario, run
+from desim import run
 from desim.kernel.faults import ClockSkew, Crash, Partition, RandomPlan
 from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.invariants import OneToken
@@ -24,7 +25,6 @@ from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
 from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Team
 from protocols.circulation import Station, circulate
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
@@ -32,49 +32,11 @@ from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
 from protocols.token_messages import Receipt, Sign, Token, not_absent
 from tests.law import RELAY, measured, static_game
-from tests.protocols.traffic import Storm, bodies
+from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
-SECOND = 1_000_000_000
+frozen = partial(standing, count=5)
 EXPLORING = not settings.default.derandomize
 """More plans, with --hypothesis-profile=explore."""
-
-
-def frozen(protocol, *, count=5, horizon=10.0, latency=0.0, faults=(), trigger="never", **links):
-    """Return a game that stands still, negotiated by a protocol."""
-    model = Constant(value=latency) if isinstance(latency, float) else latency
-    return Scenario(
-        horizon=horizon,
-        team=Team(count=count, speeds=2.0),
-        motion=Motion(frozen=True),
-        protocol=protocol,
-        network=Links(latency=model, **links),
-        announce=Announcements(trigger=trigger),
-        fault=faults,
-        record={"trajectory": 0.0, "messages": True},
-    )
-
-
-def flips(schedule, log=None):
-    """Return the protocol that decides by a coin, and notes what it believed of the others and what is true."""
-    truth = {}
-
-    def protocol(me):
-        truth.setdefault(me.id, me.action)
-
-        def revise():
-            if log is not None:
-                others = {j for j, active in truth.items() if active and j != me.id}
-                log.append((me.id, set(me.believed_active()), others))
-            me.assign(me.rng.random() < 0.5)
-            truth[me.id] = me.action
-
-        yield from schedule(me, revise)
-
-    return protocol
-
-
-def decided(result, since=0.0, until=inf):
-    return [d for d in result.trace.of(Decided) if since * SECOND <= d.t < until * SECOND]
 
 
 class Circulation(OneToken):
@@ -139,7 +101,7 @@ def test_no_decision_is_stale_at_any_latency(schedule, graph, latency):
     horizon = 100.0 if latency == 1.0 else 5.0
     run(frozen(flips(schedule, log), count=7, horizon=horizon, latency=latency, graph=graph), 2)
     assert len(log) > 30
-    assert [believed for _, believed, _ in log] == [true for _, _, true in log]
+    assert all(believed == true for believed, true in log)
 
 
 @pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0, drift=0.01),)], ids=["clocks agree", "skewed clocks"])
@@ -148,7 +110,7 @@ def test_announcements_and_clocks_do_not_make_the_ring_stale(skew):
     log = []
     result = run(frozen(flips(TokenRing(), log), count=7, latency=0.3, faults=skew, trigger="both"), 2)
     assert len(log) > 25
-    assert all(believed == true for _, believed, true in log)
+    assert all(believed == true for believed, true in log)
     assert [d.pursuer for d in decided(result)] == [k % 7 for k in range(len(log))]
 
 
@@ -156,7 +118,7 @@ def test_decisions_by_timers_are_stale_on_a_slow_network():
     """The control: the same coins, tossed at the ticks of Poisson clocks and announced, are mostly known too late."""
     log = []
     run(frozen(flips(Poisson(rate=5.0), log), count=7, latency=0.5, trigger="both"), 2)
-    assert np.mean([believed != true for _, believed, true in log]) > 0.5
+    assert np.mean([believed != true for believed, true in log]) > 0.5
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.3, 1.0])
