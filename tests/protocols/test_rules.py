@@ -1,7 +1,6 @@
 """Rules: each step by its formula, driven by hand; and what they do in the running simulator, against theory."""
 
 from collections import Counter
-from itertools import pairwise
 from math import exp, inf
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -32,6 +31,8 @@ from protocols.rule import LearningRule, Rule, best, present
 from protocols.sap import SpatialAdaptivePlay, drawn
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau
+from tests.protocols.test_local_min import changes_of
+from tests.protocols.test_local_min import static_game as game_on
 
 LEARNING_KINDS = {kind for kind, model in PROTOCOLS.choices().items() if issubclass(model, LearningRule)}
 
@@ -584,17 +585,7 @@ def static_game(protocol, seed, horizon=10.0):
     """
     rng = np.random.default_rng(seed)
     phi = rng.permutation(np.cumsum(rng.uniform(0.5, 3.0, rng.integers(2, 8)))).tolist()
-    scenario = Scenario(
-        seed=seed,
-        horizon=horizon,
-        team=Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=1.0, active_at_start=0.5),
-        evader=Evader(position=(0.0, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
-        protocol=protocol,
-        announce=Announcements(trigger="change"),
-        record=Recording(trajectory=0.0),
-    )
-    return scenario, phi
+    return game_on(protocol, nx.complete_graph(len(phi)), phi, seed, horizon), phi
 
 
 def history(result):
@@ -606,12 +597,6 @@ def history(result):
             times.append(decision.t / 1e9)
         profile[decision.pursuer] = decision.active
     return [*stood, tuple(profile)], times
-
-
-def settled(result):
-    """Return the last profile of a run, and when it was taken, s."""
-    stood, times = history(result)
-    return stood[-1], max((t for (a, b), t in zip(pairwise(stood), times[1:], strict=True) if a != b), default=0.0)
 
 
 LEARNING = {
@@ -632,9 +617,9 @@ def test_on_static_games_every_learning_rule_ends_in_the_relay_profile(name, clo
     """5 random games of 2 to 7, one at a time or all at once; all have settled before the last fifth of 400 turns."""
     for seed in range(5):
         scenario, phi = static_game(LEARNING[name](schedule=CLOCKS[clock]), seed)
-        profile, when = settled(run(scenario))
+        profile, times = changes_of(run(scenario))
         assert profile == relay_profile(phi, 10.0), f"seed {seed}"
-        assert when < 8.0, f"seed {seed}"
+        assert max(times, default=0.0) < 8.0, f"seed {seed}"
 
 
 class Uniform(LearningRule):
@@ -784,7 +769,7 @@ def test_the_others_ignore_who_cannot_capture_even_if_it_chases(kind):
 
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0), (4.0, 0.0)], speeds=[0.0, 1.0, 1.0])
     result = act(protocol, team=team, prune="none", horizon=10.0, announce=Announcements())
-    assert settled(result)[0] == (True, True, False)
+    assert changes_of(result)[0] == (True, True, False)
 
 
 @pytest.mark.slow

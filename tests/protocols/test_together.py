@@ -116,10 +116,6 @@ def test_all_at_once_end_in_the_relay_profile_too(seed, latency):
     assert profile == relay_profile(phi, 3.0)
 
 
-def test_the_default_is_in_the_slots_of_the_paper():
-    assert Together() == Together(of=SharedSeed(slot=0.01))
-
-
 @pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(hold=0.2, attempts=3), TokenWalk(hold=0.2)])
 def test_it_takes_a_schedule_with_slots_also_from_a_file(other):
     scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=Together(of=other)))
