@@ -70,42 +70,10 @@ def fuzz(share: float):
 
 # Documents that follow the schema.
 
-EDGES = [
-    0,
-    -1,
-    1,
-    True,
-    False,
-    0.0,
-    -0.0,
-    1e-300,
-    1e-6,
-    1e9,
-    1e308,
-    -1e308,
-    math.inf,
-    -math.inf,
-    math.nan,
-    2**31,
-    2**63,
-]
-ODD = [
-    *EDGES,
-    10**30,
-    10**400,
-    -(10**18),
-    "",
-    "inf",
-    "nan",
-    "Infinity",
-    "auto",
-    "x" * 300,
-    [],
-    {},
-    [[]],
-    [0, 0],
-    {"kind": "x"},
-]
+EDGES = [0, -1, 1, True, False, 0.0, -0.0, 1e-300, 1e-6, 1e9, 1e308, -1e308]
+EDGES += [math.inf, -math.inf, math.nan, 2**31, 2**63]
+ODD = [*EDGES, 10**30, 10**400, -(10**18), "", "inf", "nan", "Infinity", "auto", "x" * 300]
+ODD += [[], {}, [[]], [0, 0], {"kind": "x"}]
 TEXTS = [
     "",
     "x",
@@ -428,20 +396,13 @@ JUNK = [
     b"\r",
     b"\xed\xa0\x80",
     b"\xe2\x80\xa8",
-    b"[",
-    b"]",
-    b"{",
-    b"'",
-    b'"""',
-    b"=",
-    b".",
+    *(bytes([each]) for each in b"[]{'=.#-"),
 ]
 JUNK += [
-    b"#",
+    b'"""',
     b"inf",
     b"nan",
     b"1e999",
-    b"-",
     b"0x",
     b"[[",
     b"\n[team]\n",
