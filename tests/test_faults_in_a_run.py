@@ -114,27 +114,27 @@ def test_who_is_broken_captures_nobody(scope, capturer, at):
         assert end.t / 1e9 == pytest.approx(2.9)
 
 
-def test_who_breaks_down_just_before_it_would_capture_does_not():
-    """A capture at 1.9 s is foreseen; at 1.9 s - 1 us the pursuer breaks down. The control: 1 us later is too late."""
+@pytest.mark.parametrize(
+    ("at", "places", "chasers", "step", "end"),
+    [
+        (1.9 - 1e-6, (2.0, 3.0, 5.0), 1, 0.1, (None, 4.0)),
+        (1.9 + 1e-6, (2.0, 3.0, 5.0), 1, 0.1, (0, 1.9)),
+        (1.895, (2.0, 2.05, 5.0), 2, 0.25, (1, 1.95)),
+    ],
+)
+def test_who_breaks_down_just_before_it_would_capture_does_not_and_others_do(at, places, chasers, step, end):
+    """A capture at 1.9 s is foreseen as pursuer 0 breaks down, 1 us before it; the control: 1 us later is too late.
+
+    If that is inside the very step in which 1, who is 0.05 m behind, captures, it does so at 1.95 s.
+    """
 
     def protocol(me):
         yield me.at(0.0)
-        me.assign(me.id == 0)
+        me.assign(me.id < chasers)
 
-    for at, capturer in ((1.9 - 1e-6, None), (1.9 + 1e-6, 0)):
-        assert play(protocol, Crash(node=0, at=at)).trace.of(Ended)[0].capturer == capturer
-
-
-def test_a_capture_by_somebody_else_is_still_foreseen_when_one_breaks_down():
-    """0 breaks down inside the very step in which 1, who is 0.05 m behind, captures: at 1.95 s."""
-
-    def protocol(me):
-        yield me.at(0.0)
-        me.assign(me.id < 2)
-
-    team = Team(positions=[(2.0, 0.0), (2.05, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0)
-    (end,) = play(protocol, Crash(node=0, at=1.895), team=team, motion=Motion(step=0.25)).trace.of(Ended)
-    assert (end.capturer, end.t / 1e9) == (1, pytest.approx(1.95, abs=1e-6))
+    team = Team(positions=[(x, 0.0) for x in places], speeds=1.0, active_at_start=0.0)
+    (ended,) = play(protocol, Crash(node=0, at=at), team=team, motion=Motion(step=step)).trace.of(Ended)
+    assert (ended.capturer, ended.t / 1e9) == (end[0], pytest.approx(end[1], abs=1e-6))
 
 
 @pytest.mark.parametrize("memory", [True, False])
@@ -162,33 +162,27 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
         assert log == [(0.75, 0.0, 1, *known), (2.75, 2.0, 1, [], []), (3.5, 2.0, 2, [], [])]
 
 
-@pytest.mark.parametrize(("memory", "times"), [(True, [0.75, 1.5, 2.25]), (False, [0.75, 1.95, 2.7])])
-def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten(memory, times):
-    """Broken down from 1 to 1.2 s while it sleeps until 1.5 s; without memory it begins to sleep for 0.75 s anew."""
+@pytest.mark.parametrize(
+    ("crash", "times", "heard"),
+    [
+        ({"until": 1.2, "memory": True}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
+        ({"until": 1.2, "memory": False}, [0.75, 1.95, 2.7], [[0, 2], [], []]),
+        ({"until": 2.0, "memory": True, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
+        ({"until": 2.0, "memory": False, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2], [0, 2], []]),
+    ],
+)
+def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_one_of_the_radio(crash, times, heard):
+    """Broken down from 1 s on while it sleeps until 1.5 s; without memory a robot begins to sleep for 0.75 s anew."""
     log = []
 
     def protocol(me):
         while me.id == 1:
             yield me.sleep(0.75)
-            log.append(me.now)
+            log.append((me.now, sorted(me.heard())))
 
-    play(protocol, Crash(node=1, at=1.0, until=1.2, memory=memory), horizon=2.8)
-    assert log == pytest.approx(times, abs=1e-9)
-
-
-@pytest.mark.parametrize("memory", [True, False])
-def test_a_broken_radio_never_stops_the_protocol_but_may_make_it_forget(memory):
-    log = []
-
-    def protocol(me):
-        if me.id == 1:
-            for _ in range(3):
-                yield me.sleep(0.75)
-                log.append((me.now, sorted(me.heard())))
-
-    crash = Crash(node=1, at=1.0, until=2.0, memory=memory, scope="radio")
-    play(protocol, crash, announce=Announcements(trigger="never"))
-    assert log == [(0.75, [0, 2]), (1.5, [0, 2]), (2.25, [0, 2] if memory else [])]
+    play(protocol, Crash(node=1, at=1.0, **crash), horizon=2.8, announce=Announcements(trigger="never"))
+    assert [t for t, _ in log] == pytest.approx(times, abs=1e-9)
+    assert [known for _, known in log] == heard
 
 
 @pytest.mark.slow_but_one
@@ -398,10 +392,8 @@ def test_heartbeats_keep_their_period_on_a_clock_that_is_wrong(offset):
 
 def test_dead_reckoning_survives_clocks_that_are_ahead():
     """What was said at the start seems older than the pursuit; nobody is reckoned before the evader has moved."""
-    scenario = Scenario(
-        team=Team(count=5), fault=(ClockSkew(offset=0.03),), announce=Announcements(payload="state"), horizon=2.0
-    )
-    assert summary(run(scenario, 1)).decisions > 0
+    ahead = {"fault": (ClockSkew(offset=0.03),), "announce": Announcements(payload="state")}
+    assert summary(run(Scenario(team=Team(count=5), horizon=2.0, **ahead), 1)).decisions > 0
 
 
 @pytest.mark.parametrize("offset", [0.0, 2.0])
@@ -422,13 +414,8 @@ def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offse
 
 def test_nobody_is_captured_in_a_frozen_game_when_somebody_breaks_down():
     near = Team(positions=[(0.0, 0.0), (5.0, 0.0), (6.0, 0.0)], speeds=1.0, active_at_start=0.0)
-    result = play(
-        lambda me: iter(()),
-        Crash(node=1, at=1.0, until=2.0),
-        team=near,
-        evader=Evader(position=(0.05, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
-    )
+    still = {"team": near, "evader": Evader(position=(0.05, 0.0), speed=0.0), "motion": Motion(frozen=True)}
+    result = play(lambda me: iter(()), Crash(node=1, at=1.0, until=2.0), **still)
     assert result.trace.of(Ended) == [Ended(4 * 10**9, "horizon", None)]
 
 

@@ -86,13 +86,17 @@ def test_who_runs_into_another_evader_captures_it_too():
     assert not [each for each in result.trace.of(Decided) if passed.t < each.t < chased.t and each.active != 1]
 
 
+@pytest.mark.parametrize("test", ["segment", "sample"])
 @pytest.mark.parametrize("places", [(2.0, 4.0), (4.0, 2.0)])
-def test_two_that_are_reached_within_one_step_are_captured_in_the_order_in_which_they_are_reached(places):
-    """One step of 5 s, in which the pursuer heads for the one at 4 m."""
+def test_of_those_that_are_reached_within_one_step_each_is_captured_as_it_is_reached(places, test):
+    """One step of 5 s, in which the pursuer heads for the one at 4 m; three at one place are captured at once."""
     base = standing(*places, protocol=chase(1 + places.index(4.0)), motion=Motion(step=5.0))
     captures = desim.run(base).trace.of(Captured)
     assert [places[each.evader - 1] for each in captures] == [2.0, 4.0]
     assert [seconds(each.t) for each in captures] == [pytest.approx(1.9), pytest.approx(3.9)]
+    alike = desim.run(standing(2.0, 2.0, 2.0, capture=Capture(test=test))).trace.of(Captured)
+    assert [each.evader for each in alike] == [1, 2, 3]
+    assert len({each.t for each in alike}) == 1
 
 
 @pytest.mark.parametrize(("until", "end"), [(None, 3.8), (3.0, 3.8), (4.0, 4.0), (4.0321, 4.0321), (9.0, None)])
@@ -107,13 +111,6 @@ def test_who_is_broken_captures_nobody(until, end):
     base = standing(evader=comes, team=stays, protocol=lambda me: iter(()), fault=fault, horizon=9.0)
     (ended,) = desim.run(base).trace.of(Ended)
     assert (ended.reason, seconds(ended.t)) == (("captured", pytest.approx(end)) if end else ("horizon", 9.0))
-
-
-@pytest.mark.parametrize("test", ["segment", "sample"])
-def test_two_that_are_reached_at_the_same_instant_are_both_captured(test):
-    result = desim.run(standing(2.0, 2.0, 2.0, capture=Capture(test=test)))
-    assert [each.evader for each in result.trace.of(Captured)] == [1, 2, 3]
-    assert len({each.t for each in result.trace.of(Captured)}) == 1
 
 
 def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
@@ -153,30 +150,20 @@ def test_each_evader_flees_who_is_nearest_to_it_and_who_chases_it():
     assert last.others == ((pytest.approx(102.5), 0.0),)
 
 
-def test_an_action_that_is_no_evader_is_an_error():
-    def wild(me):
-        me.assign(3)
-        yield me.at(1.0)
-
-    with pytest.raises(ValueError, match=r"an action should be 0 or an evader, 1 \.\. 2, got 3"):
-        desim.run(standing(1.0, 2.0, protocol=wild))
-
-
-def test_a_captured_evader_may_not_be_chased_any_more():
+def test_a_captured_evader_may_not_be_chased_any_more_and_what_is_none_never():
     seen = []
 
-    def look(me):
+    def protocol(me):
+        if me.id == 0:
+            yield from chase(1)(me)
         seen.append(me.options())
         yield me.at(3.0)
         me.assign(1)
         seen.append((me.action, me.options(), me.capture_time(1), me.evaders()))
+        with pytest.raises(ValueError, match=r"an action should be 0 or an evader, 1 \.\. 2, got 3"):
+            me.assign(3)
 
-    walk = chase(1)
-
-    def both(me):
-        yield from (walk if me.id == 0 else look)(me)
-
-    desim.run(standing(2.0, -30.0, team=Team(positions=((0.0, 0.0), (0.0, 9.0)), speeds=1.0), protocol=both))
+    desim.run(standing(2.0, -30.0, team=Team(positions=((0.0, 0.0), (0.0, 9.0)), speeds=1.0), protocol=protocol))
     assert seen == [(0, 1, 2), (0, (0, 2), float("inf"), (2,))]
 
 
@@ -290,11 +277,15 @@ def test_an_order_that_is_a_truth_is_to_chase_the_first_evader():
     assert {(type(decision.active), decision.active) for decision in decided} == {(int, 1)}
 
 
-def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be():
+def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be_and_do_not_move_alike():
+    """From one place each wanders as chance has it."""
     one, three = (desim.run(Scenario(horizon=0.1, evader=Evader(count=count)), 4) for count in (1, 3))
     start, starts = one.trace.of(Started)[0], three.trace.of(Started)[0]
     assert (start.evader, start.pursuers) == (starts.evader, starts.pursuers)
     assert len(set(starts.evaders)) == 3
+    wander = Evader(count=3, position=(5.0, 5.0), strategy=Diffusion())
+    last = desim.run(Scenario(horizon=0.5, team=Team(count=1), evader=wander)).trace.of(Sampled)[-1]
+    assert len({last.evader, *last.others}) == 3
 
 
 def test_a_list_with_one_table_is_that_table(tmp_path):
@@ -303,13 +294,6 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
     table = Scenario(horizon=2.0, evader=Evader(speed=0.5))
     one, other = (list(map(line_of, desim.run(each).trace)) for each in (load(path), table))
     assert one == other
-
-
-def test_alike_evaders_do_not_move_alike():
-    """They start at one place, and each wanders as chance has it."""
-    wander = Evader(count=3, position=(5.0, 5.0), strategy=Diffusion())
-    last = desim.run(Scenario(horizon=0.5, team=Team(count=1), evader=wander)).trace.of(Sampled)[-1]
-    assert len({last.evader, *last.others}) == 3
 
 
 def test_a_start_at_random_chases_every_evader_alike():

@@ -164,7 +164,7 @@ def test_a_slow_pursuer_is_not_active_at_the_start():
     st.sampled_from(["segment", "sample"]),
 )
 def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
-    """Between samples 1 ms apart nobody moves farther than its speed allows while it is active: `Motion` watches."""
+    """Between samples 5 ms apart nobody moves farther than its speed allows while it is active: `Motion` watches."""
     rng = np.random.default_rng(seed)
     plan = [(round(rng.uniform(0, 1), 4), int(rng.integers(3)), bool(rng.integers(2))) for _ in range(8)]
     scenario = Scenario(
@@ -174,7 +174,7 @@ def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
         capture=Capture(test=test),
         motion=Motion(step=step, order=order),
         protocol=orders(*sorted(plan)),
-        record=Recording(trajectory=0.001),
+        record=Recording(trajectory=0.005),
     )
     watched(scenario, seed)
 
