@@ -7,8 +7,6 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from desim import Scenario, load, run
 from desim.kernel.clock import SECOND
@@ -204,13 +202,6 @@ def test_the_pairs_that_no_triple_covers_are_found():
     assert {(one, other) for (_, one), (_, other) in found} == lacking
     assert uncovered(covering(*axes), *axes) == set()
     assert len(covering(*axes)) == 4
-
-
-@given(st.tuples(*[st.integers(1, 8)] * 3))
-def test_triples_are_as_few_as_the_pairs_of_the_two_longest_axes(sizes):
-    axes = tuple(range(size) for size in sizes)
-    assert uncovered(covering(*axes), *axes) == set()
-    assert len(covering(*axes)) == np.prod(sorted(sizes)[1:])
 
 
 # Several evaders.

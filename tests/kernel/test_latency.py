@@ -268,15 +268,6 @@ def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monke
     assert model.begin(30)(Hops(4, np.array([7]), seed=8), ours) != model(Hops(4, np.array([7]), seed=9), ours)
 
 
-@pytest.mark.parametrize("name", DRAWN)
-def test_every_model_with_quantiles_is_a_base(name):
-    """Mean and variance over 10^5 pairs within 5 standard errors of those of the base; the control is 3 % off."""
-    base, mean, variance, off = DRAWN[name]
-    pairs, wrong = (PerPair(base=each)(Hops(0, MANY.dst, seed=5), None) for each in (base, off))
-    assert np.abs(errors(pairs, mean, variance)).max() < 5
-    assert np.abs(errors(wrong, mean, variance)).max() > 5
-
-
 def test_a_base_without_quantiles_is_refused():
     with pytest.raises(ValidationError, match=r"quantile\(u\)"):
         PerPair(base=Propagation())

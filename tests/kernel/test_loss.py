@@ -50,9 +50,10 @@ def test_bernoulli_draws_ahead_what_it_would_draw_hop_by_hop():
     assert [*model(hops(links=7), rng), *model(hops(links=2), rng)] == model.draw(9, ahead).tolist()
 
 
-def test_nothing_and_everything_are_certain():
-    rng = np.random.default_rng(0)
-    assert Bernoulli(p=0.0)(hops(), rng) is False
+def test_nothing_and_everything_are_certain_and_no_loss_draws_nothing():
+    rng = np.random.default_rng(1)
+    assert Bernoulli()(hops(), rng) is Bernoulli(p=0.0)(hops(), rng) is False
+    assert rng.random() == np.random.default_rng(1).random()
     assert Bernoulli(p=1.0)(hops(), rng).all()
 
 

@@ -35,32 +35,17 @@ def test_the_range_is_inclusive_and_follows_the_positions():
     assert set(topology.graph().edges) == {(0, 1), (1, 0), (1, 2), (2, 1)}
 
 
-def test_a_link_needs_the_graph_and_the_range():
-    at = np.zeros((3, 2))
-    assert Topology(nx.path_graph(3), 1.0, lambda: at).neighbours(0).tolist() == [1]
-
-
-def test_the_disk_graph_is_that_of_networkx():
-    rng = np.random.default_rng(3)
-    at = rng.random((60, 2))
-    ours = Topology(nx.complete_graph(60), 0.2, lambda: at).graph().to_undirected()
-    theirs = nx.random_geometric_graph(60, 0.2, pos=dict(enumerate(at.tolist())))
-    assert set(map(frozenset, ours.edges)) == set(map(frozenset, theirs.edges))
-
-
-def test_nodes_must_be_numbered_from_0():
-    with pytest.raises(ValueError, match=r"0 \.\. 2"):
-        Topology(nx.Graph([(1, 2), (2, 3)]))
-
-
-def test_no_node_is_linked_to_itself():
-    with pytest.raises(ValueError, match=r"linked to itself, got \[1\]"):
-        Topology(nx.Graph([(0, 1), (1, 1)]))
-
-
-def test_a_finite_range_needs_positions():
-    with pytest.raises(ValueError, match="needs positions"):
-        Topology(nx.complete_graph(2), 1.0)
+@pytest.mark.parametrize(
+    ("graph", "reach", "why"),
+    [
+        (nx.Graph([(1, 2), (2, 3)]), inf, r"0 \.\. 2"),
+        (nx.Graph([(0, 1), (1, 1)]), inf, r"linked to itself, got \[1\]"),
+        (nx.complete_graph(2), 1.0, "needs positions"),
+    ],
+)
+def test_a_graph_has_nodes_from_0_on_none_linked_to_itself_and_for_a_range_positions(graph, reach, why):
+    with pytest.raises(ValueError, match=why):
+        Topology(graph, reach)
 
 
 def test_a_broadcast_reaches_the_neighbours_and_a_single_message_each_of_them():
