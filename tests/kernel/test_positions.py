@@ -35,7 +35,7 @@ def test_what_knows_the_positions_of_some_is_taken_as_it_is():
     assert as_positions(some) is some
 
 
-def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in_place():
+def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in_place_or_return_a_list():
     at = AT.copy()
     positions = as_positions(lambda: at)
     assert positions.fastest == inf
@@ -43,11 +43,7 @@ def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in
     at[2] = [7.0, 7.0]
     assert positions.of(np.array([2])).tolist() == [[7.0, 7.0]]
     assert positions().tolist() == at.tolist()
-
-
-def test_a_function_that_returns_a_list_will_do():
-    positions = as_positions(lambda: AT.tolist())
-    assert positions.of(np.array([1])).tolist() == [[3.0, 4.0]]
+    assert as_positions(AT.tolist).of(np.array([1])).tolist() == [[3.0, 4.0]]
 
 
 def test_distances_are_those_to_one_of_them():

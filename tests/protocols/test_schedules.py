@@ -6,11 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.stats import kstest
 
 from desim import Scenario, run
-from desim.cli import main
 from desim.kernel.seeds import stream
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
@@ -239,14 +237,3 @@ def test_a_strict_timer_of_an_even_number_of_steps_is_warned_of(period, jitter, 
     assert [*found] == (["protocol.schedule.jitter"] if warned else [])
     if warned:
         assert f"{round(period / step)} motion steps" in found["protocol.schedule.jitter"]
-
-
-def test_the_check_of_a_file_warns_of_a_strict_timer_at_its_line(tmp_path):
-    file = tmp_path / "timer.toml"
-    file.write_text('[protocol]\nkind = "sap"\n\n[protocol.schedule]\nkind = "periodic"\nperiod = 0.04\njitter = 0.0\n')
-    said = CliRunner().invoke(main, ["check", str(file)])
-    assert said.exit_code == 0
-    assert said.stderr.startswith(f"warning: {file}:7: protocol.schedule.jitter: ")
-    assert "4 motion steps" in said.stderr
-    file.write_text(file.read_text().replace("0.04", "0.05"))
-    assert CliRunner().invoke(main, ["check", str(file)]).stderr == ""

@@ -177,7 +177,7 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
 # Near by.
 
 
-def test_it_sees_who_is_within_its_sight():
+def test_it_sees_who_is_within_its_sight_in_the_order_of_the_team():
     """At 2, 3 and 7.07 m."""
     for sight, count in ((0.0, 0), (1.99, 0), (2.0, 1), (3.0, 2), (7.0, 2), (7.1, 3), (inf, 3)):
         (outlook,) = told([state(0)], sight=sight)
@@ -185,9 +185,6 @@ def test_it_sees_who_is_within_its_sight():
         assert outlook.speeds.tolist() == SPEEDS[:count].tolist()
         assert outlook.active.tolist() == [True, True, False][:count]
         assert outlook.nearest == (0 if count else -1)
-
-
-def test_who_is_near_is_seen_in_the_order_of_the_team():
     (outlook,) = told([state(0, evader=5 + 4j)], sight=5.5)
     assert (outlook.pursuers.tolist(), outlook.nearest) == (TEAM[1:].tolist(), 1)
 
