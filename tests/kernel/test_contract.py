@@ -40,13 +40,13 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, secon
 from desim.kernel.conditions import Conditions
 from desim.kernel.events import Lost, Trace
 from desim.kernel.faults import Crash, Jamming, Partition
-from desim.kernel.hops import Hops
 from desim.kernel.injection import inject
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
+from tests.kernel.test_network import Uniform
 
 WAYS = ("publish", "send", "send to all")
 SPOKEN, ARRIVAL = 1.0, 1.5
@@ -306,23 +306,6 @@ def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_s
 # A network whose messages land by events is the same as one whose messages need none.
 
 
-class Overtaking:
-    """Latencies that overtake each other, drawn per hop."""
-
-    def __init__(self, longest):
-        self.longest = longest
-
-    def __call__(self, hops: Hops, rng):
-        return rng.uniform(0.0, self.longest, len(hops.dst)).round(3)
-
-
-class Alike(Overtaking):
-    """Latencies that overtake each other between transmissions only."""
-
-    def __call__(self, hops: Hops, rng):
-        return round(rng.uniform(0.0, self.longest), 3)
-
-
 ACTS = ("publish", "send", "send to all", "read", "drain", "tally")
 
 
@@ -331,7 +314,7 @@ def histories(draw):
     """A random graph, its links, and a random order of speaking and reading with many ties in time."""
     size, seed = draw(st.integers(2, 5)), draw(st.integers(0, 2**32))
     graph = nx.gnp_random_graph(size, draw(st.sampled_from([0.5, 1.0])), seed=seed, directed=draw(st.booleans()))
-    latencies = [Constant(), Constant(value=0.02), Overtaking(0.05), Overtaking(0.002), Alike(0.05)]
+    latencies = [Constant(), Constant(value=0.02), Uniform(0.05), Uniform(0.002), Uniform(0.05, per_hop=0.0)]
     links = Links(
         latency=draw(st.sampled_from(latencies)),
         loss=Bernoulli(p=draw(st.sampled_from([0.0, 0.3, 1.0]))),
