@@ -23,11 +23,12 @@ if __name__ == "__main__":
 
 
 @pytest.fixture
-def cluster(scheduler):
+def cluster(scheduler, monkeypatch):
     """Return the address of a Dask scheduler with two workers, which know desim, but none of the folders of a test.
 
-    Of those that died in an earlier test, one at least has been replaced.
+    Of those that died in an earlier test, one at least has been replaced; replacing takes long on a busy machine.
     """
+    monkeypatch.setattr("desim.study.workers.PATIENCE", 200.0)
     await_workers(scheduler, 1)
     return scheduler
 

@@ -26,8 +26,6 @@ WAYS = ("raise", "stubborn", "wild", "quit", "recursion", "memory", "huge")
 PASSED = ("raise", "picky", "quit", "stubborn")
 """Those of which another process may be told, or not."""
 
-pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
-
 
 @pytest.fixture
 def scenario(tmp_path):

@@ -27,8 +27,6 @@ from desim.study.workers import Here, Processes, workers_for
 from tests.digests import LONG
 from tests.study import sweeps
 
-pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
-
 
 def command(*args):
     """Call the command in this process."""
