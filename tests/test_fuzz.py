@@ -39,8 +39,8 @@ from desim.scenario import Scenario
 from desim.scenario_file import validate
 from desim.source import ScenarioError, Source
 from desim.value import OneOf, kind_of
+from tests.command import JARGON, strict_json
 from tests.study import sweeps
-from tests.test_cli import JARGON, strict_json
 
 SCENARIOS = sorted((Path(__file__).parents[1] / "scenarios").glob("*.toml"))
 CASES = int(os.environ.get("FUZZ", "0"))
