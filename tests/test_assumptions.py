@@ -128,6 +128,7 @@ LOSSLESS_LINKS = Links(
 ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 0.1})])
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("trigger", ["change", "never", "heartbeat", "both", "revision"])
 @pytest.mark.parametrize(
     ("given", "lost"),

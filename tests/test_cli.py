@@ -275,6 +275,7 @@ def schema() -> dict:
     return json.loads(accepted("schema").stdout)
 
 
+@pytest.mark.slow
 def test_the_schema_is_strict_json():
     assert strict_json(accepted("schema").stdout)["title"] == "Scenario"
 
@@ -703,6 +704,7 @@ def seeds_of(table: Path) -> list[tuple[str, ...]]:
         return [(row["network.range"], row["protocol.kind"], row["seed"]) for row in csv.DictReader(stream)]
 
 
+@pytest.mark.slow
 def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(coins):
     folder, result = coins
     means, differences = result.stdout.split("\n\n")
@@ -753,6 +755,7 @@ def test_a_sweep_as_json_is_one_document_on_stdout(file, tmp_path):
     assert runs == 3
 
 
+@pytest.mark.slow
 def test_a_sweep_does_as_many_runs_as_a_precision_takes(file, tmp_path):
     one = ("--set", 'sweep.grid={ "network.range" = [1.0] }')
     made = swept(file(COINS), "-o", tmp_path / "out", "--until", "active_time:0.5", *one)
@@ -787,6 +790,7 @@ def test_what_would_be_run_is_said_and_nothing_is_written(file, tmp_path):
     assert {each.name: each.read_bytes() for each in out.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path, coins):
     """12 runs in parts of 3, 3, 2, 2, 2: five stores, merged, and then nothing is left to be done."""
     path, parts = file(COINS), tmp_path / "parts"
@@ -821,6 +825,7 @@ def typed(monkeypatch):
     return call
 
 
+@pytest.mark.slow
 def test_a_smaller_sweep_into_the_same_folder_leaves_what_is_written_of_the_larger(file, tmp_path, typed):
     out = ("-o", tmp_path / "out")
     typed("sweep", file(COINS), *out)
@@ -830,6 +835,7 @@ def test_a_smaller_sweep_into_the_same_folder_leaves_what_is_written_of_the_larg
     assert (tmp_path / "out" / "run.json").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_a_larger_sweep_takes_the_place_of_a_smaller_and_what_neither_covers_is_kept(file, tmp_path, typed):
     path, out = file(COINS), ("-o", tmp_path / "out")
     typed("sweep", path, *out, "-n", 1)
@@ -844,6 +850,7 @@ def test_a_larger_sweep_takes_the_place_of_a_smaller_and_what_neither_covers_is_
     assert asked(tmp_path / "out") == [until, all_of_it]
 
 
+@pytest.mark.slow
 def test_a_merged_store_tells_the_command_of_each_part(file, tmp_path, typed):
     path = file(COINS)
     parts = [typed("sweep", path, "-o", tmp_path / "parts", "--shard", f"{k}/3") for k in (1, 2, 3)]

@@ -67,6 +67,7 @@ def test_traces_and_summaries_are_equal_in_any_process_at_any_place(names, optio
     assert there.splitlines() == HERE(5, names)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("rounded", "environment"),
     [
@@ -149,6 +150,7 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
     assert forwards.count("Broadcast") + forwards.count("Sent") > 10
 
 
+@pytest.mark.slow
 def test_two_runs_share_nothing():
     scenario = load(RELAY)
     first = lines(run(scenario, 3))

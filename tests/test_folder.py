@@ -154,12 +154,14 @@ def test_what_needs_no_messages_is_measured_though_they_go_to_a_file_and_all_of_
     assert plain(summary(read(tmp_path))) == whole
 
 
+@pytest.mark.slow
 def test_the_file_of_one_of_several_runs_is_below_the_folder(tmp_path):
     write_below(tmp_path, simulate_below(tmp_path, TO_FILE, 5), simulated_there=True)
     assert names(tmp_path) == {"seed-5"}
     assert list(events(tmp_path / "seed-5")) == run(WITH_MESSAGES, 5).trace.events
 
 
+@pytest.mark.slow
 def test_a_run_whose_messages_go_nowhere_else_is_written_as_far_as_it_is_known(tmp_path):
     write(run(TO_FILE, 5), tmp_path)
     assert list(events(tmp_path)) == run(TO_FILE, 5).trace.events

@@ -367,6 +367,7 @@ FOUND = [
 """What was wrong once, of documents that follow the schema."""
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("tables", FOUND, ids=lambda tables: ".".join(dict(keys(tables))))
 def test_what_was_wrong_once_runs_or_is_refused(tables):
     try_document({"horizon": 0.3, "team": {"count": 3}} | tables, "")
@@ -492,6 +493,7 @@ def overrides(draw) -> str:
     return f"{key}={found}".replace("\x00", "")  # no operating system passes it
 
 
+@pytest.mark.slow
 @fuzz(0.12)
 @given(changes=st.lists(overrides(), min_size=1, max_size=3))
 @example(changes=["seed=" + "9" * 5000])
@@ -529,6 +531,7 @@ def sweeps_of(draw) -> tuple[dict[str, Any], dict[str, Any]]:
     }
 
 
+@pytest.mark.slow
 @fuzz(0.03)
 @given(case=sweeps_of())
 def test_whatever_is_swept_runs_or_is_refused_and_its_store_is_whole(case):

@@ -80,6 +80,7 @@ def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(nam
         assert abs(mean - other @ WELFARES) > 5 * spread
 
 
+@pytest.mark.slow
 def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
     """4,800 decisions in 5 batches; the controls: at temperatures of 1 s and 4 s it would be 3 s more and 5 s less."""
     found = batches(game_of_three(SpatialAdaptivePlay, SharedSeed(slot=0.005)), 1, ORDER)

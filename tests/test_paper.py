@@ -128,6 +128,7 @@ def test_algorithm_2_is_the_plain_loop_step_for_step(case, trigger):
     compare(case, result, owners, draws)
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(pursuits())
 def test_algorithm_3_is_the_plain_loop_step_for_step(case):

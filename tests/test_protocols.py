@@ -101,6 +101,7 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(kind, schedule, file):
     assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # noqa: NPY002
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_the_contract_sees_of_a_protocol_is_pursuers_that_are_sent_and_stopped(kind):
     """Or the contract would be about nothing."""

@@ -527,6 +527,7 @@ def repeated(tmp_path: Path, *args: object) -> tuple[dict[str, object], dict[str
     return found[0], found[1]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.usefixtures("_no_pictures")
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
 def test_a_run_of_a_scenario_file_is_repeated_byte_for_byte(file, tmp_path):
@@ -563,6 +564,7 @@ until = inf
 """
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.usefixtures("_no_pictures")
 @pytest.mark.parametrize(
     "options",
@@ -600,6 +602,7 @@ def test_a_module_beside_the_file_is_repeated_byte_for_byte(beside, tmp_path):
     assert read(tmp_path / "second" / "run.json")["folder"] == str(file.parent)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_no_pictures")
 def test_the_folder_of_each_of_several_runs_repeats_that_run(tmp_path):
     """The one at the top repeats all of them; what was repeated is repeated again."""
@@ -664,6 +667,7 @@ def seeds(*args: object) -> list[int]:
     return [run["seed"] for run in strict_json(accepted("run", *args, "--json").stdout)["runs"]]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
@@ -679,6 +683,7 @@ def test_seeds_and_their_number_are_those_of_the_record_unless_an_option_says_ot
     assert seeds("--from", earlier, *options) == expected
 
 
+@pytest.mark.slow
 def test_an_override_of_a_repetition_is_recorded_in_turn(earlier, tmp_path):
     accepted("run", "--from", earlier, "--set", "evader.speed=0.5", "-n", 1, "-s", 9, "-o", tmp_path / "out")
     again = read(tmp_path / "out" / "run.json")

@@ -83,6 +83,7 @@ def test_every_study_the_readme_names_has_help(module):
     assert done.stdout.startswith("Usage:")
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("line", [line[10:] for line in README.splitlines() if line.startswith("    desim ")])
 def test_every_command_the_readme_names_runs(line, tmp_path, monkeypatch):
     """Each for 1.5 s of simulated time and, where it makes many runs, for two of each in this process."""

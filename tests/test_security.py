@@ -522,6 +522,7 @@ def precious(tmp_path):
     assert (tmp_path / "precious").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
     names = ("replay.html", "trace.perfetto.json", "spacetime.svg", "spacetime.png", "pursuit.gif")
     for name in names:
@@ -531,6 +532,7 @@ def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
     assert not [name for name in names if (ran / name).is_symlink()]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("options", [[], ["-n", "2"]])
 def test_a_link_in_a_folder_that_is_written_to_is_replaced(written, precious, tmp_path, options):
     out, home = tmp_path / "out", tmp_path / "home"
@@ -609,6 +611,7 @@ def test_what_cannot_be_printed_is_escaped_as_toml_and_json_do():
     assert harmless(visible(WORST).replace("\t", ""))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_no_pictures")
 def test_a_terminal_is_told_nothing_but_text(written, tmp_path):
     file = written(f"name = {TOML}\n{GRID}")

@@ -47,6 +47,7 @@ def test_a_limit_is_a_time(limit):
         pass
 
 
+@pytest.mark.slow
 def test_what_ends_in_time_is_left_alone():
     """Also if the time is over in the very moment in which it ends: it hears of that at once, or never."""
     for _ in range(200):
@@ -198,6 +199,7 @@ def test_a_run_in_which_no_time_passes_is_ended():
         run(scenario(endless))
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_1_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(folder, "can_plot", lambda: False)  # to find out takes its time
     file = tmp_path / "long.toml"
@@ -216,6 +218,7 @@ def test_the_command_refuses_what_is_no_time(tmp_path, text):
     assert "Invalid value for '--timeout'" in made.stderr
 
 
+@pytest.mark.slow
 def test_a_run_of_a_sweep_that_takes_too_long_has_failed_and_the_others_go_on():
     swept = sweep(scenario(endless), {"horizon": [1e-9, 1.0]}, reps=1, timeout=0.3)
     assert len(swept.failed) == 2

@@ -131,6 +131,7 @@ def test_what_just_goes_together_is_not_warned_of(given):
     assert [each for each in warned(**given) if " assumes " not in each[1]] == []
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("protocol", "payload", "speaks"),
     [

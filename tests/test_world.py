@@ -156,6 +156,7 @@ def test_a_slow_pursuer_is_not_active_at_the_start():
     assert run(scenario).trace.of(Started)[0].active == (False, False, True)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 10**6),

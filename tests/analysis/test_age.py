@@ -472,6 +472,7 @@ CRASHES = RandomCrashes(rate=1.0, mean_downtime=0.1)
 FORGETTING = CRASHES.model_copy(update={"memory": False})
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("warm", [True, False])
 @pytest.mark.parametrize(
     ("spread", "faults"),

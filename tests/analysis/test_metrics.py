@@ -240,6 +240,7 @@ def histories(draw) -> Result:
     return by_hand(tuple(draw(st.lists(st.booleans(), min_size=count, max_size=count))), decisions, 10.0)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(histories())
 def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(result):

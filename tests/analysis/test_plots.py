@@ -39,6 +39,7 @@ def texts(root) -> list[str]:
     return ["".join(each.itertext()) for each in root.iter("{http://www.w3.org/2000/svg}text")]
 
 
+@pytest.mark.slow
 def test_trajectories_are_golden():
     """Who captured is drawn in a style of its own, who never moved where it stood; of two evaders, who captured which.
 
@@ -78,6 +79,7 @@ def saved(tmp_path_factory):
     return figure, *paths
 
 
+@pytest.mark.slow
 def test_a_picture_drawn_or_saved_twice_is_the_same_bytes_and_that_of_another_run_is_not(saved, tmp_path):
     figure, *paths = saved
     once = [path.read_bytes() for path in paths]
@@ -135,6 +137,7 @@ def test_a_pdf_has_no_date_and_no_bitmap_type_and_is_the_same_bytes_in_another_p
     assert b"/Type3" not in once
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     "name",
     ["<script>alert(1)</script> a & b --> ]]>", "$x^2$ costs 100 % $\\frac{}$", "\"quoted\" 'twice' \u03c4 costs $5"],
@@ -145,6 +148,7 @@ def test_a_name_appears_as_the_text_it_is(tmp_path, name):
     assert not [each for each in root.iter() if each.tag.endswith("}script")]
 
 
+@pytest.mark.slow
 def test_drawing_leaves_the_style_and_the_luck_of_others_alone(tmp_path):
     luck = np.random.get_state()[1].tolist()  # noqa: NPY002 - the global generator is the subject
     with mpl.rc_context({"svg.fonttype": "path", "font.size": 17.0, "axes.spines.top": True}):

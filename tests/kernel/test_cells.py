@@ -134,6 +134,7 @@ def crowds(draw, size, radius):
     return np.array(draw(st.lists(anywhere, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), st.integers(1, 6), RADII, st.booleans())
 def test_all_who_are_near_are_found_however_they_jump(data, size, radius, in_place):

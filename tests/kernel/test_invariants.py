@@ -208,6 +208,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
 PLANS = [(), (RandomPlan(rate=20.0, mean_duration=0.1),), (Crash(node=0, at=0.0, until=inf), RandomPlan(rate=5.0))]
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(
     st.integers(0, 2**32),

@@ -170,6 +170,7 @@ def test_the_answers_about_many_nodes_are_those_about_few(model, frozen, knows):
     assert answers(few, 0) != answers(Topology(nx.complete_graph(60), 6.5, tell, model, **given), 0)
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(st.data(), st.integers(1, 7), st.sampled_from([0.0, 1e-9, 1.0, 5.0, 1e9]))
 def test_a_disk_holds_just_those_whose_distance_is_at_most_the_range(data, size, reach):

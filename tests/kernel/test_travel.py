@@ -58,6 +58,7 @@ def delays(links, src, dst, seed=7, count=1, **rest):
 # Draws ahead.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("model", DRAWN)
 @pytest.mark.parametrize("own", [(), (Link(src=1, dst=2, latency=Gamma()),)])
 def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):

@@ -233,6 +233,7 @@ def agreed(result):
     return set(last.values())
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_graph(auction):
     """1 to 8 pursuers, 2 to 5 evaders, some never in time: min(N, M) times 1 + D rounds are enough, and all agree.
@@ -374,6 +375,7 @@ def test_loss_and_random_latency_only_slow_it(auction, spread):
         assert chasing(result) == relay(result)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
     """The control: half of all word is lost and none repeated; of 20 games at least 5 end wrong."""

@@ -246,6 +246,7 @@ def test_a_winner_that_has_no_turns_is_kept_as_long_as_it_is_heard():
         assert chasing(result) == winner
 
 
+@pytest.mark.slow
 def test_stamps_are_by_the_clock_of_whom_they_are_about():
     """Clocks that are hours wrong, on a path of 4 with pursuer 1 at one end: no verdict changes, only stamps.
 

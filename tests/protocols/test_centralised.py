@@ -13,6 +13,7 @@ from protocols.centralised import Centralised
 from tests.many import at_rest, by_evader, chased, times
 
 
+@pytest.mark.slow
 def test_exactly_one_pursuer_chases_at_any_time_whatever_the_start():
     for p0 in (0.0, 0.5, 1.0):
         for seed in range(4):

@@ -213,6 +213,7 @@ def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_in
     assert [later[j] for j in range(8)] == [[]] + [[0]] * 7
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(graphs(), st.integers(0, 8))
 def test_flooding_without_latency_reaches_everyone_who_is_connected(graph, speaker):

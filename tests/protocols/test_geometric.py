@@ -358,12 +358,14 @@ def test_with_hysteresis_the_owner_is_within_the_band_and_changes_hands_only_bey
 # What is said.
 
 
+@pytest.mark.slow
 def test_where_positions_are_sensed_nothing_is_said():
     for protocol in (Voronoi(hysteresis=0.1, slot=0.05), Argmin(slot=0.05), Argmin(by="intercept_time", slot=0.05)):
         for seed in range(2):
             assert summary(run(scattered(protocol, seed, horizon=5.0, speeds=2.0), seed)).messages_sent == 0
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("trigger", ["both", "change", "heartbeat", "never"])
 def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
     """10 pursuers, 5 s: a heartbeat of 0.5 s from a random phase is 10 announcements each; changes come on top."""

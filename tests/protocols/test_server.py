@@ -101,6 +101,7 @@ def test_it_is_an_omniscient_centre_whose_orders_are_one_latency_late(world, lat
         assert server == ideal != []
 
 
+@pytest.mark.slow
 def test_the_centre_that_it_is_compared_with_is_the_centralised_benchmark_if_nothing_is_late():
     """At rest and in motion: all that `RoundTrip` has of its own are the instants and the delay."""
     for seed in range(3):

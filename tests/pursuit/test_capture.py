@@ -127,6 +127,7 @@ def test_intercept_by_hand():
     assert intercept_time([-3.0, 1.0], [1.0, 0.0], [[0.0, 0.0]], [0.0], 1.0) == 3.0
 
 
+@pytest.mark.slow
 def test_the_formula_of_the_paper_is_the_smallest_root():
     """2000 random cases against numpy's roots of A t^2 + 2 B t + C = 0."""
     rng = np.random.default_rng(3)

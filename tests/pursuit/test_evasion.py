@@ -310,6 +310,7 @@ def safe_length(evader, heading, team, arena):
     return min(limits)
 
 
+@pytest.mark.slow
 @given(crowds, points, headings, st.sampled_from([0.0, 0.1, 0.5]))
 def test_nobody_can_go_farther_in_its_cell_than_to_the_vertex(team, evader, heading, hysteresis):
     """By brute force: of a grid of points, those in the cell are no farther than it goes, but for the hysteresis."""

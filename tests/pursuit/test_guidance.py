@@ -146,6 +146,7 @@ def capture(guidance, *, start=(0.0, 0.0), evader=(3.0, 0.0), strategy=None, spe
     return end.t / 1e9 if end.reason == "captured" else None
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("step", [0.01, 0.37])
 @pytest.mark.parametrize("angle", [0.0, 0.7, 2.0, 3.1])
 @pytest.mark.parametrize(("speed", "v_e"), [(2.0, 0.9), (5.0, 4.9)])

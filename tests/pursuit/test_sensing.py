@@ -147,6 +147,7 @@ def test_who_has_lost_it_stays_or_searches():
         assert isnan(answers[3.2][1].real) != knows
 
 
+@pytest.mark.slow
 def test_the_search_goes_round_where_the_evader_was_lost():
     """Turns are 2 R_s apart: what is within R_s of the way is a disk that grows."""
     sensing = Sensing(radius=3.0, estimate="hold", lost_after=0.5)

@@ -110,6 +110,7 @@ def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, mo
     assert f"without ns-3: {document['missing']['ns-3']}" in (tmp_path / "benchmarks.txt").read_text()
 
 
+@pytest.mark.slow
 def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
     class Forgetful(PerMessage):
         def outcome(self):

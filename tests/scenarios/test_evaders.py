@@ -161,6 +161,7 @@ def test_whom_an_evader_heeds_does_not_matter_if_everybody_chases():
         assert end_time(one) == end_time(other)
 
 
+@pytest.mark.slow
 def test_the_picture_is_as_wide_as_a_column_and_its_text_lies_clear():
     rows = enumerate(evaders.STRATEGIES)
     cells = [made(name, protocol, 0.3 * k) for k, name in rows for protocol in evaders.PROTOCOLS]

@@ -102,6 +102,7 @@ def test_each_combination_is_a_configuration_and_the_last_key_changes_fastest():
     assert len({cell.key for cell in found}) == 6
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0.1, 9.0), min_size=1, max_size=3, unique=True), st.booleans())
 def test_a_configuration_is_the_scenario_that_one_would_write(values, frozen):
     found = of({"horizon": values, "motion.frozen": [frozen]})

@@ -149,6 +149,7 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
     )
 
 
+@pytest.mark.slow
 def test_two_that_hide_each_other_cost_nothing_each_and_interact():
     """Nobody is in reach, and all is lost: to remove one of them helps nobody, so that all is interaction."""
     network = Links(loss=Bernoulli(p=1.0), range=1e-3)
@@ -344,6 +345,7 @@ def test_two_workers_and_a_store_that_was_interrupted_change_nothing(whole, tmp_
     assert (few.runs, whole.runs) == (2, 3)
 
 
+@pytest.mark.slow
 def test_the_seed_of_the_scenario_is_the_first_unless_another_is_given():
     seeded = LATE.model_copy(update={"seed": 5})
     assert explain(seeded, 2) == explain(LATE, 2, seed=5)
@@ -494,6 +496,7 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
 # The picture.
 
 
+@pytest.mark.slow
 def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     """Of 9.5 s, 4.5 s are left; latency makes it 3 s more, and loss 2 s more; by hand, as in the test above."""
     found = told_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])

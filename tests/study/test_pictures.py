@@ -170,6 +170,7 @@ def test_a_metric_without_a_unit_has_none():
 # Several metrics.
 
 
+@pytest.mark.slow
 def test_small_panels_show_what_the_pictures_of_each_metric_show():
     grid, metrics = {"horizon": [1.0, 2.0], "prune": ["inf", "none"]}, ["active_time", "switches", "end_time", "energy"]
     figure = multiples(result(grid), metrics)

@@ -297,6 +297,7 @@ def test_a_store_keeps_what_was_captured_of_several_evaders_and_nothing_of_it_wh
     assert tuple(json.loads(two)) == tuple(METRICS)
 
 
+@pytest.mark.slow
 def test_a_frame_has_the_types_of_what_is_measured():
     types = PLAIN.to_frame().dtypes.astype(str)
     assert types[["network.range", "active_time", "capture_time", "age_mean"]].tolist() == ["float64"] * 4

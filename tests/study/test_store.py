@@ -183,6 +183,7 @@ def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
             assert {each[2] for each in statuses(store, plan)} == {expected}
 
 
+@pytest.mark.slow
 def test_shards_make_the_whole_in_any_order_and_whatever_they_share(tmp_path, file):
     assert command("sweep", file, "--allow-import", "-o", tmp_path / "whole").exit_code == 0
     paths = []
@@ -199,6 +200,7 @@ def test_shards_make_the_whole_in_any_order_and_whatever_they_share(tmp_path, fi
     assert again.stdout == command("sweep", file, "--allow-import", "-o", tmp_path / "whole").stdout
 
 
+@pytest.mark.slow
 def test_shards_can_be_merged_in_their_own_folder_twice(tmp_path, file):
     for k in (1, 2):
         assert command("sweep", file, "--allow-import", "-o", tmp_path / "out", "--shard", f"{k}/2").exit_code == 0
@@ -286,6 +288,7 @@ def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
     assert times == [time for group in found.groups for time in group.values("active_time")]
 
 
+@pytest.mark.slow
 def test_a_merged_store_says_what_it_was_made_of(tmp_path, file):
     parts = [tmp_path / "1", tmp_path / "2"]
     for k, part in enumerate(parts, start=1):
@@ -298,6 +301,7 @@ def test_a_merged_store_says_what_it_was_made_of(tmp_path, file):
         assert made["runs"] == len(store) > 0
 
 
+@pytest.mark.slow
 def test_a_store_does_not_return_the_results_of_another_model(tmp_path):
     """Evaders that stand and that flee, by the same code and a table of which `repr` shows the ends only."""
 

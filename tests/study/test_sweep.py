@@ -52,6 +52,7 @@ def by_hand(seeds, **change):
 # Seeds.
 
 
+@pytest.mark.slow
 def test_run_k_of_every_configuration_has_the_seed_of_the_first_plus_k():
     found = sweep(BASE, GRID, 3)
     assert [[row.seed for row in group.rows] for group in found.groups] == [[5, 6, 7]] * 4
@@ -153,6 +154,7 @@ def test_truths_are_as_precise_as_wilsons_interval():
     assert len(values) == runs_needed(values, 0.12, at_most=MOST_RUNS) < MOST_RUNS
 
 
+@pytest.mark.slow
 def test_at_most_as_many_runs_as_are_asked_for_are_done():
     found = sweep(BASE, {"capture.radius": [0.2]}, 33, until=("active_time", 1e-9))
     assert [len(group.rows) for group in found.groups] == [33]
@@ -281,6 +283,7 @@ def test_a_terminal_is_told_how_many_runs_are_done(monkeypatch, do):
 # What a store may be continued with.
 
 
+@pytest.mark.slow
 def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
     """2 x 2 of 3 x 3 x ... runs are there; of 6 configurations x 3 runs the other 18 - 8 are done."""
     store = tmp_path / "s.sqlite"
@@ -316,6 +319,7 @@ CHANGED = {
 }
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("change", "grid", "options", "why"), CHANGED.values(), ids=CHANGED)
 def test_a_store_of_another_sweep_is_refused_and_says_what_differs(tmp_path, change, grid, options, why):
     store = tmp_path / "s.sqlite"

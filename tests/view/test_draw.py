@@ -70,6 +70,7 @@ def test_a_space_time_diagram_of_a_folder_is_that_of_the_run(made, folder, tmp_p
         assert (folder / f"spacetime{path.suffix}").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_timeline_of_a_folder_is_that_of_the_run(made, folder):
     call("perfetto", folder)
     assert (folder / "trace.perfetto.json").read_text() == perfetto(made[0])

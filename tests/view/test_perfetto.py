@@ -104,6 +104,7 @@ class Imported:
         self.waits.append((event["name"], self._begun.pop(key(event)), self._ns(event["ts"])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", RUNS, ids=lambda asked: asked[0])
 def test_perfetto_loses_nothing_of_a_run(asked, run_of):
     """Chases and messages last as long as in the run, to the nanosecond, and nothing overlaps on a thread.

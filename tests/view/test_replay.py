@@ -478,6 +478,7 @@ def invoke(*arguments):
     return CliRunner().invoke(main, ["replay", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_page_of_a_folder_is_that_of_the_run(tmp_path, result_of):
     result = result_of("faults")
     write(result, tmp_path)
@@ -510,6 +511,7 @@ def test_what_cannot_be_shown_is_said_on_stderr(tmp_path):
     assert done.stderr.startswith("warning: Messages were not recorded: the ")
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("prepare", "words"),
     [

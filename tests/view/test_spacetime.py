@@ -29,6 +29,7 @@ def count(figure):
     )
 
 
+@pytest.mark.slow
 def test_diagrams_of_runs_by_hand_are_golden():
     """All that can happen, of one evader and of two; in two rows, in windows, and within a fault in a narrow picture.
 
@@ -89,6 +90,7 @@ def test_if_nothing_is_asked_for_there_is_something_to_see_and_not_too_much(crow
     assert len(axes.get_yticks()) == 10
 
 
+@pytest.mark.slow
 def test_of_a_large_team_the_six_that_changed_action_most_are_shown(run_of):
     result = run_of("relay.toml", "horizon=1.0", "record.messages=true")
     own, active = np.zeros(20, int), [True] * 20
