@@ -515,12 +515,12 @@ def damaged(rng, whole):
     return bytes(found)
 
 
-@pytest.mark.parametrize("seed", [*range(6), pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [*range(2), pytest.param(None, marks=pytest.mark.slow)])
 def test_a_damaged_store_is_refused_or_says_what_the_whole_one_says(tmp_path, good, seed):
     """Bits, bytes, a digit, a page or the end are others: what is wrong with them is told, or they mean nothing."""
     file, folder, table = good
     whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
-    for each in range(1000, 1200) if seed is None else [seed]:
+    for each in range(1000, 1040) if seed is None else [seed]:
         damage, out, merged = damaged(random.Random(each), whole), tmp_path / "out", tmp_path / "merged"
         for words in (
             ("export", out, tmp_path / "a.csv"),
