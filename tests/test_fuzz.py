@@ -593,7 +593,7 @@ def killed(after: int, *args: object) -> bool:
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path):
     """At seeded moments, over nothing or over what an earlier command left that was killed, too."""
-    moments, in_time, kills = random.Random(CASES), 0, max(CASES // 25, 8)
+    moments, in_time, kills = random.Random(CASES), 0, max(CASES // 25, 4)
     file = tmp_path / "fuzz.toml"
     file.write_text("horizon = 1.0\nteam.count = 3\nsweep = { reps = 4, grid = { 'team.count' = [2, 3] } }\n")
     assert call("run", file, "-o", tmp_path / "first")[0] == OK  # so that all is imported

@@ -351,9 +351,9 @@ Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 _FIELDS: dict[str, Any] = {
     each.name: (get_type_hints(Summary)[each.name], ... if each.name in COMMON else None) for each in fields(Summary)
 }
-Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
+_Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
 """A summary as JSON has it."""
-RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[Numbers] | None, str]
+RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
 SETTINGS = Json[dict[str, bool | int | float | str]]
 """What a row of `runs`, and the settings of a configuration, are."""
 

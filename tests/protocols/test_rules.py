@@ -793,6 +793,7 @@ def test_if_who_would_be_late_is_pruned_nobody_is_ordered_to_chase_in_vain(kind)
                 if isinstance(event, Decided) and event.active:
                     late[prune] += seen[0].whole.capture_times(1)[event.pursuer] >= seen[0].time_left()
 
+            protocol.reckons = getattr(inner, "reckons", False)
             watched = scenario.model_copy(update={"protocol": protocol})
             start, _ = ever_active(run(watched, None, watch))
             team, evader = scenario.team, complex(*scenario.evader.position)
