@@ -129,15 +129,19 @@ class Server(Value):
         yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
 
     def _chaser(self, me: Agent, orders: Orders, flight: float) -> int | tuple[int | None, ...] | None:
-        """Return who is to chase, of the host and those of whom it has word; see `Order`.
+        """Return the best chaser of each evader among the host and the pursuers with a recent report; see `Order`.
 
         Args:
             me: the host.
-            orders: of everybody who has reported, its orders since: (when it takes it up, ns; its action), ascending.
+            orders: for each pursuer that has reported, the orders since its report as (time of effect in ns, action),
+                by ascending time.
             flight: how long an order takes, s.
         """
         now = nanoseconds(me.now)
-        effect = nanoseconds(me.now + flight) if me.time_left(flight) < me.time_left() else now  # at rest nobody waits
+        static = (
+            me.time_left(flight) == me.time_left()
+        )  # then no time to the horizon passes while an order is in flight
+        effect = now if static else nanoseconds(me.now + flight)
         phi = []
         for evader in range(1, me.evader_count + 1):
             known = me.beliefs(self.period, evader, orders)
@@ -156,14 +160,14 @@ def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: int, effect: int) -> int:
-    """Return for how long a pursuer will not chase an evader before an order of now takes effect, ns.
+    """Return the time that a pursuer does not chase an evader before an order sent now takes effect, ns.
 
     Args:
         reported: its action as it reported it.
-        ordered: the orders that it gets after its report: (when it takes up which action, ns), ascending.
-        evader: which one.
-        now: ns.
-        effect: when an order of now takes effect, ns.
+        ordered: the orders after its report as (time of effect in ns, action), by ascending time.
+        evader: its number.
+        now: the present time, ns.
+        effect: the time at which an order sent now takes effect, ns.
     """
     legs = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
     return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(legs) if action != evader)

@@ -30,7 +30,7 @@ class RoundTrip(Value):
     down: Time = 0.0
 
     def __call__(self, me: Agent) -> Process:
-        """Decide for everybody."""
+        """Decide for the whole team."""
         if me.id != self.host:
             return
         in_flight: list[list[tuple[int, int]]] = [[] for _ in range(me.team_size)]

@@ -52,7 +52,7 @@ class GilbertElliott(Value):
     share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     """Share of the messages, or of the time, for which a link is bad, in [0, 1)."""
     burst: Positive = 5.0
-    """How long a link is bad in the mean, in messages of the link, or in s if it advances in time."""
+    """Mean duration of a bad period, in messages of the link, or in s if it advances in time."""
     advance: Literal["message", "time"] = "message"
     """Whether a link changes between good and bad with every message it carries, or as time goes by."""
     loss_good: Probability = 0.0

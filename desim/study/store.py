@@ -205,7 +205,7 @@ class Store:
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Yield the database within a transaction, in which nobody else writes."""
+        """Yield the database within a transaction that excludes other writers."""
         with self._database:
             self._database.execute("BEGIN IMMEDIATE")
             yield self._database
@@ -213,12 +213,12 @@ class Store:
     @property
     @_naming_the_file
     def about(self) -> Mapping[str, str]:
-        """What sweep it is of, by name, as JSON."""
+        """The properties of the sweep that the store belongs to, as JSON texts by name."""
         return MappingProxyType(dict(self._rows("about")))
 
     @_naming_the_file
     def said(self, name: str, kind: Any) -> Any:
-        """Return what is written down of the sweep under a name, of a type.
+        """Return a property of the sweep, parsed from JSON and checked against a type.
 
         Raises:
             StoreError: if it is not there, or of another type.
