@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary
-    from desim.scenario import Scenario
-    from desim.scenario_file import load
-    from desim.simulation import Result, run
+    from desim.scenario.scenario import Scenario
+    from desim.scenario.toml import load
+    from desim.simulation.run import Result, run
     from desim.study.explain import explain
     from desim.study.sweep import sweep
 
 __all__ = ["Result", "Scenario", "explain", "load", "run", "summary", "sweep"]
 
 _HOMES = {
-    "Result": "desim.simulation",
-    "Scenario": "desim.scenario",
+    "Result": "desim.simulation.run",
+    "Scenario": "desim.scenario.scenario",
     "explain": "desim.study.explain",
-    "load": "desim.scenario_file",
-    "run": "desim.simulation",
+    "load": "desim.scenario.toml",
+    "run": "desim.simulation.run",
     "summary": "desim.analysis.metrics",
     "sweep": "desim.study.sweep",
 }

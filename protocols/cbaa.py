@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.pursuit.agent import Agent
-from protocols.claims import NO_BID, Auction, Bid, bids_of, chosen, claim_fields, current, unread
+from protocols.auction import NO_BID, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 from protocols.rule import Rule
 
 

@@ -19,11 +19,11 @@ from collections.abc import Iterator, Sequence
 from math import inf
 from typing import ClassVar, Literal, NamedTuple
 
+from desim.config.model import Timeout
 from desim.kernel.clock import seconds
-from desim.kernel.wire import NUMBER
+from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
-from desim.value import Timeout
-from protocols.claims import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
+from protocols.auction import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """Take the winner over from the sender; know of no winner any more; change nothing."""

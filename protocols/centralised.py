@@ -16,10 +16,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from desim.config.model import Period, Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.assignment import optimal_assignment
 from desim.pursuit.game import relay_pursuer
-from desim.value import Period, Value
 
 
 class Centralised(Value):

@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
 
+from desim.config.model import Time, Value
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.word import Relayed
-from desim.value import Time, Value
+from desim.pursuit.announcements import Relayed
 
 PORT = "word"
 """Where word that is passed on comes in."""

@@ -19,9 +19,9 @@ from typing import Any, Literal, Self
 
 from pydantic import model_validator
 
+from desim.config.model import Probability
 from desim.pursuit.agent import Agent
-from desim.pursuit.belief import Belief
-from desim.value import Probability
+from desim.pursuit.beliefs import Belief
 from protocols.best_response import Willingness
 from protocols.rule import LearningRule, best, present
 

@@ -25,11 +25,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from desim.config.model import Period, Time, Value
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.belief import Whereabouts
+from desim.pursuit.beliefs import Whereabouts
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates, lengths
-from desim.value import Period, Time, Value
 from protocols.schedules import ticks
 
 Measure = Callable[[Whereabouts], Floats]
@@ -48,7 +48,7 @@ class Geometric(Value):
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.assumptions`."""
+        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Measure:
@@ -82,7 +82,7 @@ class Voronoi(Geometric):
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.assumptions`."""
+        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return (*super().assumes, "places_known", "equal_speeds")
 
     def measure(self, me: Agent, evader: int) -> Measure:
@@ -103,7 +103,7 @@ class Argmin(Geometric):
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.assumptions`."""
+        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
     def measure(self, me: Agent, evader: int) -> Measure:

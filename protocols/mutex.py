@@ -18,11 +18,11 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.config.model import Duration, Rate, Value
 from desim.kernel.clock import nanoseconds
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from desim.value import Duration, Rate, Value
-from protocols.patience import TimeOut, Waiting, wait_for_mail
+from protocols.retransmission import TimeOut, Waiting, wait_for_mail
 
 PORT = "mutex"
 """Where all that concerns the section comes in."""

@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from itertools import count
 from typing import Literal
 
+from desim.config.model import Probability
 from desim.pursuit.agent import Agent
-from desim.value import Probability
 from protocols.best_response import Willingness
 from protocols.rule import LearningRule, present
 from protocols.sap import drawn

@@ -9,12 +9,13 @@ runs under any schedule, network and dissemination.
 from collections.abc import Collection, Iterator
 from typing import Annotated, ClassVar
 
+from desim.config.choice import OneOf
+from desim.config.model import LONGEST, Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
-from desim.value import LONGEST, OneOf, Value
 from protocols.mutex import LocalMutex
 from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
-from protocols.together import Together
+from protocols.synchronous import Together
 from protocols.token import TokenRing, TokenWalk
 
 SCHEDULES = OneOf(
@@ -35,7 +36,7 @@ class Rule(Value):
     """A protocol in which each pursuer chooses an action whenever its schedule says so, and announces it."""
 
     assumes: ClassVar[tuple[str, ...]] = ("word_gets_through",)
-    """What it needs to do what it promises; see `desim.assumptions`."""
+    """What it needs to do what it promises; see `desim.scenario.assumptions`."""
     schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
     """When each pursuer revises."""
 

@@ -19,8 +19,8 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from desim.config.model import Period, Rate, Value
 from desim.pursuit.agent import Agent, Process
-from desim.value import Period, Rate, Value
 
 
 class Schedule(Protocol):

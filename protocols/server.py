@@ -33,11 +33,11 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from desim.config.model import Period, Value
 from desim.kernel.clock import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.belief import Orders
-from desim.pursuit.word import Relayed
-from desim.value import Period, Value
+from desim.pursuit.announcements import Relayed
+from desim.pursuit.beliefs import Orders
 from protocols.centralised import matching
 from protocols.schedules import ticks
 

@@ -10,8 +10,9 @@ from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
 
+from desim.config.choice import OneOf
+from desim.config.model import Positive, Value
 from desim.pursuit.agent import Agent
-from desim.value import OneOf, Positive, Value
 
 
 class Temperature(Protocol):

@@ -6,7 +6,7 @@ Parameters: hold (time at each pursuer), attempts (before a neighbour is given u
 Assumes: a connected graph; each component of it has a token of its own.
 Messages: two per revision, the token and its receipt; what the pursuers announce besides is theirs. The token carries
     what is known of everyone, so it is long.
-Robust to loss: yes; see `protocols.circulation`. Without faults every decision is based on the actions of all others
+Robust to loss: yes; see `protocols.token_passing`. Without faults every decision is based on the actions of all others
     as they are, at any latency, as long as word is not forgotten (`forget_after`) between two revisions of a pursuer.
 """
 
@@ -17,10 +17,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from desim.config.model import Period, Value
 from desim.pursuit.agent import Agent, Process
-from desim.value import Period, Value
-from protocols.circulation import circulate, hop_time
-from protocols.token_messages import Token, not_absent
+from protocols.token_passing import Token, circulate, hop_time, not_absent
 
 
 class _WithToken(Value):

@@ -19,15 +19,15 @@ import simpy
 from numpy.typing import NDArray
 
 from desim import Result, Scenario, run
-from desim.analysis.reading import messages
+from desim.analysis.trace_index import messages
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
 from desim.kernel.trace_file import TraceFile
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Ended
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 from scenarios.measuring import Cost, apart, command, memory, per_unit

@@ -19,8 +19,8 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Recording, Team
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, Rounds, Schedule, SharedSeed

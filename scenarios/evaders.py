@@ -28,6 +28,7 @@ from desim.analysis.tables import aligned, json_number
 from desim.kernel.events import Sent
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import (
     ConstantHeading,
     Diffusion,
@@ -42,8 +43,7 @@ from desim.pursuit.evasion import (
 )
 from desim.pursuit.events import Sampled
 from desim.pursuit.sensing import Sensing, Sighting
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Recording, Team
+from desim.scenario.scenario import Evader, Recording, Team
 from scenarios.rivals import N, contender
 from scenarios.study import Options, study
 

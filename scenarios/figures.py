@@ -13,14 +13,14 @@ import numpy as np
 
 from desim import Result, Scenario, run
 from desim.analysis.activity import active_time, handovers, relays
-from desim.analysis.course import course
 from desim.analysis.hindsight import gains
-from desim.analysis.reading import ended, reading, started
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
-from desim.folder import can_plot
+from desim.analysis.timeline import course
+from desim.analysis.trace_index import ended, reading, started
 from desim.kernel.clock import SECOND, seconds
-from desim.scenario import Recording
+from desim.results.run_folder import can_plot
+from desim.scenario.scenario import Recording
 from scenarios.study import Options, study
 from scenarios.table1 import DELTAS, centralised, configuration, decentralised
 

@@ -20,7 +20,7 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
 from desim.pursuit.state import Points
-from desim.scenario import Capture, Evader, Recording, Scenario, Team
+from desim.scenario.scenario import Capture, Evader, Recording, Scenario, Team
 from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised

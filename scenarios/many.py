@@ -21,7 +21,7 @@ from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Started
 from desim.pursuit.state import Floats
-from desim.scenario import PROTOCOLS, Evader, Motion, Recording, Team
+from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
 from protocols.schedules import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature
 from scenarios.study import Options, study

@@ -23,11 +23,11 @@ from desim.analysis.tables import aligned
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.topology import Topology
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.game import equilibria, greedy_maximal_independent_set
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
-from desim.pursuit.word import Announcements
-from desim.scenario import Team
+from desim.scenario.scenario import Team
 from desim.study.batch import seeds_from
 from protocols.dissemination import Flooding
 from protocols.local_min import ArgminKnown, LocalMin

@@ -20,8 +20,8 @@ from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Motion, Recording, Team
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.schedules import Poisson
 from scenarios.study import Options, study
 

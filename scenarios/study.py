@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from desim import provenance
 from desim.cli.program import Program
-from desim.folder import can_plot
+from desim.results import provenance
+from desim.results.run_folder import can_plot
 from desim.study.batch import run_many, seeds_from
 
 if TYPE_CHECKING:

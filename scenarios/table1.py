@@ -16,8 +16,8 @@ from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned, number
 from desim.pursuit.agent import Behaviour
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import Motion
 from desim.study.batch import run_many, seeds_from
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay

@@ -12,7 +12,7 @@ import numpy as np
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
-from desim.scenario import Capture, Motion
+from desim.scenario.scenario import Capture, Motion
 from scenarios.study import Options, study
 from scenarios.table1 import configuration, decentralised
 

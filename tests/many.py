@@ -8,7 +8,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Halted, Started
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 
 LOSSY = Links(loss=Bernoulli(p=0.2), latency=Constant(value=0.03))
 """A fifth is lost, and all is late, s."""

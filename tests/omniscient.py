@@ -4,10 +4,10 @@ from heapq import merge
 from itertools import pairwise
 from typing import ClassVar, Literal
 
+from desim.config.model import Period, Time, Value
 from desim.kernel.clock import nanoseconds, seconds
 from desim.kernel.seeds import stream
 from desim.pursuit.agent import Agent, Process
-from desim.value import Period, Time, Value
 from protocols.centralised import matching
 from protocols.schedules import ticks
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from desim import provenance
+from desim.config.model import Value, fields_of
 from desim.kernel.latency import Gamma
-from desim.scenario import PROTOCOLS, Scenario
-from desim.scenario_file import load
+from desim.results import provenance
+from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.scenario.toml import load
 from desim.study import batch
 from desim.study.batch import run_many
-from desim.value import Value, fields_of
 from tests import command
 from tests.command import accepted, desim, strict_json
 
@@ -148,7 +148,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path, command, name, why):
 
 @pytest.mark.parametrize("below", [".", "x", "x/y"])
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_runs(file, tmp_path, monkeypatch, below):
-    monkeypatch.setattr("desim.simulation.World", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("desim.simulation.run.World", lambda *_: pytest.fail("it ran"))
     taken = tmp_path / "taken"
     taken.write_text("precious")
     (said,) = refused("run", file(DUEL), "-o", taken / below)
@@ -165,7 +165,7 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("desim.simulation.World", interrupt)
+    monkeypatch.setattr("desim.simulation.run.World", interrupt)
     assert desim("run", file(DUEL)).exit_code == 130
 
 
@@ -201,7 +201,7 @@ def test_a_replay_that_cannot_be_made_is_said_in_a_line(file, tmp_path, monkeypa
 
 
 def test_a_replay_under_another_name_is_refused_before_anything_runs(file, monkeypatch):
-    monkeypatch.setattr("desim.simulation.World", lambda *_: pytest.fail("it ran"))
+    monkeypatch.setattr("desim.simulation.run.World", lambda *_: pytest.fail("it ran"))
     (said,) = refused("replay", file(DUEL), "-o", "x.gif")
     assert said == "--out x.gif: should end in .html, or have no suffix, got .gif"
 

@@ -14,11 +14,11 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant, Empirical, Gamma, Lognormal, PerPair, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from desim.study.batch import run_many
 from protocols.dissemination import Flooding, OneHop
 from protocols.mutex import LocalMutex

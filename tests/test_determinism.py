@@ -10,12 +10,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from desim import Scenario, load, run, simulation
+from desim import Scenario, load, run
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.trace_file import line_of
-from desim.scenario import Team
+from desim.scenario.scenario import Team
+from desim.simulation.run import run as simulation
 from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed

@@ -13,9 +13,9 @@ from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended, Halted, Sampled
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed

@@ -29,16 +29,16 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from desim import folder
 from desim.analysis.metrics import COMMON, Summary
 from desim.cli import main
-from desim.guards import visible
+from desim.config.choice import OneOf, kind_of
+from desim.config.trust import visible
 from desim.kernel.events import Trace
 from desim.kernel.invariants import Conservation
-from desim.scenario import Scenario
-from desim.scenario_file import validate
-from desim.source import ScenarioError, Source
-from desim.value import OneOf, kind_of
+from desim.results import run_folder
+from desim.scenario.overrides import ScenarioError, Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
 from tests.command import JARGON, strict_json
 from tests.study import sweeps
 
@@ -331,12 +331,12 @@ def check_folders(out: Path, is_whole: bool) -> None:
     for home in homes:
         if strict_json((home / "run.json").read_text())["runs"] > 1:
             continue
-        result = folder.read(home)
+        result = run_folder.read(home)
         numbers = strict_json((home / "summary.json").read_text())
         check_numbers([numbers])
         assert numbers["seed"] == result.seed
         if result.scenario.record.messages != "file":  # else ages and beliefs, too, can be measured now
-            assert numbers == json.loads(json.dumps(folder.plain(folder.summary(result)))), "of another run"
+            assert numbers == json.loads(json.dumps(run_folder.plain(run_folder.summary(result)))), "of another run"
         tomllib.loads((home / "scenario.toml").read_text())
 
 
@@ -348,7 +348,7 @@ def pictures(*, drawn: bool):
     """Let pictures be drawn, which take most of the time of a small run, or not."""
     with pytest.MonkeyPatch.context() as patch:
         if not drawn:
-            patch.setattr(folder, "can_plot", lambda: False)
+            patch.setattr(run_folder, "can_plot", lambda: False)
         yield
 
 

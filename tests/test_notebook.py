@@ -10,7 +10,7 @@ from desim import Scenario, run
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
 from desim.pursuit.events import Ended
-from desim.scenario import Evader, Team
+from desim.scenario.scenario import Evader, Team
 from desim.study.explain import explain
 from desim.study.explanation import Explanation
 

@@ -12,10 +12,10 @@ from desim.kernel.events import Broadcast
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.game import gibbs, logit
-from desim.pursuit.word import Announcements
-from desim.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed

@@ -14,11 +14,11 @@ from desim.kernel.faults import Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.trace_file import line_of
+from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import DISSEMINATIONS, Announcements
-from desim.scenario import PROTOCOLS, Motion, Recording, Team
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.rule import SCHEDULES, Rule
 from protocols.schedules import Poisson
 from scenarios.study import SCENARIOS

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from desim.scenario_file import read
+from desim.scenario.toml import read
 from desim.study.configurations import cells
 from tests.command import accepted
 

@@ -18,14 +18,15 @@ from pydantic import Field, WrapValidator, create_model
 from pydantic.fields import FieldInfo
 from pydantic.types import AllowInfNan
 
-from desim import scenario_file
+from desim.config.choice import choices_of
+from desim.config.model import Value, fields_of, models_in
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Empirical
-from desim.scenario import Scenario
-from desim.scenario_file import load, read
-from desim.source import ScenarioError
+from desim.scenario import toml
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import load, read
 from desim.study.configurations import cells
-from desim.value import Value, choices_of, fields_of, models_in
 from tests.command import JARGON
 from tests.golden import golden
 
@@ -217,7 +218,7 @@ class Lax(Value):
 
 
 def test_a_bound_that_is_missing_or_not_enforced_is_noticed(tmp_path, monkeypatch):
-    monkeypatch.setattr(scenario_file, "Scenario", create_model("Scenario", __base__=Scenario, lax=(Lax, Lax())))
+    monkeypatch.setattr(toml, "Scenario", create_model("Scenario", __base__=Scenario, lax=(Lax, Lax())))
     assert unbounded(Lax) == ["whatever"]
     missed = not_refused(Table((("lax", None, False),), Lax), tmp_path)
     assert {each.split(" = ")[0] for each, *_ in missed} == {"whatever", "unenforced"}

@@ -12,18 +12,19 @@ import click
 import pytest
 
 import desim
-from desim import Scenario, value
-from desim import folder as folders
+from desim import Scenario
 from desim.analysis.plots import save, trajectory
 from desim.cli import main
-from desim.guards import fresh, visible
+from desim.config import model
+from desim.config.trust import fresh, visible
 from desim.kernel.latency import Empirical
 from desim.kernel.links import Links
-from desim.scenario_file import read
-from desim.simulation import run
-from desim.source import ScenarioError
+from desim.results import run_folder
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.toml import read
+from desim.simulation.run import run
 from desim.study.explain import explain
-from desim.study.pictures import waterfall
+from desim.study.figures import waterfall
 from desim.study.store import Store, StoreError
 from desim.study.sweep import sweep
 from tests.command import accepted, refused
@@ -36,7 +37,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from desim.kernel.latency import LATENCIES
-from desim.value import Value
+from desim.config.model import Value
 
 Path({mark!r}).touch()
 
@@ -81,7 +82,7 @@ def written(tmp_path):
 @pytest.fixture
 def _no_pictures(monkeypatch):
     """They take a second."""
-    monkeypatch.setattr(folders, "can_plot", lambda: False)
+    monkeypatch.setattr(run_folder, "can_plot", lambda: False)
 
 
 # Code that a file names.
@@ -244,7 +245,7 @@ def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_pat
     )
     (tmp_path / "evil.py").rename(tmp_path / "site" / "evil.py")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    value._named_by_entry_points.cache_clear()
+    model._named_by_entry_points.cache_clear()
     try:
         assert "names code" in refused("check", written('network.latency = { kind = "evil:Caught" }'))
         assert not mark.exists()
@@ -254,7 +255,7 @@ def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_pat
             assert why in refused("check", written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}'))
         assert not mark.exists()
     finally:
-        value._named_by_entry_points.cache_clear()
+        model._named_by_entry_points.cache_clear()
 
 
 def test_what_code_is_given_may_lie_beside_the_file(mark, written, tmp_path):
@@ -288,7 +289,7 @@ def test_a_run_json_names_no_code(mark, ran):
     for words in (["run", "--from", ran / "run.json"], ["replay", ran], ["draw", "spacetime", ran]):
         assert f"{ran / 'run.json'}: network.latency.kind: 'evil:late' names code" in refused(*words)
     with pytest.raises(ScenarioError, match="names code"):
-        folders.read(ran)
+        run_folder.read(ran)
     assert not mark.exists()
 
 
@@ -303,7 +304,7 @@ def test_a_trace_names_no_code(mark, ran, monkeypatch):
     for words in ("replay", ran), ("replay", "--allow-import", ran):
         assert "fault: Input tag 'evil:late' found using 'kind' does not match" in refused(*words)
     with pytest.raises(ValueError, match="Input tag 'evil:late'"):
-        list(folders.events(ran))
+        list(run_folder.events(ran))
     assert not mark.exists()
 
 
@@ -360,10 +361,10 @@ CALLS = {
 HARMLESS = {"json.loads", "tomllib.loads", "re.compile", "platform.system"}
 ALLOWED = {
     "desim/__init__.py": {"import_module"},  # of its own modules
-    "desim/value.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
-    "desim/study/shipping.py": {"pickle.loads"},  # what the driver sent to its workers
+    "desim/config/model.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
+    "desim/study/serialization.py": {"pickle.loads"},  # what the driver sent to its workers
     "desim/study/workers.py": {"pickle.loads"},  # what they sent back
-    "desim/study/driver.py": {"pickle.loads"},  # what it has just pickled
+    "desim/study/dispatch.py": {"pickle.loads"},  # what it has just pickled
 }
 
 
@@ -381,7 +382,7 @@ def _calls(tree):
 
 
 def _known(name: str, file: str) -> bool:
-    return name in ALLOWED.get(file, set()) or (file == "desim/value.py" and name.endswith(".load"))
+    return name in ALLOWED.get(file, set()) or (file == "desim/config/model.py" and name.endswith(".load"))
 
 
 @pytest.mark.parametrize("package", ["desim", "protocols"])

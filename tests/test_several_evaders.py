@@ -8,19 +8,19 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.folder import EVENTS
 from desim.kernel.clock import SECOND, Clock, seconds
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash
 from desim.kernel.trace_file import events_of, line_of
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, PureEvasion, Still
 from desim.pursuit.events import Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import Sensing
-from desim.pursuit.word import Announcements
-from desim.scenario import Capture, Evader, Motion, Recording, Team
-from desim.scenario_file import load
-from desim.source import ScenarioError
-from desim.world import World
+from desim.results.run_folder import EVENTS
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.scenario.toml import load
+from desim.simulation.world import World
 
 
 def chase(*targets):

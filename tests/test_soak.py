@@ -10,23 +10,23 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, summary
-from desim.invariants import Potential, watched
+from desim.analysis.invariants import Potential, watched
 from desim.kernel.clock import SECOND
 from desim.kernel.graphs import GRAPHS
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import LATENCIES
 from desim.kernel.loss import LOSSES
 from desim.kernel.medium import MEDIA
-from desim.kernel.reach import REACHES
+from desim.kernel.reception import REACHES
+from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
 from desim.pursuit.utility import UTILITIES
-from desim.pursuit.word import DISSEMINATIONS
-from desim.scenario import PROTOCOLS
-from desim.world import World
+from desim.scenario.scenario import PROTOCOLS
+from desim.simulation.world import World
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
-from protocols.token_messages import Token
+from protocols.token_passing import Token
 
 PLANS = int(os.environ.get("SOAK", "24" if settings.default.derandomize else "1000"))
 BLOCK = 12

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.reading import Floats, Integers, Truths, captures, ended, remembered, started
+from desim.analysis.trace_index import Floats, Integers, Truths, captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.pursuit.events import Captured, Decided, Halted
-from desim.simulation import Result
+from desim.simulation.run import Result
 
 Steps = tuple[Floats, Integers]
 """A step function: it is counts[k] for durations[k] seconds, in order of time."""

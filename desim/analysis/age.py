@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from desim.analysis.activity import action, changes
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.reading import Floats, Integers, ended, remembered, started
+from desim.analysis.trace_index import Floats, Integers, ended, remembered, started
 from desim.kernel.clock import SECOND
 from desim.pursuit.events import Decided
-from desim.simulation import Result
+from desim.simulation.run import Result
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ their potentials (`desim.pursuit.assignment`). It is greatest for a profile that
 each its own relay pursuer, if these are different; if not, those of `optimal_assignment`.
 
 All this needs positions: `record.trajectory` > 0, or a frozen game. Between two samples everybody is taken to be on a
-straight line, and phi is taken in the middle of each piece (`desim.analysis.course`); in a frozen game that is exact.
+straight line, and phi is taken in the middle of each piece (`desim.analysis.timeline`); in a frozen game that is exact.
 Sampled every 0.05 s and every 0.002 s, 12 seeds of scenarios/relay.toml have the same misassigned time and time to
 relay, and potential gaps and regrets that differ by 0.01 % and 0.02 %. There i* never changes. With all speeds 1.1 m/s
 it may change at every motion step, when the evader runs between two pursuers that are equally near: the misassigned
@@ -25,14 +25,14 @@ from math import fsum
 import numpy as np
 
 from desim.analysis.activity import decisions
-from desim.analysis.course import Course, course
-from desim.analysis.reading import Floats, Integers, Truths, ended, remembered, started
+from desim.analysis.timeline import Course, course
+from desim.analysis.trace_index import Floats, Integers, Truths, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
-from desim.kernel.travel import TYPICAL_SIZE, Travel
+from desim.kernel.propagation import TYPICAL_SIZE, Travel
 from desim.pursuit.assignment import optimal_assignment
-from desim.simulation import Result, run
+from desim.simulation.run import Result, run
 
 ALIKE = 20
 """Nodes of a complete graph whose links stand for those of all others."""

@@ -10,13 +10,13 @@ from itertools import chain, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.reading import Integers, ended, remembered, require_messages, started
+from desim.analysis.trace_index import Integers, ended, remembered, require_messages, started
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.faults import Crash, Over, clock_errors
 from desim.kernel.records import Record
-from desim.pursuit.word import records_in
-from desim.simulation import Result
+from desim.pursuit.announcements import records_in
+from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]
 """Rows of `PIECE`, in order of reader, source and time."""

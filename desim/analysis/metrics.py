@@ -26,7 +26,7 @@ from desim.analysis.activity import (
 )
 from desim.analysis.age import age_at_decision, age_mean, age_peak, belief_error, believed_leaders
 from desim.analysis.hindsight import misassigned_time, network_regret, potential_gap, regret, time_to_relay
-from desim.analysis.reading import (
+from desim.analysis.trace_index import (
     captures,
     ended,
     has_several,
@@ -37,7 +37,7 @@ from desim.analysis.reading import (
 )
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
-from desim.simulation import Result
+from desim.simulation.run import Result
 
 __all__ = [
     "COMMON",

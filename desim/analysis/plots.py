@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from desim.analysis.reading import captures, sampled
-from desim.guards import fresh, visible
+from desim.analysis.trace_index import captures, sampled
+from desim.config.file_names import PICTURES, files
+from desim.config.trust import fresh, visible
 from desim.kernel.clock import seconds
-from desim.names import PICTURES, files
-from desim.simulation import Result
+from desim.simulation.run import Result
 
 # Okabe & Ito 2008, distinguishable by the colour-blind.
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"

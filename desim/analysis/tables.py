@@ -7,8 +7,8 @@ from typing import Any
 
 from desim.analysis.metrics import METRICS, Summary, words
 from desim.analysis.statistics import Estimate, estimate, wilson
-from desim.scenario import Scenario
-from desim.value import plain_number
+from desim.config.json_numbers import to_json
+from desim.scenario.scenario import Scenario
 
 SHOWN = 12
 """How many evaders the table of a run names at most."""
@@ -94,7 +94,7 @@ def json_number(value: Any) -> Any:
     """Return what JSON has for a value: null for no number, "Infinity" for that."""
     if not isinstance(value, float):
         return value
-    return None if isnan(value) else plain_number(value)
+    return None if isnan(value) else to_json(value)
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:

@@ -13,7 +13,7 @@ from desim.cli.one import run
 from desim.cli.program import Program
 from desim.cli.replay import replay
 from desim.cli.report import report
-from desim.guards import sheltered
+from desim.config.trust import sheltered
 
 
 class Commands(Program, click.Group):

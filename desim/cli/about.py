@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 @SET
 def check(file: Path, overrides: tuple[str, ...]) -> None:
     """Validate a scenario, and its grid if it has one, and print it with every default filled in."""
-    from desim.scenario_file import dump
+    from desim.scenario.toml import dump
 
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
-        from desim.source import ScenarioError
+        from desim.scenario.overrides import ScenarioError
         from desim.study.configurations import cells
 
         try:
@@ -35,7 +35,7 @@ def check(file: Path, overrides: tuple[str, ...]) -> None:
 @click.command()
 def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
-    from desim.scenario import Scenario
+    from desim.scenario.scenario import Scenario
 
     document = json.dumps(Scenario.model_json_schema())
     strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
@@ -47,7 +47,7 @@ def schema() -> None:
 def keys(key: str | None) -> None:
     """List the keys of scenario files with defaults, units and kinds: all, or of a KEY like network.latency.gamma."""
     from desim.cli.description import described, described_at
-    from desim.scenario import Scenario
+    from desim.scenario.scenario import Scenario
 
     try:
         say("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
@@ -60,7 +60,7 @@ def keys(key: str | None) -> None:
 def protocols(only: str | None) -> None:
     """List the installed protocols and their parameters: all, or those of a KIND."""
     from desim.cli.description import described
-    from desim.scenario import PROTOCOLS
+    from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()
     if only is not None and only not in choices:

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from desim.value import choices_of, fields_of, kind_of, models_in
+from desim.config.choice import choices_of, kind_of
+from desim.config.model import fields_of, models_in
 
 
 def described(

@@ -8,10 +8,10 @@ import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, refuse, say
 from desim.cli.recorded import SOURCE, result_of
-from desim.names import PICTURES, files
+from desim.config.file_names import PICTURES, files
 
 if TYPE_CHECKING:
-    from desim.simulation import Result
+    from desim.simulation.run import Result
 
 
 @click.group()
@@ -21,7 +21,7 @@ def draw() -> None:
 
 def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return the run in a folder or of a scenario file, ready to be read many times."""
-    from desim.analysis.reading import reading
+    from desim.analysis.trace_index import reading
 
     return reading(result_of(source, seed, overrides))
 

@@ -21,8 +21,8 @@ from desim.cli.options import (
     storing,
     working,
 )
-from desim.guards import fresh
-from desim.names import STORE
+from desim.config.file_names import STORE
+from desim.config.trust import fresh
 
 
 @click.command()
@@ -46,8 +46,8 @@ def explain(
     overrides: tuple[str, ...],
 ) -> None:
     """Say which imperfection costs what: the same seeds without each of them."""
-    from desim import provenance
-    from desim.folder import can_plot
+    from desim.results import provenance
+    from desim.results.run_folder import can_plot
     from desim.study.explain import RUNS, Variants
     from desim.study.store import Store
 
@@ -67,7 +67,7 @@ def explain(
         fresh(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
         if can_plot():
             from desim.analysis.plots import save
-            from desim.study.pictures import waterfall
+            from desim.study.figures import waterfall
 
             for each in save(waterfall(found), folder / "explain"):
                 say(f"wrote {each}", err=True)

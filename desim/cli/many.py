@@ -26,8 +26,8 @@ from desim.cli.options import (
     storing,
     working,
 )
-from desim.guards import fresh
-from desim.names import STORE
+from desim.config.file_names import STORE
+from desim.config.trust import fresh
 
 if TYPE_CHECKING:
     from desim.study.result import SweepResult
@@ -103,8 +103,8 @@ def sweep(
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario over the grid of its table `sweep`, many times; go on where it stopped."""
-    from desim.source import ScenarioError
-    from desim.study.asked import note
+    from desim.scenario.overrides import ScenarioError
+    from desim.study.history import note
     from desim.study.result import SHOWN
     from desim.study.store import Store
     from desim.study.sweep import MOST_RUNS, Plan, carry_out
@@ -155,7 +155,7 @@ def sweep(
 )
 def merge(stores: tuple[Path, ...], out: Path) -> None:
     """Put the runs of several stores (files or folders) of one sweep together."""
-    from desim.study.asked import note_merged
+    from desim.study.history import note_merged
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
@@ -233,11 +233,11 @@ def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str
 
 def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
     """Write the table and the picture of a sweep to its folder."""
-    from desim.folder import can_plot
+    from desim.results.run_folder import can_plot
 
     fresh(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
     if can_plot():
         from desim.analysis.plots import save
-        from desim.study.pictures import means
+        from desim.study.figures import means
 
         save(means(found, metric), folder / "sweep")

@@ -24,8 +24,8 @@ from desim.cli.options import (
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import Summary
-    from desim.provenance import Document
-    from desim.scenario import Scenario
+    from desim.results.provenance import Document
+    from desim.scenario.scenario import Scenario
 
 
 @click.command()
@@ -55,7 +55,7 @@ def run(
     """Run a scenario FILE, or repeat what a run.json recorded, and say what happened."""
     from desim.analysis.metrics import plain
     from desim.analysis.tables import batch_table, run_table
-    from desim.timeout import within
+    from desim.simulation.watchdog import within
 
     if timeout is not None and runs in {None, 1}:  # from reading the file to writing results
         click.get_current_context().with_resource(within(timeout))
@@ -83,7 +83,7 @@ def run(
 
 def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
     """Return the folder that results go to, which is made, and where they come from."""
-    from desim import provenance
+    from desim.results import provenance
 
     make_folder(out)
     return out, provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=count, folder=folder)
@@ -94,16 +94,16 @@ def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[
     start = time.perf_counter()
     if into is None:
         from desim.analysis.metrics import summary
-        from desim.simulation import run as simulate
+        from desim.simulation.run import run as simulate
 
         result = simulate(scenario)
         return summary(result), time.perf_counter() - start
-    from desim import folder
+    from desim.results import run_folder
 
     out, made = into
-    result = folder.simulate(out, scenario, scenario.seed)
+    result = run_folder.simulate(out, scenario, scenario.seed)
     wall_time = time.perf_counter() - start
-    return folder.write(result, out, made, simulated_there=True), wall_time
+    return run_folder.write(result, out, made, simulated_there=True), wall_time
 
 
 def _often(
@@ -112,18 +112,18 @@ def _often(
     """Return the numbers of several runs; write them, if there is a folder."""
     from functools import partial
 
-    from desim import folder, provenance
+    from desim.results import provenance, run_folder
     from desim.study.batch import run_many, seeds_from
-    from desim.study.driver import simulation
+    from desim.study.dispatch import simulation
 
     tasks = [(scenario, seed) for seed in seeds_from(scenario.seed, count)]
     if into is None:
         return run_many(tasks, jobs, scenario.name, simulate=simulation(timeout))
     out, made = into
-    measure = partial(folder.write_below, out, made=made, simulated_there=True)
-    simulate = simulation(timeout, partial(folder.simulate_below, out))
+    measure = partial(run_folder.write_below, out, made=made, simulated_there=True)
+    simulate = simulation(timeout, partial(run_folder.simulate_below, out))
     results = run_many(tasks, jobs, scenario.name, measure, simulate)
-    folder.clear(out)
+    run_folder.clear(out)
     provenance.write(out, made)
     return results
 
@@ -139,9 +139,9 @@ def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...])
 
 def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
     """Return what a run.json is of, warn if it may come out differently, and end the program if it is wrong."""
-    from desim import provenance
-    from desim.environment import environment
-    from desim.source import ScenarioError
+    from desim.results import provenance
+    from desim.results.environment import environment
+    from desim.scenario.overrides import ScenarioError
 
     try:
         made = provenance.read(path)

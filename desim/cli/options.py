@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from desim.guards import fresh, visible
-from desim.names import files
-from desim.timeout import checked
+from desim.config.file_names import files
+from desim.config.trust import fresh, visible
+from desim.simulation.watchdog import checked
 
 if TYPE_CHECKING:
-    from desim.scenario import Scenario
-    from desim.source import Source
+    from desim.scenario.overrides import Source
+    from desim.scenario.scenario import Scenario
     from desim.study.store import Store
     from desim.study.workers import Workers
 
@@ -80,8 +80,8 @@ TIMEOUT = click.option(
 
 def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
     """Return what a file says and its scenario; see `valid`."""
-    from desim.scenario_file import read
-    from desim.source import ScenarioError
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.toml import read
 
     try:
         source = read(file, overrides, allow_import=is_import_allowed())
@@ -94,9 +94,9 @@ def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario
 
 def valid(source: "Source") -> "Scenario":
     """Return the scenario of a source, warn of what is hardly meant, and end the program if it is wrong."""
-    from desim.scenario_file import validate
-    from desim.source import ScenarioError
-    from desim.warnings import warnings
+    from desim.scenario.checks import warnings
+    from desim.scenario.overrides import ScenarioError
+    from desim.scenario.toml import validate
 
     try:
         scenario = validate(source)
@@ -110,7 +110,7 @@ def valid(source: "Source") -> "Scenario":
 
 def make_folder(folder: Path) -> None:
     """Make the output folder, or end the program if it cannot be written."""
-    from desim.folder import can_plot
+    from desim.results.run_folder import can_plot
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -10,8 +10,8 @@ import click
 import click.utils
 
 from desim.cli.options import OUT_OF_TIME, refuse, say
-from desim.interrupts import exit_code, raising
-from desim.timeout import TimedOut
+from desim.simulation.watchdog import TimedOut
+from desim.study.interrupts import exit_code, raising
 
 
 class Program(click.Command):

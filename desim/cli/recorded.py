@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from desim.cli.options import is_import_allowed, refuse, source_of
-from desim.names import TRACE
+from desim.config.file_names import TRACE
 
 if TYPE_CHECKING:
-    from desim.simulation import Result
+    from desim.simulation.run import Result
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 SAMPLES = 0.05
@@ -27,8 +27,8 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
 
 def _recorded(folder: Path) -> "Result":
     """Return the run in a folder, or end the program if there is none."""
-    from desim.folder import read
-    from desim.source import ScenarioError
+    from desim.results.run_folder import read
+    from desim.scenario.overrides import ScenarioError
 
     try:
         return read(folder, allow_import=is_import_allowed())
@@ -42,7 +42,7 @@ def _recorded(folder: Path) -> "Result":
 
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return a run of a scenario file of which everything is recorded that can be looked at."""
-    from desim.simulation import run
+    from desim.simulation.run import run
 
     scenario = source_of(file, overrides)[1]
     record = scenario.record.model_copy(update={"messages": True, "trajectory": scenario.record.trajectory or SAMPLES})

@@ -18,7 +18,7 @@ from desim.cli.recorded import SOURCE, result_of
 @SET
 def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Make a page that plays a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
-    from desim.analysis.reading import messages, started
+    from desim.analysis.trace_index import messages, started
     from desim.kernel.clock import seconds
     from desim.view.replay import lacks
     from desim.view.replay import replay as page_of

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from desim.cli.options import making, page_at, put, refuse, say, storing
-from desim.names import STORE
+from desim.config.file_names import STORE
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""Faults: what breaks, when, and for how long, as frozen models; `desim.kernel.injection` lets them happen.
+"""Faults: what breaks, when, and for how long, as frozen models; `desim.kernel.fault_injection` lets them happen.
 
 A fault is a value with a time at which it begins and one at which it is over. A plan is a value that draws such faults
 from the seed. Both are kinds of `[[fault]]` in a scenario file.
@@ -12,10 +12,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from desim.config.choice import OneOf
+from desim.config.model import Box, Coordinate, Duration, Extent, Length, Rate, Time, Truth, Value
 from desim.kernel.events import Nanoseconds
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
-from desim.value import Box, Coordinate, Duration, Extent, Length, OneOf, Rate, Time, Truth, Value
 
 
 class _Window(Value):

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from desim.kernel.complete import complete_graph
+from desim.config.choice import OneOf
+from desim.config.model import Truth, Value
+from desim.config.trust import beside
+from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
-from desim.value import OneOf, Truth, Value, beside
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -2,7 +2,7 @@
 
 A message is a pair (flight, receiver). It is delivered if it is not lost by the end of the instant at which it arrives.
 Faults come first at an instant: what arrives as a crash begins is lost, what arrives as the node recovers is delivered.
-What must hold in every pursuit is in `desim.invariants`.
+What must hold in every pursuit is in `desim.analysis.invariants`.
 """
 
 from collections import Counter

@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
-from desim.elementary import exp
-from desim.kernel.hops import Hops
+from desim.config.choice import OneOf
+from desim.config.model import Speed, Time, Truth, Value
+from desim.config.trust import beside
+from desim.kernel.link_context import Hops
+from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
-from desim.value import OneOf, Speed, Time, Truth, Value, beside
 
 Floats = NDArray[np.float64]
 

@@ -5,13 +5,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
+from desim.config.model import Extent, Time, Value
 from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
-from desim.kernel.reach import REACHES, Disk, Reach
-from desim.value import Extent, Time, Value
+from desim.kernel.reception import REACHES, Disk, Reach
 
 
 class Processing(Value):

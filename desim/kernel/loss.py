@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from desim.elementary import exp, power
-from desim.kernel.hops import Hops
-from desim.value import Length, OneOf, Positive, Probability, Value
+from desim.config.choice import OneOf
+from desim.config.model import Length, Positive, Probability, Value
+from desim.kernel.link_context import Hops
+from desim.kernel.portable_math import exp, power
 
 Truths = NDArray[np.bool_]
 

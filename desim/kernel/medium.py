@@ -5,7 +5,8 @@ from typing import Annotated, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
-from desim.value import Limit, OneOf, Truth, Value
+from desim.config.choice import OneOf
+from desim.config.model import Limit, Truth, Value
 
 MOST_BYTES = 255
 """The payload of a LoRa frame: its length is one byte."""

@@ -16,18 +16,18 @@ from functools import cached_property, partial
 from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from desim.kernel.air import Air
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.fault_state import Conditions
 from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
+from desim.kernel.message_size import as_sent, size_of
 from desim.kernel.positions import Locator
+from desim.kernel.propagation import Travel
 from desim.kernel.records import Arrival, Mark, Record, Records, Table, per_receiver
 from desim.kernel.topology import Topology
-from desim.kernel.travel import Travel
-from desim.kernel.wire import as_sent, size_of
+from desim.kernel.transmitter import Air
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -121,7 +121,7 @@ class Network:
         Args:
             src: whose state it is.
             body: what it is; all receivers get the same object, as it is now, and must not change it.
-            size: in bytes; counted from the body if None, see `desim.kernel.wire`.
+            size: in bytes; counted from the body if None, see `desim.kernel.message_size`.
             sent: the time by the clock of `src`, ns; the true one if None.
         """
         self._hand_over(src, None, self.next_record(src, body, sent), size)
@@ -130,7 +130,7 @@ class Network:
         """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
 
         A message to a node that is out of reach when it is sent is lost. All receivers get the same body, as it is
-        now, and must not change it: a body that is not hashable is copied, see `desim.kernel.wire.as_sent`.
+        now, and must not change it: a body that is not hashable is copied, see `desim.kernel.message_size.as_sent`.
 
         Raises:
             ValueError: if there is no such node, or it is the sender.

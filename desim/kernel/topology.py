@@ -9,11 +9,11 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.cells import Cells
-from desim.kernel.complete import complete_digraph, is_complete, is_worked_out
+from desim.kernel.implicit_complete import complete_digraph, is_complete, is_worked_out
 from desim.kernel.positions import Floats, Locator, Nodes, as_positions, distances
-from desim.kernel.reach import Disk, Reach, bound
+from desim.kernel.reception import Disk, Reach, bound
 from desim.kernel.seeds import ROOM, pair_luck
+from desim.kernel.spatial_hash import Cells
 
 Truths = NDArray[np.bool_]
 SMALL_NETWORK = 400

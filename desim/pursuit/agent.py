@@ -19,10 +19,10 @@ from desim.kernel.inbox import Message
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
-from desim.pursuit.belief import UNORDERED, Belief, Beliefs, Orders, Whereabouts
-from desim.pursuit.surroundings import Surroundings, Whole
+from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
+from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, Whereabouts
 from desim.pursuit.utility import Mean, Scope, Utility
-from desim.pursuit.word import PAYLOADS, Announcements, LocatedAssignment
+from desim.pursuit.views import Surroundings, Whole
 
 Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""

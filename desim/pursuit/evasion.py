@@ -12,11 +12,12 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from desim.elementary import power
+from desim.config.choice import OneOf
+from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
+from desim.kernel.portable_math import power
 from desim.pursuit.capture import intercept_time
-from desim.pursuit.outlook import Outlook
+from desim.pursuit.observation import Outlook
 from desim.pursuit.state import Floats, Points, State, coordinates
-from desim.value import Coordinate, Limit, OneOf, Period, Unsigned, Value
 
 
 def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:

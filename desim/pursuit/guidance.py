@@ -8,10 +8,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from desim.config.model import Value
 from desim.pursuit.capture import NO_SPEED
-from desim.pursuit.motion import SMALLEST, toward
+from desim.pursuit.kinematics import SMALLEST, toward
 from desim.pursuit.state import Floats, Points, lengths
-from desim.value import Value
 
 Flight = complex | Points
 """One velocity for all, or one for each pursuer."""

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.model import Limit, Period, Timeout, Truth, Value
 from desim.kernel.clock import NodeClock, seconds
 from desim.kernel.network import Network
-from desim.pursuit.reckoning import nearer
-from desim.pursuit.surroundings import Whole
-from desim.value import Limit, Period, Timeout, Truth, Value
+from desim.pursuit.dead_reckoning import nearer
+from desim.pursuit.views import Whole
 
 if TYPE_CHECKING:
     from desim.pursuit.state import Points

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.clock import seconds
+from desim.pursuit.evader import SINGLY, Target
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import Floats, Points
-from desim.pursuit.target import SINGLY, Target
 
 if TYPE_CHECKING:
     from desim.pursuit.sensing import Watch

@@ -13,9 +13,10 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from desim.config.choice import OneOf
+from desim.config.model import Value
 from desim.pursuit import game
 from desim.pursuit.state import Floats
-from desim.value import OneOf, Value
 
 Scope = Literal["heard", "neighbours", "component"]
 """Who counts: everyone heard of, who can be heard now, or who can be reached now over any number of hops."""

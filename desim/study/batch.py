@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from desim.analysis.metrics import summary
-from desim.guards import visible
-from desim.simulation import Result, run
-from desim.study.driver import Simulate, Task, drive
+from desim.config.trust import visible
+from desim.simulation.run import Result, run
+from desim.study.dispatch import Simulate, Task, drive
 from desim.study.workers import workers_for
 
 Measured = TypeVar("Measured")

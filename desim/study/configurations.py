@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from desim.scenario import Scenario
-from desim.scenario_file import validate
-from desim.source import ScenarioError, Source
-from desim.study.identity import UNSWEPT, identity
+from desim.scenario.overrides import ScenarioError, Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.study.config_hash import UNSWEPT, identity
 
 Grid = Mapping[str, Sequence[Any]]
 """Keys of a scenario, dotted, and the values that each takes."""

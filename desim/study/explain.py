@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Self
 
 from desim.analysis.statistics import estimate
-from desim.scenario import Scenario
+from desim.scenario.scenario import Scenario
 from desim.study.configurations import Cell
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS

@@ -12,18 +12,20 @@ import pickle
 import sys
 from collections.abc import Iterable, Iterator
 from dis import get_instructions
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from types import CellType, CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
-from desim.environment import NUMERICS
-from desim.study.foreign import OURS
+from desim.config.choice import home_of
+from desim.results.environment import NUMERICS
 
 ATOMS = {NoneType, bool, int, float, complex, str, bytes}
 """Types of which `repr` tells all."""
+OURS = {"desim", "protocols", "builtins", "functools"}
+"""The packages whose classes and functions are no strangers."""
 KNOWN = {*OURS, *NUMERICS, *sys.stdlib_module_names}
 """Packages that count with their names only."""
 WRAPPERS = {staticmethod: "__func__", classmethod: "__func__", cached_property: "func"}
@@ -202,3 +204,39 @@ def _text(module: str) -> str:
         return inspect.getsource(sys.modules[module])
     except (KeyError, OSError, TypeError):
         return ""
+
+
+def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
+    """Yield what is called in a value, or in what it is made of, once each.
+
+    Args:
+        value: a model, a list, a tuple, a partial call, or anything that is made of nothing.
+        seen: the `id` of what has been looked into, for many runs are of one scenario.
+    """
+    seen = set() if seen is None else seen
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    inner: Any = ()
+    if isinstance(value, BaseModel):
+        inner = [getattr(value, name) for name in type(value).model_fields]
+    elif isinstance(value, tuple | list):
+        inner = value
+    elif isinstance(value, partial):
+        inner = [value.func, *value.args, *value.keywords.values()]
+    if callable(value):
+        yield value
+    for each in inner:
+        yield from parts(each, seen)
+
+
+def strangers(value: Any) -> Iterator[Any]:
+    """Yield the functions, and the classes of models, that are called in a value and do not belong to desim."""
+    for each in parts(value):
+        if is_strange(each):
+            yield home_of(each)
+
+
+def is_strange(value: Any) -> bool:
+    """Return whether a function, or the class of an object, does not belong to desim."""
+    return str(home_of(value).__module__).partition(".")[0] not in OURS

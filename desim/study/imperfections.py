@@ -15,9 +15,9 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Unlimited
-from desim.kernel.reach import Disk
+from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
-from desim.scenario import Scenario
+from desim.scenario.scenario import Scenario
 
 
 def without_latency(scenario: Scenario) -> Scenario:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import COMMON, METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, json_number, with_half_width
-from desim.guards import visible
+from desim.config.trust import visible
 from desim.study.store import Row, Store, StoreError
 
 if TYPE_CHECKING:

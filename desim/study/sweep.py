@@ -13,16 +13,16 @@ from typing import Any, Self
 
 from tqdm import tqdm
 
-from desim import environment
 from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import runs_needed
-from desim.guards import visible
-from desim.scenario import Scenario
-from desim.scenario_file import validate
-from desim.source import Source
+from desim.config.trust import visible
+from desim.results import environment
+from desim.scenario.overrides import Source
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import validate
+from desim.study.config_hash import code, tables
 from desim.study.configurations import Cell, Grid, cells
-from desim.study.driver import drive, simulation
-from desim.study.identity import code, tables
+from desim.study.dispatch import drive, simulation
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
@@ -154,7 +154,7 @@ def sweep(
         until: a metric and the half width of its 95 % interval at which a configuration has runs enough; it is first
             looked at after 30, and `reps`, or 10,000 if None, are the most.
         fail_fast: whether the first run that fails ends the sweep.
-        timeout: wall time after which a run has failed, s; see `desim.timeout`.
+        timeout: wall time after which a run has failed, s; see `desim.simulation.watchdog`.
 
     Raises:
         ScenarioError: with all that is wrong with the grid.

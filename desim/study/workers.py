@@ -1,7 +1,7 @@
 """Where runs are done: here, in worker processes, on a cluster, or on any executor of one's own.
 
-Workers that are started here ignore the signals that ask a program to end (`desim.interrupts`), which are the driver's
-to answer, and leave as soon as the driver is gone.
+Workers that are started here ignore the signals of `desim.study.interrupts`, which the driver answers, and exit as soon
+as the driver is gone.
 """
 
 import logging
@@ -16,9 +16,9 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
-from desim.guards import SHELTER
-from desim.interrupts import SIGNALS
-from desim.study.shipping import Call, called, packed
+from desim.config.trust import SHELTER
+from desim.study.interrupts import SIGNALS
+from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
 PATIENCE = 10.0

@@ -1,6 +1,6 @@
 """A run as a GIF for slides: everyone from above, who is active, and the messages on their way.
 
-Messages fly, and are lost, where the replay draws them: see `desim.view.passages`.
+Messages fly, and are lost, where the replay draws them: see `desim.view.deliveries`.
 
 Frames are drawn over one background in the colours of one palette; equal runs give equal bytes.
 """
@@ -19,11 +19,11 @@ from PIL import Image
 from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
-from desim.analysis.reading import Floats, Integers, Truths, captures, ended, messages_recorded, started
-from desim.guards import fresh
+from desim.analysis.trace_index import Floats, Integers, Truths, captures, ended, messages_recorded, started
+from desim.config.trust import fresh
 from desim.kernel.clock import nanoseconds, seconds
-from desim.simulation import Result
-from desim.view.passages import passages
+from desim.simulation.run import Result
+from desim.view.deliveries import passages
 from desim.view.paths import HUES, Look, Paths, stints
 
 WIDTH, HEIGHT = 4.8, 5.4

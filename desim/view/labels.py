@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from desim.analysis.plots import Axes
-from desim.analysis.reading import Floats
+from desim.analysis.trace_index import Floats
 
 Place = tuple[float, float]
 SIZE = 6.0

@@ -11,10 +11,10 @@ from matplotlib.patheffects import withStroke
 
 from desim.analysis.activity import Hunt, hunts
 from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, place
-from desim.analysis.reading import Floats, Integers, captures, sampled
-from desim.simulation import Result
+from desim.analysis.trace_index import Floats, Integers, captures, sampled
+from desim.simulation.run import Result
+from desim.view.deliveries import Takeover, takeovers
 from desim.view.labels import label_points
-from desim.view.passages import Takeover, takeovers
 
 HUES = (BLUE, GREEN, PURPLE)
 """Of who chases which of several evaders."""

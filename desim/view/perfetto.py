@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.activity import action, changes, chases, decisions, moves
-from desim.analysis.reading import ended, has_several, messages_recorded, started
-from desim.guards import fresh
+from desim.analysis.trace_index import ended, has_several, messages_recorded, started
+from desim.config.json_numbers import to_json
+from desim.config.trust import fresh
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
-from desim.simulation import Result
-from desim.value import plain_number
-from desim.view.passages import chasing, outages, passages, takeovers
+from desim.simulation.run import Result
+from desim.view.deliveries import chasing, outages, passages, takeovers
 
 PURSUERS = 1
 """The process whose threads are the pursuers."""
@@ -155,7 +155,7 @@ def _microseconds(t: int) -> float | int:
 def _plain(value: Any) -> Any:
     """Return a value as what JSON has; of a body that it does not know, the `repr`."""
     if isinstance(value, float):
-        return plain_number(value)
+        return to_json(value)
     if value is None or isinstance(value, str | int):
         return value
     if hasattr(value, "_asdict"):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from desim.analysis.activity import Change, Released, action, moves
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.reading import (
+from desim.analysis.trace_index import (
     Floats,
     captures,
     ended,
@@ -30,15 +30,15 @@ from desim.analysis.reading import (
     started,
 )
 from desim.kernel.clock import SECOND, seconds
-from desim.kernel.complete import is_complete
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
+from desim.kernel.implicit_complete import is_complete
 from desim.kernel.links import Links
-from desim.kernel.reach import Disk
+from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 from desim.pursuit.events import Captured, Decided, Halted
-from desim.simulation import Result
-from desim.view.passages import outages, passages, takeovers
+from desim.simulation.run import Result
+from desim.view.deliveries import outages, passages, takeovers
 
 LATEST = 2**32 - 1
 """The last tick of a column."""

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from xml.etree import ElementTree
 
-from desim import provenance
 from desim.analysis.metrics import METRICS
-from desim.guards import regular
-from desim.names import STORE
-from desim.study.asked import commands, wanted
+from desim.config.file_names import STORE
+from desim.config.trust import regular
+from desim.results import provenance
 from desim.study.explanation import Explanation
+from desim.study.figures import unit_of
+from desim.study.history import commands, wanted
 from desim.study.result import SHOWN, SweepResult, text
 from desim.study.store import Store, flat
-from desim.study.units import unit_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -98,7 +98,7 @@ def report(study: Study) -> str:
     """Return a page about a sweep; jinja2 and matplotlib (the extra `plot`) are needed."""
     from jinja2 import Environment
 
-    from desim.study.pictures import multiples, phase, swept_numbers, waterfall
+    from desim.study.figures import multiples, phase, swept_numbers, waterfall
 
     result, measured = study.result, study.measured
     panels = [metric for metric in PANELS if metric in measured]

@@ -14,13 +14,13 @@ import numpy as np
 
 from desim.analysis.activity import changes, chases, decisions, moves
 from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
-from desim.analysis.reading import ended, has_several, started
-from desim.guards import visible
+from desim.analysis.trace_index import ended, has_several, started
+from desim.config.trust import visible
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
-from desim.simulation import Result
-from desim.view.passages import Passage, Spell, chasing, news, outages, passages
+from desim.simulation.run import Result
+from desim.view.deliveries import Passage, Spell, chasing, news, outages, passages
 from desim.view.paths import HALO, Look
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import simpy
 
-from desim.kernel.hops import Hops
 from desim.kernel.latency import Constant
+from desim.kernel.link_context import Hops
 from desim.kernel.seeds import stream
 from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
 

@@ -15,8 +15,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
+from desim.kernel.propagation import BLOCK
 from desim.kernel.seeds import stream
-from desim.kernel.travel import BLOCK
 
 TICK = 0.001
 """Time between two turns, s."""

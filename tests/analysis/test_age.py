@@ -31,10 +31,10 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.kernel.records import Record
+from desim.pursuit.announcements import Announcements, Assignment, Relayed
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
-from desim.pursuit.word import Announcements, Assignment, Relayed
-from desim.scenario import Motion, Recording, Scenario, Team
-from desim.simulation import Result, run
+from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.simulation.run import Result, run
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.mutex import LocalMutex
 from protocols.schedules import Poisson

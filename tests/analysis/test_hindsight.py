@@ -6,8 +6,7 @@ from math import inf
 import numpy as np
 import pytest
 
-from desim.analysis import course as course_module
-from desim.analysis.course import course
+from desim.analysis import timeline
 from desim.analysis.hindsight import (
     hindsight,
     misassigned_time,
@@ -18,6 +17,7 @@ from desim.analysis.hindsight import (
     time_to_relay,
 )
 from desim.analysis.metrics import active_time, summary
+from desim.analysis.timeline import course
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import Tally, Trace
 from desim.kernel.faults import Began, Crash, Over, RandomCrashes
@@ -27,8 +27,8 @@ from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
-from desim.scenario import Capture, Evader, Motion, Recording, Scenario, Team
-from desim.simulation import Result, run
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Scenario, Team
+from desim.simulation.run import Result, run
 from protocols.centralised import Centralised
 from protocols.geometric import Voronoi
 from protocols.sap import SpatialAdaptivePlay
@@ -314,7 +314,7 @@ def test_the_course_in_parts_is_the_whole_course(case, monkeypatch):
     (whole,) = course(result)
     expected = [metric(result) for metric in METRICS]
     for pieces in (1, 7):
-        monkeypatch.setattr(course_module, "PART", 5 * pieces)
+        monkeypatch.setattr(timeline, "PART", 5 * pieces)
         parts = list(course(result))
         assert max(len(part.durations) for part in parts) == pieces
         assert [part.times[-1] for part in parts[:-1]] == [part.times[0] for part in parts[1:]]

@@ -29,14 +29,14 @@ from desim.analysis.metrics import (
     switches,
     words,
 )
-from desim.analysis.reading import ended, reading, remembered
+from desim.analysis.trace_index import ended, reading, remembered
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import Tally, Trace
 from desim.kernel.faults import Began, Jamming
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended, Halted, Started
-from desim.pursuit.word import Announcements
-from desim.scenario import Recording, Scenario, Team
-from desim.simulation import Result, run
+from desim.scenario.scenario import Recording, Scenario, Team
+from desim.simulation.run import Result, run
 from tests.golden import golden
 
 pytestmark = pytest.mark.own_trace

@@ -14,8 +14,8 @@ from desim.analysis.plots import save, styled, trajectory
 from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
 from desim.pursuit.events import Ended, Sampled, Started
-from desim.scenario import Scenario
-from desim.simulation import Result
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import pair

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from desim.analysis.activity import Released, action, changes, relays
-from desim.analysis.course import course
 from desim.analysis.hindsight import hindsight, network_regret, settling_window, time_to_relay
 from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap, summary
-from desim.analysis.reading import reading
+from desim.analysis.timeline import course
+from desim.analysis.trace_index import reading
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import Tally, Trace
 from desim.kernel.faults import Began, Crash, Over, RandomCrashes
@@ -21,8 +21,8 @@ from desim.kernel.loss import Bernoulli
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
-from desim.scenario import Capture, Evader, Motion, Scenario, Team
-from desim.simulation import Result, run
+from desim.scenario.scenario import Capture, Evader, Motion, Scenario, Team
+from desim.simulation.run import Result, run
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 

@@ -14,7 +14,7 @@ from desim.analysis.tables import (
     run_table,
     with_half_width,
 )
-from desim.scenario import Capture, Evader, Scenario, Team
+from desim.scenario.scenario import Capture, Evader, Scenario, Team
 from tests.golden import golden
 from tests.view.by_hand import history
 

@@ -23,7 +23,7 @@ from desim.kernel.latency import (
 )
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
-from desim.kernel.reach import Disk, LogDistance, QuasiUnitDisk
+from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
 from scenarios.peers.ways import WAYS
 from scenarios.peers.workloads import LOGNORMAL, workloads
 from tests.benchmarks.conftest import BY_MODEL

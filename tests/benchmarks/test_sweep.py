@@ -5,8 +5,8 @@ import time
 import pytest
 
 from desim.analysis.metrics import summary
-from desim.scenario import Motion, Recording, Scenario, Team
-from desim.study.driver import drive
+from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.study.dispatch import drive
 from desim.study.workers import workers_for
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson

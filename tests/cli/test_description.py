@@ -4,7 +4,8 @@ from math import inf
 from typing import Annotated, Any, Literal
 
 from desim.cli.description import described
-from desim.value import Extent, OneOf, Positive, Value
+from desim.config.choice import OneOf
+from desim.config.model import Extent, Positive, Value
 
 
 class Circle(Value):

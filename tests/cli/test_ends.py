@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from desim.cli import main
 from desim.cli.program import Program
-from desim.scenario_file import load
+from desim.scenario.toml import load
 from tests.command import desim
 
 SHORT = 'horizon = 0.2\nteam.count = 2\nsweep = { reps = 1, grid = { "evader.speed" = [0.1, 0.2] } }\n'

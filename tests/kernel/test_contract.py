@@ -37,10 +37,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
-from desim.kernel.conditions import Conditions
 from desim.kernel.events import Lost, Trace
+from desim.kernel.fault_injection import inject
+from desim.kernel.fault_state import Conditions
 from desim.kernel.faults import Crash, Jamming, Partition
-from desim.kernel.injection import inject
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli

@@ -11,13 +11,13 @@ from pydantic import ValidationError
 
 from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.conditions import Conditions
 from desim.kernel.events import Trace
+from desim.kernel.fault_injection import inject
+from desim.kernel.fault_state import Conditions
 from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn
-from desim.kernel.injection import inject
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
-from desim.scenario import Team
+from desim.scenario.scenario import Team
 
 PERIOD = SECOND // 10
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.fault_injection import inject
+from desim.kernel.fault_state import Conditions
 from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn
-from desim.kernel.injection import inject
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links

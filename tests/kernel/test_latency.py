@@ -8,7 +8,6 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
-from desim.kernel.hops import Hops
 from desim.kernel.latency import (
     Constant,
     Empirical,
@@ -20,6 +19,7 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
+from desim.kernel.link_context import Hops
 from desim.kernel.links import Links
 
 SEEDS = range(5)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim.kernel.hops import Hops
+from desim.kernel.link_context import Hops
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 
 SEEDS = range(5)

@@ -10,19 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.conditions import Conditions
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
-from desim.kernel.hops import Hops
+from desim.kernel.fault_state import Conditions
 from desim.kernel.inbox import Inbox, deliver
 from desim.kernel.latency import Constant
+from desim.kernel.link_context import Hops
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
+from desim.kernel.message_size import size_of
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
-from desim.kernel.wire import size_of
 
 
 class Uniform:

@@ -6,8 +6,8 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.conditions import Conditions
-from desim.kernel.hops import Hops
+from desim.kernel.fault_state import Conditions
+from desim.kernel.link_context import Hops
 from desim.kernel.positions import as_positions, distances
 from desim.kernel.topology import Topology
 

@@ -15,7 +15,7 @@ from desim.kernel.clock import SECOND, Clock
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
-from desim.kernel.reach import Disk, LogDistance, QuasiUnitDisk
+from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.analysis.metrics import excess_time, idle_time, misassigned_time
-from desim.assumptions import broken
 from desim.kernel.events import Broadcast, Tally
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Edges
@@ -21,15 +20,16 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.records import Record
+from desim.pursuit.announcements import Announcements, Assignment
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements, Assignment
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.assumptions import broken
+from desim.scenario.scenario import Evader, Motion, Recording, Team
+from protocols.auction import NO_BID, Bid, bids_of, chosen, claim_fields, current, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
-from protocols.claims import NO_BID, Bid, bids_of, chosen, claim_fields, current, offer, unread
 from protocols.dissemination import Flooding
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.token import TokenRing

@@ -13,10 +13,10 @@ from desim.kernel.graphs import Edges
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.records import Record
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.events import Decided
-from desim.pursuit.word import Announcements
-from desim.scenario import Team
+from desim.scenario.scenario import Team
 from protocols.cbaa import CBAA
 from protocols.cbba import CBBA, StampedClaim, decision
 from protocols.schedules import Poisson, Rounds, SharedSeed

@@ -20,8 +20,8 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Recording, Team
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import Motion, Recording, Team
 from protocols.dissemination import Flooding, Gossip, OneHop
 
 L = 0.25

@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from desim import Scenario, run, summary
-from desim.assumptions import broken
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.assumptions import broken
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.geometric import Argmin, Velocity, Voronoi, first, said_active
 from protocols.geometric import owners as owners_of

@@ -13,8 +13,8 @@ from desim import Scenario, run, summary
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.pursuit.word import Announcements
-from desim.scenario import PROTOCOLS, Recording, Team
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import PROTOCOLS, Recording, Team
 from protocols.server import Server
 from tests.omniscient import RoundTrip
 

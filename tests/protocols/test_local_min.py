@@ -11,12 +11,12 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.pursuit.belief import Belief
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.beliefs import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import greedy_maximal_independent_set, relay_profile
 from desim.pursuit.utility import EdgePenalty, LocalMean
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, OneHop
 from protocols.local_min import ArgminKnown, LocalMin

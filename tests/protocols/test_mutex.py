@@ -16,7 +16,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.pursuit.events import Decided
-from desim.scenario import Team
+from desim.scenario.scenario import Team
 from protocols.mutex import Later, LocalMutex, Reply, Request, Section
 from protocols.schedules import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing

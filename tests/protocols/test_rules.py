@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import Scenario, run
+from desim.config.model import FARTHEST
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Edges
 from desim.kernel.links import Links
-from desim.pursuit.belief import Belief
+from desim.pursuit.announcements import Announcements, Assignment, TimedAssignment
+from desim.pursuit.beliefs import Belief
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean, Mean, Minimum
-from desim.pursuit.word import Announcements, Assignment, TimedAssignment
-from desim.scenario import PROTOCOLS, Evader, Motion, Recording, Team
-from desim.value import FARTHEST
+from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
 from protocols.best_response import BestResponse, BetterReply
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.fictitious_play import FictitiousPlay, JointStrategyFictitiousPlay

@@ -9,11 +9,11 @@ from desim.kernel.faults import ClockSkew
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Team
+from desim.scenario.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import PaperTau

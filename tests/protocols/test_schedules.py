@@ -13,8 +13,8 @@ from desim.kernel.seeds import stream
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain
-from desim.scenario import Motion, Team
-from desim.warnings import warnings
+from desim.scenario.checks import warnings
+from desim.scenario.scenario import Motion, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed, owned_slots
 from protocols.temperature import ConstantTau

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.assumptions import broken
 from desim.kernel.events import Sent
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Ring, Star
@@ -13,12 +12,13 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.kernel.seeds import stream
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Halted, Started
 from desim.pursuit.game import relay_profile
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.assumptions import broken
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.server import Order, Server
 from tests.many import LOSSY, at_rest, by_evader, chased, times

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.kernel.faults import ClockSkew
-from desim.pursuit.belief import Belief
-from desim.pursuit.word import Announcements, TimedAssignment
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.pursuit.announcements import Announcements, TimedAssignment
+from desim.pursuit.beliefs import Belief
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.temperature import (
     AdaptiveTau,
     ConstantTau,

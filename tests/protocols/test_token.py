@@ -21,16 +21,15 @@ from desim.kernel.invariants import OneToken
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Started
 from desim.pursuit.game import gain, relay_profile
-from desim.pursuit.word import Announcements
-from protocols.circulation import Station, circulate
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_messages import Receipt, Sign, Token, not_absent
+from protocols.token_passing import Receipt, Sign, Station, Token, circulate, not_absent
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 

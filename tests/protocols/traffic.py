@@ -4,9 +4,9 @@ from desim import Scenario
 from desim.kernel.events import Sent
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Team
+from desim.scenario.scenario import Motion, Team
 
 SECOND = 1_000_000_000
 

@@ -15,10 +15,10 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.seeds import stream
+from desim.pursuit.announcements import Announcements, Assignment
 from desim.pursuit.events import Decided
 from desim.pursuit.utility import EdgePenalty, LocalMean, Mean
-from desim.pursuit.word import Announcements, Assignment
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.best_response import BestResponse
 from protocols.dissemination import Flooding, Gossip, OneHop
 from protocols.schedules import Poisson

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from desim.config.choice import kind_of
 from desim.pursuit.evasion import (
     STRATEGIES,
     ConstantHeading,
@@ -22,11 +23,10 @@ from desim.pursuit.evasion import (
     Zigzag,
     first_captures,
 )
-from desim.pursuit.outlook import Outlook
+from desim.pursuit.observation import Outlook
 from desim.pursuit.state import State, complex_points, coordinates
-from desim.scenario import Evader
-from desim.scenario_file import load
-from desim.value import kind_of
+from desim.scenario.scenario import Evader
+from desim.scenario.toml import load
 
 ARENA = (-10.0, 10.0)
 FLEEING = [PureEvasion(), WeightedFlee(), MaxMin(), Zigzag(), VoronoiVertex(arena=ARENA)]

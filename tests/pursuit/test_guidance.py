@@ -9,8 +9,8 @@ from desim import Scenario, run
 from desim.pursuit import guidance
 from desim.pursuit.events import Ended
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.motion import toward
-from desim.scenario import Capture, Evader, Motion, Recording, Team
+from desim.pursuit.kinematics import toward
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
 plane = st.builds(complex, numbers, numbers)

@@ -12,14 +12,14 @@ from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.events import Trace
 from desim.kernel.links import Links
-from desim.pursuit import steering, target
+from desim.pursuit import evader, steering
 from desim.pursuit.evasion import Still
 from desim.pursuit.events import Ended
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import lengths
-from desim.scenario import Evader, Motion, Team
-from desim.world import World
+from desim.scenario.scenario import Evader, Motion, Team
+from desim.simulation.world import World
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
 
@@ -70,7 +70,7 @@ def test_frozen_players_stay_and_places_are_not_to_be_written_to():
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["state known", "state unknown"])
-@pytest.mark.parametrize("count", [1, target.SINGLY, target.SINGLY + 1])
+@pytest.mark.parametrize("count", [1, evader.SINGLY, evader.SINGLY + 1])
 def test_times_of_capture_of_some_are_those_of_all(known, count):
     """One of the pursuers is too slow; the evader runs, so that nobody is where it was."""
     speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
@@ -99,7 +99,7 @@ def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, eva
     traces = []
     for few in (0, 5, 99):
         monkeypatch.setattr(steering, "SINGLY", few)
-        monkeypatch.setattr(target, "SINGLY", few)
+        monkeypatch.setattr(evader, "SINGLY", few)
         traces.append(list(play().trace))
     assert traces[0] == traces[1] == traces[2]
     assert len(traces[0]) > 600

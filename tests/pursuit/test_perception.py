@@ -14,6 +14,8 @@ from desim.kernel.graphs import Edges, Link
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.evader import Memory
 from desim.pursuit.evasion import (
     ConstantHeading,
     Diffusion,
@@ -25,11 +27,9 @@ from desim.pursuit.evasion import (
     Zigzag,
 )
 from desim.pursuit.events import Sampled
-from desim.pursuit.outlook import Outlook
-from desim.pursuit.perception import Memory
+from desim.pursuit.observation import Outlook
 from desim.pursuit.state import State
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Team
+from desim.scenario.scenario import Evader, Motion, Team
 from protocols.dissemination import Flooding, Gossip
 
 MS = 1_000_000

@@ -15,12 +15,12 @@ from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import NOWHERE, PORT, Guess, Sensing, Sighting, Watch, spiral
-from desim.pursuit.word import Announcements
-from desim.scenario import Capture, Evader, Motion, Recording, Team
-from desim.world import World
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.simulation.world import World
 from protocols.centralised import Centralised
 
 OF_THE_PURSUIT = (Started, Decided, Sampled, Ended)
@@ -52,7 +52,7 @@ def looks(questions, period=0.1):
 @pytest.mark.parametrize(("kind", "payload"), [("sap", "action"), ("cbba", "time"), ("argmin", "state")])
 def test_who_sees_everything_does_as_who_is_not_limited(kind, payload):
     """Beyond any distance there is, but finite: all that is decided and sampled is the same, event for event."""
-    protocol = desim.scenario.PROTOCOLS.choices()[kind]()
+    protocol = desim.scenario.scenario.PROTOCOLS.choices()[kind]()
     keys = {"protocol": protocol, "network": Links(latency=Constant(value=0.05))}
     # An evader that a sender has not told everybody of is reckoned on along its path only without limits.
     keys["announce"] = Announcements(payload=payload, reckoning="cheap")

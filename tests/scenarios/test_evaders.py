@@ -10,11 +10,11 @@ from desim.analysis.metrics import end_time
 from desim.analysis.plots import COLUMN
 from desim.analysis.statistics import estimate
 from desim.kernel.events import Sent, Trace
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Ended, Sampled, Started
 from desim.pursuit.sensing import Sighting
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion
-from desim.simulation import Result
+from desim.scenario.scenario import Motion
+from desim.simulation.run import Result
 from desim.study.batch import run_many
 from scenarios import evaders
 from scenarios.evaders import CLAIMED, IDEAL, REFERENCE

@@ -10,9 +10,9 @@ from matplotlib.transforms import Bbox
 
 from desim import run, summary
 from desim.analysis.activity import active_time, relays
-from desim.analysis.course import course
 from desim.analysis.plots import COLUMN
-from desim.analysis.reading import reading, started
+from desim.analysis.timeline import course
+from desim.analysis.trace_index import reading, started
 from desim.kernel.clock import SECOND
 from desim.pursuit.game import wonderful_life_utility
 from scenarios import figures, table1

@@ -3,8 +3,8 @@
 import pytest
 
 from desim import load, summary
-from desim.scenario_file import dump
-from desim.warnings import warnings
+from desim.scenario.checks import warnings
+from desim.scenario.toml import dump
 from scenarios.study import SCENARIOS
 
 FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))

@@ -11,7 +11,7 @@ from desim import Scenario, load, run, summary
 from desim.analysis.metrics import active_time, network_regret
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
-from desim.scenario import PROTOCOLS, Team
+from desim.scenario.scenario import PROTOCOLS, Team
 from scenarios import benchmarks, delay, evaders, figures, find_table1, first_picture, many, rivals, table1, two_clocks
 from scenarios import range as ranges
 

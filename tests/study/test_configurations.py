@@ -15,16 +15,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from desim.grid import Sweep
+from desim.config.model import Value
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.scenario import Scenario, Team
-from desim.scenario_file import load, read
-from desim.source import ScenarioError, Source
+from desim.scenario.overrides import ScenarioError, Source
+from desim.scenario.scenario import Scenario, Team
+from desim.scenario.sweep_table import Sweep
+from desim.scenario.toml import load, read
 from desim.study import configurations as module
+from desim.study.config_hash import code, identity
 from desim.study.configurations import cells, label
-from desim.study.identity import code, identity
-from desim.value import Value
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
@@ -312,7 +312,7 @@ def test_what_is_the_same_in_a_file_and_a_script_is_the_same(tmp_path):
 
 
 RULE = """
-from desim.value import Value
+from desim.config.model import Value
 
 class Mine(Value):
     kind: str = "mine"
@@ -330,7 +330,7 @@ def plain(me):
 def other_process(file: Path, seed: int) -> dict[str, str]:
     """Return the identity of a scenario with each of some protocols, as another process finds it."""
     script = (
-        "import sys; from desim.scenario_file import load; from desim.study.identity import identity\n"
+        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import identity\n"
         "for kind in sys.argv[2:]:\n"
         "    print(identity(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)))"
     )

@@ -20,14 +20,14 @@ from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Recording, Team
-from desim.scenario_file import read, validate
+from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.toml import read, validate
 from desim.study.explain import Variants
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Saving
+from desim.study.figures import waterfall
 from desim.study.imperfections import IMPERFECTIONS
-from desim.study.pictures import waterfall
 from desim.study.store import Row, Store, StoreError
 from desim.study.sweep import RunError, sweep
 from desim.study.workers import workers_for
@@ -545,7 +545,7 @@ def sometimes(me):
 @pytest.fixture
 def without_pictures(monkeypatch):
     """They take a second."""
-    monkeypatch.setattr("desim.folder.can_plot", lambda: False)
+    monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
 
 
 @pytest.fixture

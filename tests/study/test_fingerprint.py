@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, PrivateAttr
 
+from desim.config.model import Value
 from desim.study.fingerprint import Fingerprint, UntoldError
-from desim.value import Value
 
 
 def fingerprint(value):

@@ -8,7 +8,7 @@ import networkx as nx
 import pytest
 
 from desim import Scenario, load, run
-from desim.grid import Sweep
+from desim.config.model import Value
 from desim.kernel.events import Broadcast, Queued, Sent, Tally
 from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
 from desim.kernel.graphs import Edge, Edges, Grid, Link, Ring, Star
@@ -16,12 +16,13 @@ from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli, GilbertElliott
 from desim.kernel.medium import Bitrate, LoRa, Unlimited
-from desim.kernel.reach import Disk, QuasiUnitDisk
+from desim.kernel.reception import Disk, QuasiUnitDisk
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Started
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.utility import Component
-from desim.pursuit.word import Announcements
-from desim.scenario import Motion, Recording, Team
+from desim.scenario.scenario import Motion, Recording, Team
+from desim.scenario.sweep_table import Sweep
 from desim.study.imperfections import (
     IMPERFECTIONS,
     without_faults,
@@ -32,7 +33,6 @@ from desim.study.imperfections import (
     without_turns,
 )
 from desim.study.store import flat
-from desim.value import Value
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import Gossip
@@ -40,7 +40,7 @@ from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
 from protocols.server import Server
-from protocols.together import Together
+from protocols.synchronous import Together
 from protocols.token import TokenRing, TokenWalk
 from scenarios.study import SCENARIOS
 

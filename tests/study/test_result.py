@@ -12,8 +12,8 @@ import pytest
 
 from desim.analysis.metrics import COMMON, METRICS, summary
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
-from desim.scenario import Scenario, Team
-from desim.simulation import run
+from desim.scenario.scenario import Scenario, Team
+from desim.simulation.run import run
 from desim.study.result import SHOWN, Group, SweepResult
 from desim.study.store import Row, Store, StoreError
 from tests.command import strict_json

@@ -18,9 +18,9 @@ import pytest
 
 import desim.study.store as module
 from desim.analysis.metrics import summary
-from desim.scenario import Scenario
-from desim.scenario_file import load, read
-from desim.simulation import run
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml import load, read
+from desim.simulation.run import run
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, StoreError
 from desim.study.sweep import Plan, sweep

@@ -15,12 +15,12 @@ import pytest
 from desim import run, summary
 from desim import sweep as sweep_of_package
 from desim.analysis.statistics import estimate, paired, runs_needed
-from desim.grid import Sweep
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from desim.scenario import Scenario, Team
-from desim.scenario_file import read
-from desim.source import ScenarioError
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Scenario, Team
+from desim.scenario.sweep_table import Sweep
+from desim.scenario.toml import read
 from desim.study import sweep as module
 from desim.study.batch import run_many
 from desim.study.store import Store, StoreError

@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.study.units import unit_of
+from desim.study.figures import unit_of
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,10 @@ from click.testing import CliRunner
 
 import desim
 from desim.cli import main
-from desim.scenario_file import load
+from desim.scenario.toml import load
 from desim.study import workers as places
-from desim.study.foreign import strangers
-from desim.study.shipping import called, packed
+from desim.study.fingerprint import strangers
+from desim.study.serialization import called, packed
 from desim.study.workers import Here, Processes, workers_for
 from tests.digests import LONG
 from tests.study import sweeps
@@ -83,7 +83,7 @@ SCRIPT = """\
 import sys
 
 import desim
-from desim.scenario import Motion, Recording, Scenario, Team
+from desim.scenario.scenario import Motion, Recording, Scenario, Team
 from my_trouble import WAYS
 from protocols.rule import Rule
 from protocols.schedules import Poisson

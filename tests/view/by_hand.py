@@ -2,10 +2,10 @@
 
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
 from desim.kernel.faults import Began, Crash, Jamming, Over
+from desim.pursuit.announcements import Assignment
 from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
-from desim.pursuit.word import Assignment
-from desim.scenario import Evader, Scenario
-from desim.simulation import Result
+from desim.scenario.scenario import Evader, Scenario
+from desim.simulation.run import Result
 
 MS = 1_000_000
 CRASH = Crash(node=0, at=0.4, until=0.6)

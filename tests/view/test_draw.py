@@ -10,7 +10,7 @@ from PIL import Image
 from desim import load, run
 from desim.analysis.plots import save
 from desim.cli.draw import draw
-from desim.folder import write
+from desim.results.run_folder import write
 from desim.view.animation import animate
 from desim.view.perfetto import perfetto
 from desim.view.spacetime import spacetime

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from desim import Scenario, run, summary
 from desim.kernel.events import Sent
 from desim.pursuit.events import Decided
-from desim.scenario import Recording
-from desim.view.passages import chasing, passages
+from desim.scenario.scenario import Recording
+from desim.view.deliveries import chasing, passages
 from desim.view.perfetto import PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from tests.golden import golden

@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 
 from desim import Scenario, load, run
 from desim.analysis.age import belief_error
-from desim.analysis.reading import ended, messages, started
+from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
-from desim.folder import write
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Began, Crash, Jamming, Over, Partition
@@ -29,13 +28,14 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
-from desim.kernel.reach import LogDistance, QuasiUnitDisk
+from desim.kernel.reception import LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
+from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
 from desim.pursuit.events import Captured, Decided, Halted, Sampled
 from desim.pursuit.sensing import Sensing
-from desim.pursuit.word import Announcements
-from desim.scenario import Evader, Motion, Recording, Team
+from desim.results.run_folder import write
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from desim.view.replay import LATEST, _column, _document, _Ticks, lacks, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson

@@ -17,13 +17,14 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
-from desim import Scenario, provenance
+from desim import Scenario
 from desim.analysis.metrics import summary
 from desim.cli.many import merge
 from desim.cli.report import report as command
-from desim.scenario import Team
-from desim.study.asked import commands, wanted
+from desim.results import provenance
+from desim.scenario.scenario import Team
 from desim.study.explain import Variants
+from desim.study.history import commands, wanted
 from desim.study.store import Row, Store
 from desim.study.sweep import Plan
 from desim.study.workers import workers_for

@@ -8,7 +8,7 @@ from matplotlib.quiver import Quiver
 
 from desim.kernel.faults import Began, Crash, Partition
 from desim.pursuit.events import Decided
-from desim.view.passages import passages
+from desim.view.deliveries import passages
 from desim.view.spacetime import MOST, spacetime
 from tests.drawn import described
 from tests.golden import golden

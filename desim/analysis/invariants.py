@@ -1,0 +1,222 @@
+"""What must hold in every pursuit: watchers of one run that raise AssertionError if it does not.
+
+    result = watched(scenario, seed)
+    result = run(scenario, seed, Motion(scenario), Potential(scenario))
+
+A finished trace may be shown to them as well, event by event. What must hold of messages is in
+`desim.kernel.invariants`.
+"""
+
+from math import fsum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.analysis.metrics import active_time, energy
+from desim.kernel.clock import SECOND, nanoseconds, seconds
+from desim.kernel.events import Event, Watcher
+from desim.kernel.invariants import Conservation
+from desim.pursuit.assignment import welfare
+from desim.pursuit.capture import capture_time
+from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.state import Points, complex_points, lengths
+from desim.scenario.scenario import Scenario
+from desim.simulation.run import Result, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROUNDING = 1e-9
+"""What a length (m), a time (s), or a share of either may be off by rounding."""
+
+
+def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
+    """Run a scenario as `run` does, under the eyes of all watchers of what holds in every run, and judge the result.
+
+    They are `Conservation`, `ActiveTime` and `Motion`.
+
+    Raises:
+        AssertionError: if an invariant is broken.
+    """
+    stopwatches = ActiveTime()
+    result = run(scenario, seed, Conservation(), stopwatches, Motion(scenario), *watchers)
+    stopwatches.judge(result)
+    return result
+
+
+class ActiveTime:
+    """A watcher with a stopwatch for each pursuer, which runs while that is active.
+
+    `judge` compares the metrics of a run with the stopwatches.
+
+    Attributes:
+        profile: (N,) what each pursuer does, as in `Decided`.
+        end: when the run ended, ns.
+    """
+
+    def __init__(self) -> None:
+        self.profile: list[int] = []
+        self._speeds: tuple[float, ...] = ()
+        self._stopped: list[int] = []
+        """(N,) how long each was active before its present action, ns."""
+        self._since: list[int] = []
+        """(N,) when that began, ns."""
+        self.end = 0
+        self._notices: dict[type, Callable[[Any], None]] = {
+            Started: self._start,
+            Decided: lambda event: self._change(event, event.pursuer, event.active),
+            Halted: lambda event: self._change(event, event.pursuer, 0),
+            Captured: self._release,
+            Ended: self._finish,
+        }
+
+    def __call__(self, event: Event) -> None:
+        """Take notice of an event."""
+        notice = self._notices.get(type(event))
+        if notice is not None:
+            notice(event)
+
+    def until(self, t: int) -> NDArray[np.int64]:
+        """Return (N,) how long each pursuer has been active up to an instant that is not before the last event, ns."""
+        running = np.array(self.profile) > 0
+        return np.array(self._stopped) + np.where(running, t - np.array(self._since), 0)
+
+    def judge(self, result: Result) -> None:
+        """Compare the active time and the energy of the run with the stopwatches."""
+        own = self.until(self.end) / SECOND
+        _require_same("active time", active_time(result), float(own.sum()))
+        _require_same("energy", energy(result), fsum(np.square(self._speeds) * own))
+
+    def _start(self, event: Started) -> None:
+        self.profile, self._speeds = list(event.active), event.speeds
+        self._stopped, self._since = [0] * len(self.profile), [event.t] * len(self.profile)
+
+    def _change(self, event: Event, pursuer: int, action: int) -> None:
+        if self.profile[pursuer]:
+            self._stopped[pursuer] += event.t - self._since[pursuer]
+        self.profile[pursuer], self._since[pursuer] = action, event.t
+
+    def _release(self, event: Captured) -> None:
+        for pursuer, action in enumerate(self.profile):
+            if action == event.evader:
+                self._change(event, pursuer, 0)
+
+    def _finish(self, event: Ended) -> None:
+        self.end = event.t
+
+
+class Motion:
+    """A watcher of where everybody is, at every sample of the trajectory (`record.trajectory`).
+
+    Positions are continuous, and nobody is faster than its speed: since the last sample a pursuer has come no farther
+    than v_i times the time for which it was active meanwhile, and an evader than v_e times the time for which it was
+    at large. In a frozen game nobody moves.
+
+    Args:
+        scenario: of the run.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
+        self._at_large = np.full(len(self._evader_speeds), np.inf)  # until when, ns
+        self._moves = not scenario.motion.frozen
+        self._active = ActiveTime()
+        self._last: tuple[int, Points, NDArray[np.int64]] | None = None
+
+    def __call__(self, event: Event) -> None:
+        """Take notice of an event."""
+        self._active(event)
+        if isinstance(event, Started):
+            self._speeds = np.array([*event.speeds, *self._evader_speeds])
+            self._look(event)
+        elif isinstance(event, Sampled):
+            self._look(event)
+        elif isinstance(event, Captured):
+            self._at_large[event.evader - 1] = event.t
+
+    def _look(self, event: Started | Sampled) -> None:
+        places = complex_points([*event.pursuers, *event.evaders])
+        moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
+        if self._last is not None:
+            since, before, moved = self._last
+            bound = self._moves * self._speeds * (moving - moved) / SECOND
+            came, slack = lengths(places - before), ROUNDING * (1.0 + bound) + 1e-12 * lengths(places)
+            fast = np.flatnonzero(~(came <= bound + slack))
+            if len(fast):
+                who = fast[0]
+                raise AssertionError(
+                    f"nobody is faster than it can be: from {seconds(since)} to {seconds(event.t)} s player {who} (the"
+                    f" {len(event.pursuers)} pursuers come first) came {came[who]} m, not {bound[who]} m or less"
+                )
+        self._last = event.t, places, moving
+
+
+class Potential:
+    """A watcher of the potential, which no decision lowers if the game is played as the theorem has it.
+
+    The potential is the global utility Phi of the profile, with the times of capture and the time left of the instant
+    of the decision (`desim.pursuit.assignment.welfare`). A pursuer whose utility is `mean` gains by a change of its
+    action just what Phi gains by it. So no decision lowers Phi if
+
+    - it is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
+    - pursuers decide one at a time, not `together` nor in `rounds`;
+    - what the pursuer knows is true: on an ideal complete network, from a warm start, with every change announced and
+      nothing forgotten, nothing broken, clocks right, and everybody and all evaders in sight (payload "action" or,
+      in a frozen game, any).
+
+    Motion does not matter, for positions do not change at an instant; what the profile is worth may fall between
+    decisions. Judged are decisions at whose instant positions are on record: all of a frozen game, else those at
+    samples of the trajectory.
+
+    Args:
+        scenario: of the run.
+
+    Attributes:
+        judged: how many decisions were.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._evader_speeds = [evader.speed for evader in scenario.evaders]
+        self._radius, self._frozen = scenario.capture.radius, scenario.motion.frozen
+        self._horizon = nanoseconds(scenario.horizon)
+        self._active = ActiveTime()
+        self._pending: list[tuple[Decided, list[int], list[int]]] = []
+        """What was decided since positions were last known, and the profiles before and after that."""
+        self.judged = 0
+
+    def __call__(self, event: Event) -> None:
+        """Take notice of an event."""
+        if isinstance(event, Decided):
+            before = self._active.profile.copy()
+            self._active(event)
+            self._pending.append((event, before, self._active.profile.copy()))
+        else:
+            self._active(event)
+        if isinstance(event, Started):
+            self._speeds = event.speeds
+        if isinstance(event, Started | Sampled):
+            self._phi = np.column_stack(
+                [
+                    capture_time(place, event.pursuers, self._speeds, speed, self._radius)
+                    for place, speed in zip(event.evaders, self._evader_speeds, strict=True)
+                ]
+            )
+        if self._frozen or isinstance(event, Sampled):
+            self._judge(event.t)
+
+    def _judge(self, t: int) -> None:
+        """Judge what was decided at an instant, ns, at which positions are known, and nothing that was before."""
+        left = seconds(self._horizon - (0 if self._frozen else t))
+        for event, before, after in self._pending:
+            if event.t == t:
+                fall = welfare(self._phi, before, left) - welfare(self._phi, after, left)
+                if not fall <= ROUNDING:
+                    raise AssertionError(f"no decision lowers the potential: {event} does, by {fall} s")
+                self.judged += 1
+        self._pending.clear()
+
+
+def _require_same(name: str, metric: float, own: float) -> None:
+    if not abs(metric - own) <= ROUNDING * (1.0 + abs(own)):
+        raise AssertionError(f"the {name} is the integral of the trace: {metric} is not {own}")

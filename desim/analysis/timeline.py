@@ -1,0 +1,128 @@
+"""The course of a run: who was active, and what everyone's time of capture was, piece by piece.
+
+A piece is the time between two breakpoints: changes of action, samples of positions, breakdowns of robots, captures.
+Nobody changes its action in it, so that what a metric asks of the actions is exact. The times of capture phi are those
+of the middle of the piece, from positions interpolated between the samples: exact in a frozen game; otherwise see
+`desim.analysis.hindsight` for the error. Of several evaders each has a course of its own, of the same pieces.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from desim.analysis.activity import changes, hunts
+from desim.analysis.trace_index import (
+    NO_POSITIONS,
+    Floats,
+    Integers,
+    Truths,
+    captures,
+    ended,
+    positions_known,
+    samples,
+    started,
+)
+from desim.kernel.clock import SECOND, nanoseconds
+from desim.kernel.faults import Began, Crash, Over
+from desim.pursuit.capture import RadialTime
+from desim.pursuit.state import lengths
+from desim.simulation.run import Result
+
+PART = 1 << 18
+"""How many times of capture are held in memory at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Successive pieces of a run, each of positive length, as far as they are about one evader."""
+
+    times: Integers
+    """(k + 1,) breakpoints, ns."""
+    active: Truths
+    """(k, N) who chases the evader."""
+    phi: Floats
+    """(k, N) times of capture in the middle of the piece, s; inf for a robot that is broken and so captures nobody, and
+    for all once the evader has been captured."""
+    left: Floats
+    """(k,) time left r in the middle of the piece, s; that to the horizon throughout in a frozen game."""
+
+    @property
+    def durations(self) -> Floats:
+        """(k,) lengths of the pieces, s."""
+        return np.diff(self.times) / SECOND
+
+
+def course(result: Result, evader: int = 1) -> Iterator[Course]:
+    """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
+
+    Args:
+        result: of a run whose positions were recorded.
+        evader: which, 1 .. M; the parts of all evaders are of the same pieces.
+
+    Raises:
+        ValueError: if positions were not recorded.
+    """
+    if not positions_known(result):
+        raise ValueError(NO_POSITIONS)
+    start, end, scenario = started(result), ended(result).t, result.scenario
+    speed, hunt = scenario.evaders[evader - 1].speed, hunts(result)[evader - 1]
+    radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
+    horizon, frozen = nanoseconds(scenario.horizon), scenario.motion.frozen
+    path, size = _Path(result, evader), len(start.active)
+    active = _Counts(hunt.start, hunt.steps)
+    broken = _Counts((False,) * size, list(_breakdowns(result)))
+    acts = [each.t for each in [*changes(result), *captures(result)]]
+    times = np.unique(np.concatenate([[0, end], path.t, np.array(acts, np.int64), broken.t]))
+    step = max(PART // size, 1)
+    for first in range(0, len(times) - 1, step):
+        own = times[first : first + step + 1]
+        middle = (own[:-1] + own[1:]) / 2
+        phi = radial_time(path.distances(middle))
+        phi[broken.during(own)] = np.inf
+        phi[own[:-1] >= hunt.end] = np.inf
+        left = (horizon - (np.zeros_like(middle) if frozen else middle)) / SECOND
+        yield Course(own, active.during(own), phi, left)
+
+
+def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
+    """Yield when a robot broke down (1) or was repaired (-1): time (ns), pursuer, which."""
+    for event in result.trace:
+        if isinstance(event, Began | Over) and isinstance(event.fault, Crash) and event.fault.scope == "robot":
+            yield event.t, event.fault.node, 1 if isinstance(event, Began) else -1
+
+
+class _Counts:
+    """A whole number for each pursuer, that changes by steps: (time (ns), pursuer, by how much), in order of time."""
+
+    def __init__(self, start: tuple[bool, ...], steps: list[tuple[int, int, int]]):
+        self._start = np.array(start, np.int32)
+        self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
+
+    def during(self, times: Integers) -> Truths:
+        """Return (k, N) whether it is positive in each piece between (k + 1,) times, ns."""
+        piece = np.searchsorted(times, self.t)  # the first that begins then or later
+        rows = np.zeros((len(times), len(self._start)), np.int32)
+        rows[0] = self._start
+        np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
+        found: Truths = np.cumsum(rows[:-1], axis=0) > 0  # the last row is of what comes after
+        return found
+
+
+class _Path:
+    """How far everyone was from an evader: at the start and at each sample, and between them on straight lines."""
+
+    def __init__(self, result: Result, evader: int):
+        known = samples(result)
+        self.t = np.array([each.t for each in known])
+        gaps = np.array([each.evaders[evader - 1] for each in known])[:, None] - np.array(
+            [each.pursuers for each in known]
+        )
+        self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
+
+    def distances(self, t: Floats) -> Floats:
+        """Return the (k, N) distances to the evader at (k,) times (ns), m; after the last sample nobody moves."""
+        before = np.searchsorted(self.t, t, side="right") - 1
+        after = np.minimum(before + 1, len(self.t) - 1)
+        share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)
+        return lengths(self._gaps[before] + share[:, None] * (self._gaps[after] - self._gaps[before]))

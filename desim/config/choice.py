@@ -1,0 +1,222 @@
+"""Fields that hold one of several models, told apart by the `kind` of a table."""
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache, cached_property
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from pathlib import Path
+from types import FunctionType, MappingProxyType
+from typing import Any
+
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic.fields import FieldInfo
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
+
+from desim.config.model import markers_of
+from desim.config.trust import ALLOW, is_trusted
+
+
+def kind_of(model: type[BaseModel]) -> str:
+    """Return the `kind` by which a table in a file asks for this model."""
+    return str(model.model_fields["kind"].default)
+
+
+def home_of(value: Any) -> Any:
+    """Return where the code of a value is: the function that it is, or the class of an object."""
+    return value if isinstance(value, FunctionType) else type(value)
+
+
+def import_name(home: Any) -> str:
+    """Return the `kind` by which a table asks for a function or a class that is no entry point: "module:name"."""
+    return f"{home.__module__}:{home.__qualname__}"
+
+
+class OneOf:
+    """Annotation of a field that holds one of several models, told apart by their `kind`.
+
+    Models that other distributions install under the entry point group `group` are accepted too. A model is loaded and
+    built when a table asks for it; the others are not. An object that can be called is taken as it is, so that a script
+    may pass a function or a model of its own; a file names such a one by the kind "module:name", of a module that is
+    installed or lies beside the file. Because that runs the code of the module, the file must be trusted
+    (`is_trusted`), or the name be that of an entry point in one of the groups `desim.*`.
+
+    Args:
+        models: of this distribution.
+        group: of entry points.
+        needs: attributes that whatever is taken as it is must have.
+        takes: names of the arguments with which it is called.
+    """
+
+    def __init__(
+        self,
+        *models: type[BaseModel],
+        group: str | None = None,
+        needs: tuple[str, ...] = (),
+        takes: tuple[str, ...] = (),
+    ):
+        self.models = models
+        self.group = group
+        self.needs = needs
+        self.takes = takes
+
+    def choices(self) -> Mapping[str, type[BaseModel]]:
+        """Return the models by kind, those of this distribution first; all of them are loaded."""
+        return MappingProxyType(self._own | {kind: point.load() for kind, point in self._installed.items()})
+
+    def choice(self, kind: str) -> type[BaseModel] | None:
+        """Return the model of a kind, if there is one."""
+        if kind not in self._installed:
+            return self._own.get(kind)
+        model: type[BaseModel] = self._installed[kind].load()
+        return model
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is of one of the models."""
+        kind = getattr(value, "kind", None)
+        return isinstance(kind, str) and type(value) is self.choice(kind)
+
+    @cached_property
+    def _own(self) -> dict[str, type[BaseModel]]:
+        return {kind_of(model): model for model in self.models}
+
+    @cached_property
+    def _installed(self) -> dict[str, EntryPoint]:
+        points = sorted(entry_points(group=self.group), key=lambda point: point.name) if self.group else []
+        return {point.name: point for point in points}
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        writes = core_schema.wrap_serializer_function_ser_schema(self._written, schema=core_schema.any_schema())
+        return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(_union(self.choices()))
+
+    def _written(self, value: Any, write: Callable[[Any], Any]) -> Any:
+        if self.holds(value):
+            return write(value)
+        parameters = {}
+        if isinstance(value, BaseModel):
+            parameters = value.model_dump()
+        elif is_dataclass(value):
+            parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+        return parameters | {"kind": import_name(home_of(value))}
+
+    def _table(self, table: Any, info: ValidationInfo) -> Any:
+        """Return the model that a table describes; raise ValidationError if it is none of them."""
+        kind = table.get("kind") if isinstance(table, dict) else None
+        model = self.choice(kind) if isinstance(kind, str) else None
+        judge = SchemaValidator(_union(self.choices())) if model is None else _judge(kind, model)
+        return judge.validate_python(table, context=info.context)
+
+    def _accept(self, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, type):
+            raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
+        if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
+            value = self._imported(value, info)
+        if not callable(value):
+            return self._table(value, info)
+        if missing := [name for name in self.needs if not hasattr(value, name)]:
+            raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
+        self._check_called(value, value)
+        return value
+
+    def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:
+        """Raise ValueError if what calls a value cannot take the arguments, after those that come first."""
+        if not self.takes:
+            return
+        try:
+            signature(function).bind(*first, *self.takes)
+        except TypeError as error:
+            raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
+
+    def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
+        """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters.
+
+        Nothing is imported unless that is allowed, and no class is called whose instances cannot be.
+        """
+        kind = table["kind"]
+        if names_code(kind) and not is_trusted(info):
+            raise PydanticCustomError("import_refused", "{why}", {"why": refusal(kind)})
+        point = _named_by_entry_points().get(kind)
+        found = _load(kind, (info.context or {}).get("folder")) if point is None else point.load()
+        parameters = {key: each for key, each in table.items() if key != "kind"}
+        if not isinstance(found, type):
+            if not callable(found):
+                raise ValueError(f"{kind!r} is nothing that can be called, but {found!r}")
+            if parameters:
+                raise ValueError(f"{kind!r} is no model and takes no parameters, got {', '.join(parameters)}")
+            return found
+        calls = next((vars(base)["__call__"] for base in found.__mro__ if "__call__" in vars(base)), None)
+        if calls is None:
+            raise ValueError(f"{kind!r} is no model: its instances cannot be called")
+        if isinstance(calls, FunctionType):
+            self._check_called(calls, found, None)
+        return _constructed(found, kind, parameters, info.context)
+
+
+def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
+    """Return the schema of tables of one of several models, told apart by their `kind`."""
+    for model in models.values():
+        model.model_rebuild()
+    schemas = {kind: model.__pydantic_core_schema__ for kind, model in models.items()}
+    return core_schema.tagged_union_schema(schemas, discriminator="kind")
+
+
+@cache
+def _judge(kind: Any, model: type[BaseModel]) -> SchemaValidator:
+    """Return what validates tables of one kind."""
+    return SchemaValidator(_union({kind: model}))
+
+
+def names_code(kind: Any) -> bool:
+    """Return whether what stands for a kind names code that is not installed as an entry point of desim."""
+    return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
+
+
+def refusal(kind: str) -> str:
+    """Return why a file may not name code."""
+    return f"{kind!r} names code to be run; {ALLOW}"
+
+
+@cache
+def _named_by_entry_points() -> Mapping[str, EntryPoint]:
+    """Return the entry points of the groups `desim.*` by the names "module:name" of what they are of."""
+    points = (
+        each for group in entry_points().groups if group.startswith("desim.") for each in entry_points(group=group)
+    )
+    return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
+
+
+def _load(kind: str, folder: Path | None) -> Any:
+    """Return what "module:name" names; the module may lie in a folder, where worker processes find it, too."""
+    module, _, name = kind.partition(":")
+    if folder is not None and str(folder.absolute()) not in sys.path:
+        sys.path.append(str(folder.absolute()))
+    try:
+        return getattr(import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        where = "" if folder is None else f" beside the file, in {folder.absolute()}"
+        raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
+    except SystemExit as error:
+        raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
+
+
+def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:
+    try:
+        return (
+            model.model_validate(parameters, context=context) if issubclass(model, BaseModel) else model(**parameters)
+        )
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()]
+        raise ValueError(f"{kind!r}: {'; '.join(faults)}") from error
+    except TypeError as error:
+        raise ValueError(f"{kind!r}: {error}") from error
+
+
+def choices_of(field: FieldInfo) -> list[OneOf]:
+    """Return what marks a field, or the items of a field, as one of several models."""
+    return [each for each in markers_of(field) if isinstance(each, OneOf)]

@@ -1,0 +1,84 @@
+"""Fault injection: let faults happen to a network at their times."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+import simpy
+
+from desim.config.model import LONGEST
+from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
+from desim.kernel.events import Trace
+from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.network import Network
+
+Hook = Callable[[Crash], object]
+
+
+def inject(
+    faults: Iterable[Fault],
+    env: Clock,
+    network: Network,
+    trace: Trace | None = None,
+    *,
+    crashed: Hook = lambda _: None,
+    recovered: Hook = lambda _: None,
+) -> None:
+    """Let faults happen to a network that was made with conditions.
+
+    Args:
+        faults: what happens.
+        env: the clock of the simulation.
+        network: what it happens to.
+        trace: where `Began` and `Over` go.
+        crashed: called when a node breaks down.
+        recovered: called when a crash is over.
+
+    Raises:
+        ValueError: if a fault names a node that does not exist.
+    """
+    faults, size = list(faults), network.topology.size
+    for fault in faults:
+        if strangers := [node for node in _named(fault) if node >= size]:
+            raise ValueError(f"{fault.kind}: there is no node {strangers[0]}: the nodes are 0 .. {size - 1}")
+
+    def begin(fault: Fault, _: simpy.Event) -> None:
+        if trace is not None:
+            trace.append(Began(env.now, fault))
+        end = _open(fault, network, crashed, recovered)
+        if fault.until <= LONGEST:  # no run is longer
+            Instant(env, nanoseconds(fault.until), Phase.FAULT).callbacks.append(partial(finish, fault, end))
+
+    def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
+        if trace is not None:
+            trace.append(Over(env.now, fault))
+        end()
+
+    for fault in faults:
+        Instant(env, nanoseconds(fault.at), Phase.FAULT).callbacks.append(partial(begin, fault))
+
+
+def _named(fault: Fault) -> list[int]:
+    """Return the nodes that a fault names."""
+    if isinstance(fault, Partition):
+        return [node for group in fault.groups for node in group]
+    return [fault.node] if isinstance(fault, Crash) else []
+
+
+def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
+    """Let a fault begin; return what lets it be over."""
+    conditions = network.conditions
+    if isinstance(fault, Crash):
+        network.break_down(fault.node)
+        crashed(fault)
+
+        def recover() -> None:
+            network.repair(fault.node, memory=fault.memory)
+            recovered(fault)
+
+        return recover
+    if isinstance(fault, Partition):
+        cut = conditions.divide(fault.groups)
+        return lambda: conditions.heal(cut)
+    disc = (fault.centre, fault.radius)
+    conditions.jam(disc)
+    return lambda: conditions.clear(disc)

@@ -1,0 +1,92 @@
+"""How far word reaches: the probability that a message is received at a distance, given the range.
+
+Whatever the model, the range is the one length in it, so that a study sweeps one key.
+"""
+
+from math import inf, log
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from desim.config.choice import OneOf
+from desim.config.model import Positive, Probability, Value
+
+Floats = NDArray[np.float64]
+
+
+class Reach(Protocol):
+    """A model of the reach: `reach(distances, range)` is the (k,) probability of reception at (k,) distances, m.
+
+    It may have a method `bound(range)`: the distance beyond which nothing is ever received, m.
+    """
+
+    def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
+
+
+class Disk(Value):
+    """Certain up to the range, impossible beyond it."""
+
+    kind: Literal["disk"] = "disk"
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return 1 where d <= R, else 0."""
+        return (distances <= range).astype(float)
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
+
+
+class QuasiUnitDisk(Value):
+    """Certain up to a share of the range, possible up to the range (Kuhn, Wattenhofer & Zollinger 2008)."""
+
+    kind: Literal["quasi_unit_disk"] = "quasi_unit_disk"
+    certain: Probability = 0.5
+    """Share q of the range within which reception is certain, in [0, 1]."""
+    p: Probability = 0.5
+    """Probability of reception between there and the range, in [0, 1]."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return 1 where d <= q R, p where d <= R, else 0."""
+        return np.where(distances <= self.certain * range, 1.0, np.where(distances <= range, self.p, 0.0))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return R."""
+        return range
+
+
+class LogDistance(Value):
+    """Log-distance path loss with lognormal shadowing; at the range, every second message or link is received.
+
+    P(d) = NormalCDF(10 n log10(R / d) / sigma) (Rappaport 2002, "Wireless Communications", 4.9).
+    """
+
+    kind: Literal["log_distance"] = "log_distance"
+    exponent: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.0
+    """Path loss exponent n: 2 in free space, 3 to 4 over ground."""
+    shadowing: Positive = 6.0
+    """Standard deviation sigma of the shadowing, dB."""
+
+    def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
+        """Return P(d)."""
+        from scipy.special import ndtr, xlogy
+
+        with np.errstate(divide="ignore", over="ignore"):
+            margin = xlogy(10.0 * self.exponent / log(10.0), range / distances)
+        return np.asarray(ndtr(margin / self.shadowing))
+
+    def bound(self, range: float) -> float:  # noqa: A002
+        """Return where P(d) = NormalCDF(-8.3) = 5e-17, less than any luck of a pair: see `desim.kernel.seeds`."""
+        ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
+        return ranges * range
+
+
+def bound(reach: Reach, range: float) -> float:  # noqa: A002
+    """Return the distance beyond which nothing is ever received, m; inf if a model does not say."""
+    ends = getattr(reach, "bound", None)
+    return inf if ends is None else float(ends(range))
+
+
+REACHES = OneOf(Disk, QuasiUnitDisk, LogDistance)

@@ -1,0 +1,172 @@
+"""What a pursuer believes of its teammates: what has arrived of each, as long as it is trusted, reckoned on to now."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from itertools import pairwise
+from math import inf, nan
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from desim.config.model import LONGEST
+from desim.kernel.clock import NodeClock
+from desim.kernel.network import Network
+from desim.kernel.records import Record, Table
+from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
+from desim.pursuit.state import Floats, Points
+from desim.pursuit.views import Surroundings
+
+Orders = Mapping[int, Sequence[tuple[int, int]]]
+"""Of teammates: [(t, action)], ascending: by order each takes up an action at a time t (ns, by the reader's clock)."""
+UNORDERED: Orders = MappingProxyType({})
+"""Nobody has been ordered to do anything: a teammate that chases goes on."""
+
+
+class Belief(NamedTuple):
+    """What a pursuer believes of a teammate that it has heard of and not forgotten."""
+
+    active: int
+    """Which evader it chases, or 0."""
+    capture_time: float
+    """s; nan if it has not told it."""
+
+
+class Whereabouts(NamedTuple):
+    """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
+
+    ids: list[int]
+    """(n,) who they are, ascending; itself among them."""
+    places: Points
+    """(n,) m; nan for who has not told it."""
+    speeds: Floats
+    """(n,) m/s"""
+    capture_times: Floats
+    """(n,) s"""
+
+
+class Beliefs:
+    """The beliefs of one pursuer.
+
+    Args:
+        pursuer: whose they are.
+        clock: its own.
+        world: what it senses.
+        network: from which it hears.
+        announcements: what teammates announce, and how long it is believed.
+        announcement: returns one, for its length.
+    """
+
+    def __init__(
+        self,
+        pursuer: int,
+        clock: NodeClock,
+        world: Surroundings,
+        network: Network,
+        announcements: Announcements,
+        announcement: Callable[[], Any],
+    ):
+        self._id, self._clock, self._world, self._network = pursuer, clock, world, network
+        self._announcements, self._announcement = announcements, announcement
+        self.senses_others = announcements.payload == "action"
+
+    def heard(self) -> Table:
+        """Return the newest announcement that has arrived from each teammate."""
+        return self._network.heard(self._id)
+
+    def trusted(self, period: float | None = None) -> dict[int, Record]:
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`.
+
+        Args:
+            period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
+        """
+        oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
+        return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
+
+    def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
+        """Return its own time of capture of an evader, the trusted teammates believed to chase it, and theirs, s."""
+        oldest, words = self._clock.true - self._memory, self._network.marked(self._id)
+        chasing = [j for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest]
+        if self.senses_others:
+            own, *times = self._world.capture_times_of([self._id, *chasing], evader)
+            return own, chasing, times
+        (own,) = self._world.capture_times_of([self._id], evader)
+        return own, chasing, [self._time(words[j][1], evader) for j in chasing]
+
+    def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
+        """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""
+        words = self.trusted(period).items()
+        return {j: Belief(word.body.active, self._time(word, evader, orders)) for j, word in words}
+
+    def whereabouts(self, evader: int) -> Whereabouts:
+        """Return where everyone is believed to be, and how soon it would capture an evader.
+
+        Places are as they are sensed, or as far as they have been told.
+        """
+        world = self._world
+        if self.senses_others:
+            return Whereabouts(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
+        words = self.trusted()
+        ids = sorted({*words, self._id})
+        places = [self._place(words[j]) if j in words else world.place(j) for j in ids]
+        phi = [
+            self._time(words[j], evader)
+            if j in words and isinstance(words[j].body, TimedAssignment)
+            else world.capture_time_from(j, place, evader)
+            for j, place in zip(ids, places, strict=True)
+        ]
+        return Whereabouts(ids, np.array(places), self._speeds[ids], np.array(phi))
+
+    @cached_property
+    def _everyone(self) -> list[int]:
+        """The ids of the team."""
+        return list(range(self._world.size))
+
+    @cached_property
+    def _speeds(self) -> Floats:
+        """How fast each of the team moves if it does, (N,) m/s."""
+        return np.array([self._world.speed(pursuer) for pursuer in range(self._world.size)])
+
+    @cached_property
+    def _memory(self) -> float:
+        """How long it is believed what was heard, true ns."""
+        return self._remembers(self._announcements.heartbeat if self._announcements.beats else inf)
+
+    def _remembers(self, period: float) -> float:
+        """Return how long it is believed what is heard every period (s), true ns."""
+        limit = self._announcements.forget_after
+        if limit == "auto":
+            flight = self._network.typical_latency + self._network.airtime(self._announcement())
+            limit = 3.0 * period + 2.0 * flight if period < inf else inf
+        return inf if limit > LONGEST else self._clock.span(limit)  # no run is longer
+
+    def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
+        """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""
+        body = record.body
+        if isinstance(body, TimedAssignment):
+            return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
+        if not isinstance(body, LocatedAssignment):
+            return self._world.capture_times_of([record.src], evader)[0] if self.senses_others else nan
+        return self._world.capture_time_from(record.src, self._place(record, orders), evader)
+
+    def _place(self, record: Record, orders: Orders = UNORDERED) -> complex:
+        """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense.
+
+        It goes on as it said, or as it has been ordered to since.
+        """
+        body = record.body
+        if not isinstance(body, LocatedAssignment):
+            return self._world.place(record.src) if self.senses_others else complex(nan, nan)
+        place = complex(body.x, body.y)
+        told = orders.get(record.src, ())
+        if not body.active and not any(action for _, action in told):
+            return place
+        now = self._clock.stamp
+        since = min(record.sent, now)
+        legs = [(since, body.active), *((max(begun, since), action) for begun, action in told)]
+        exact = self._announcements.reckoning == "exact"
+        for (begun, action), (end, _) in pairwise([*legs, (now, 0)]):
+            if action and begun < now:
+                ended = max(now - end, 0)
+                place = self._world.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)
+        return place

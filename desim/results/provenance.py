@@ -1,0 +1,228 @@
+"""Where results come from: `run.json`, which says what was done with which code, and from which it can be done again.
+
+There is no date in it: the same run gives the same bytes, except for the command line and the commit.
+"""
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path
+from types import FunctionType, NoneType
+from typing import TYPE_CHECKING, Any
+
+from desim.config.json_numbers import from_json, to_json
+from desim.config.trust import fresh, regular
+from desim.results.environment import environment
+
+if TYPE_CHECKING:
+    from desim.scenario.overrides import Source
+    from desim.scenario.scenario import Scenario
+
+Document = dict[str, Any]
+"""What a run.json says, as JSON has it."""
+FILE = "run.json"
+RUN = "run"
+"""What `desim run` does; everything else cannot be repeated by it."""
+SHAPE: Mapping[str, tuple[type, ...]] = {
+    "what": (str,),
+    "seed": (int,),
+    "runs": (int,),
+    "scenario": (dict, NoneType),
+    "folder": (str, NoneType),
+    "unrecorded": (list,),
+    "versions": (dict,),
+    "platform": (dict,),
+    "commit": (str, NoneType),
+    "dirty": (bool, NoneType),
+    "code": (str,),
+    "argv": (list,),
+}
+"""The keys that every run.json has, and what they may hold."""
+WORDS: Mapping[type, str] = {
+    str: "a text",
+    int: "an integer",
+    bool: "true or false",
+    dict: "a table",
+    list: "a list",
+    NoneType: "null",
+}
+
+
+class ProvenanceError(ValueError):
+    """A file is no run.json, or of nothing that can be repeated; the text has one line per fault."""
+
+
+def document(
+    what: str,
+    scenario: "Scenario | None" = None,
+    *,
+    seed: int,
+    runs: int = 1,
+    folder: Path | None = None,
+    **more: Any,
+) -> Document:
+    """Return where results come from, as a JSON document.
+
+    Args:
+        what: "run", "sweep", or the name of a study.
+        scenario: what was simulated, if it was one.
+        seed: of the first run; the recorded scenario has it, too.
+        runs: their number, with seeds s, s + 1, ...
+        folder: of the scenario file, where a module that it names may lie.
+        more: what else there is to say; infinity becomes the string "Infinity", as in the scenario.
+    """
+    return {
+        "what": what,
+        "seed": seed,
+        "runs": runs,
+        "scenario": None if scenario is None else scenario.plain() | {"seed": seed},
+        "folder": None if folder is None else str(folder.absolute()),
+        "unrecorded": [] if scenario is None else list(_unrecorded(scenario)),
+        **environment(),
+        "argv": list(sys.argv),
+        **to_json(more),
+    }
+
+
+def of_one(made: Document, seed: int) -> Document:
+    """Return the document of one of several runs."""
+    return made | {"seed": seed, "runs": 1, "scenario": made["scenario"] | {"seed": seed}}
+
+
+def write(folder: Path, made: Document, name: str = FILE) -> None:
+    """Write a document to a folder, which is made if need be; it is there as a whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(made, indent=2, allow_nan=False)
+    part = fresh(folder / f"{name}.part")
+    part.write_text(text + "\n", encoding="utf-8")
+    try:
+        part.replace(folder / name)
+    except OSError as error:
+        part.unlink()
+        raise OSError(error.errno, error.strerror, str(folder / name)) from error
+
+
+def read(path: Path) -> Document:
+    """Return what a run.json says, of whatever it is.
+
+    Raises:
+        ProvenanceError: if it is none; with all that is missing or wrong.
+        OSError: if it cannot be read.
+    """
+    content = regular(path).read_bytes()
+    try:
+        made = json.loads(content)
+    except json.JSONDecodeError as error:
+        raise ProvenanceError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+    except (ValueError, RecursionError) as error:
+        raise ProvenanceError(f"{path}: not JSON: {error}") from error
+    if not isinstance(made, dict):
+        raise ProvenanceError(f"{path}: is no {FILE}: should be a table")
+    if missing := [key for key in SHAPE if key not in made]:
+        raise ProvenanceError(f"{path}: is no {FILE}: lacks {', '.join(missing)}")
+    if faults := list(_faults(made)):
+        raise ProvenanceError("\n".join(f"{path}: {each}" for each in faults))
+    return made
+
+
+def home(path: Path, made: Document) -> Path:
+    """Return the folder of the scenario file that a run.json recorded; if that is gone, the folder of the run.json."""
+    folder = None if made["folder"] is None else Path(made["folder"])
+    return folder if folder is not None and folder.is_dir() else path.parent
+
+
+def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_import: bool = False) -> "Source":
+    """Return what a run.json recorded as its scenario, with overrides, not yet validated.
+
+    What it names lies in its `home` if it may name code to be run, and in the folder of the run.json if not: a stranger
+    may have written any folder into it.
+
+    Raises:
+        ProvenanceError: if it is not of runs, or names a model that nobody can import.
+        ScenarioError: if an override is wrong.
+    """
+    from desim.scenario.overrides import Source
+
+    if made["what"] != RUN or made["scenario"] is None:
+        done = "a sweep" if made["what"] == "sweep" else f"the study {made['what']!r}"
+        by = shlex.join(map(str, made["argv"]))
+        raise ProvenanceError(f"{path}: is of {done}, which is not repeated by desim run; it was made by: {by}")
+    folder = home(path, made) if allow_import else path.parent
+    recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
+    for override in overrides:
+        recorded.override(override)
+    if homeless := list(_homeless(recorded.tables)):
+        raise ProvenanceError("\n".join(f"{recorded.where(place)}: {text}" for place, text in homeless))
+    return recorded
+
+
+def differences(then: Document, now: Document) -> list[str]:
+    """Return why results may differ from the recorded ones: which versions, platform or code did; [] if nothing."""
+    found = [
+        f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
+        for key in ("versions", "platform")
+        for name in sorted({*then[key], *now[key]})
+        if then[key].get(name) != now[key].get(name)
+    ]
+    if then["code"] != now["code"]:
+        found.append(f"the code of desim was {_commit(then)} and is {_commit(now)}")
+    return found + [f"the parameters of {key} are not recorded" for key in then["unrecorded"]]
+
+
+def _commit(made: Document) -> str:
+    return f"{made['commit'] or 'of no commit'}{' with changes' if made['dirty'] else ''}, {made['code']}"
+
+
+def _faults(made: Document) -> Iterator[str]:
+    """Yield what is wrong with the values of a document that has all keys."""
+    for key, kinds in SHAPE.items():
+        if type(made[key]) not in kinds:
+            yield f"{key}: should be {' or '.join(WORDS[kind] for kind in kinds)} (got {json.dumps(made[key])})"
+    runs, seed, scenario = made["runs"], made["seed"], made["scenario"]
+    if type(runs) is int and runs < 1:
+        yield f"runs: should be at least 1 (got {runs})"
+    if type(seed) is int and isinstance(scenario, dict) and scenario.get("seed", seed) != seed:
+        yield f"seed: should be that of the scenario: {json.dumps(scenario['seed'])} (got {seed})"
+
+
+def _given(scenario: Document) -> Document:
+    """Return the tables of a recorded scenario such that each key can be overridden as in a file.
+
+    Infinity is a number again, and a network says nothing of what its preset stands for, or it would hold against
+    another preset.
+    """
+    from desim.kernel.links import Links
+    from desim.kernel.presets import PRESETS
+
+    tables: Document = {key: each if key == "name" else from_json(each) for key, each in scenario.items()}
+    network = tables.get("network")
+    if isinstance(network, dict) and ((preset := network.get("preset")) is None or str(preset) in PRESETS):
+        usual = from_json(Links(preset=preset).plain())
+        tables["network"] = {key: each for key, each in network.items() if key == "preset" or each != usual.get(key)}
+    return tables
+
+
+def _homeless(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield the place of each model that was made where nobody can import it from, and what is wrong with it."""
+    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, each in inner:
+        if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):
+            text = f"{each!r} was defined in a script or in a function and cannot be imported; move it to a module"
+            yield place, f"{'.'.join(map(str, place))}: {text}"
+        yield from _homeless(each, (*place, key))
+
+
+def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yield the dotted key of each model whose parameters nobody but itself knows: an object of one's own class."""
+    from pydantic import BaseModel
+
+    if isinstance(node, BaseModel):
+        for name in type(node).model_fields:
+            yield from _unrecorded(getattr(node, name), (*place, name))
+    elif isinstance(node, tuple):
+        for k, each in enumerate(node):
+            yield from _unrecorded(each, (*place, str(k)))
+    elif callable(node) and not isinstance(node, FunctionType) and not is_dataclass(node) and node.__getstate__():
+        yield ".".join(place)

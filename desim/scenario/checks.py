@@ -1,0 +1,123 @@
+"""What is legal but probably unintended: keys of a scenario that have no effect, and what breaks a theorem."""
+
+from collections.abc import Iterator, Sequence
+from math import inf
+from typing import Any
+
+from pydantic import BaseModel
+
+from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
+from desim.kernel.links import Links
+from desim.kernel.presets import PRESETS
+from desim.kernel.reception import Disk
+from desim.pursuit.sensing import Sensing
+from desim.scenario.assumptions import broken
+from desim.scenario.scenario import Scenario
+
+ROUNDS_TO_0 = "rounds to 0, for time is counted in nanoseconds"
+
+
+def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what is legal but probably unintended: the key it concerns, and why."""
+    fastest = max(scenario.team.all_speeds())
+    flights = [evader.speed for evader in scenario.evaders]
+    if fastest <= max(flights):
+        yield "team.speeds", _out_of_reach(fastest, flights, scenario.prune != "none")
+    yield from _of_sensing(scenario)
+    yield from _of_network(scenario)
+    yield from broken(scenario)
+    schedule: Any = getattr(scenario.protocol, "schedule", None)
+    if hasattr(schedule, "warnings"):
+        yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
+    yield from _of_times(scenario)
+    stride = scenario.motion.step * max(fastest, *flights)
+    if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
+        yield (
+            "motion.step",
+            f"a player may jump across the capture disc between two samples: step x speed = {stride:g} m is more"
+            f" than 2 x radius = {2 * scenario.capture.radius:g} m",
+        )
+
+
+def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str:
+    """Return that no pursuer is faster than some evaders, given speeds (m/s) and whether nobody may chase these."""
+    quick = [flight for flight in flights if flight >= fastest]
+    which, they, whose, whom = (
+        ("the evader", "the evader", "", "")
+        if len(flights) == 1
+        else (f"{len(quick)} of the {len(flights)} evaders", "the slowest of these", " of theirs", " them")
+    )
+    return (
+        f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
+        f" time of capture{whose} is inf{f' and nobody will chase{whom}' if pruned else ''}"
+    )
+
+
+def _of_times(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield which times are too short to count, and which periods are longer than a run."""
+    used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
+    for key, time, markers in _numbers(scenario):
+        if Counted in markers and 0.0 < time <= RESOLUTION / 2:
+            yield key, f"{time:g} s {ROUNDS_TO_0}"
+        if Recurring in markers and time > scenario.horizon and used.get(key, True):
+            yield key, f"{time:g} s is longer than the horizon of {scenario.horizon:g} s"
+
+
+def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
+    """Yield the key, the value and the markers of every number in a model and in the models that it holds."""
+    for name, field in type(model).model_fields.items():
+        value, markers = getattr(model, name), markers_of(field)
+        for place, each in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
+            key = f"{above}{name}" if place is None else f"{above}{name}.{place}"
+            if isinstance(each, BaseModel):
+                yield from _numbers(each, f"{key}.")
+            elif isinstance(each, int | float):
+                yield key, each, markers
+
+
+def _has_heartbeats(scenario: Scenario) -> bool:
+    return scenario.speaks and scenario.announce.beats
+
+
+def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what of sight has no effect, and what leaves nothing to see."""
+    sensing = scenario.sensing
+    if not sensing.limited:
+        default = Sensing()
+        others = [key for key in Sensing.model_fields if getattr(sensing, key) != getattr(default, key)]
+        yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
+    elif sensing.radius <= scenario.capture.radius:
+        yield (
+            "sensing.radius",
+            f"nobody sees an evader before it is captured: the radius of {sensing.radius:g} m is not more than that of"
+            f" capture, {scenario.capture.radius:g} m",
+        )
+
+
+def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield what has no effect, and what a channel cannot carry."""
+    network, announce = scenario.network, scenario.announce
+    if network.preset is not None:
+        preset = Links(preset=network.preset)
+        for key in PRESETS[network.preset]:
+            if getattr(network, key) != getattr(preset, key):
+                yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
+    if network.range == inf and network.reach != Disk():
+        yield "network.reach", "it has no effect while the range is inf"
+    if announce.trigger == "never" and getattr(announce.spread, "kind", "one_hop") != "one_hop":
+        yield "announce.spread", "it has no effect, for nothing is ever announced"
+    for k, fault in enumerate(scenario.fault):
+        if getattr(fault, "at", 0.0) >= scenario.horizon:
+            yield f"fault.{k}.at", "it would begin after the horizon"
+    claim_size = getattr(scenario.protocol, "claim_size", None)
+    size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
+    airtime = network.medium(size)
+    if 0.0 < airtime <= RESOLUTION / 2:
+        yield "network.medium", f"the airtime of {size} bytes, {airtime:.1g} s, {ROUNDS_TO_0}"
+    load = airtime / announce.heartbeat * (scenario.team.count if network.medium.shared else 1)
+    if _has_heartbeats(scenario) and load > 1.0:
+        yield (
+            "announce.heartbeat",
+            f"heartbeats of {size} bytes alone would keep the channel busy {load:.1f} times over, so that"
+            " messages wait for longer and longer, or are dropped",
+        )

@@ -1,0 +1,252 @@
+"""What a scenario is validated from: its tables as they were given, and where each key was set."""
+
+import tomllib
+from dataclasses import dataclass, field
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from desim.config.choice import choices_of
+from desim.config.model import Value, fields_of, models_in
+from desim.kernel.presets import PRESETS
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml_lines import DEEP_KEY, Place
+
+
+class ScenarioError(ValueError):
+    """A scenario is not valid; the text has one line per fault."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scenario as it was given: its tables, and where each key came from."""
+
+    name: str
+    """The file, if it is one."""
+    tables: dict[str, Any]
+    lines: dict[Place, int] | None = None
+    """The line of each key; None if it was no text."""
+    origins: dict[Place, str] = field(default_factory=dict)
+    """What set a key after the tables were given, in the words of whoever did."""
+    folder: Path | None = None
+    """Where the files and modules that it names lie; None if beside the file."""
+    allow_import: bool = False
+    """Whether it may name code to be run, and files outside of that folder."""
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Return what a scenario of a script was constructed from."""
+        tables = _tables(scenario)
+        preset = scenario.network.preset
+        if preset is not None:  # what it stands for was not given, or another preset would not replace it
+            given, stands_for = scenario.network, type(scenario.network)(preset=preset)
+            for key in PRESETS[preset]:
+                if getattr(given, key) == getattr(stands_for, key):
+                    tables["network"].pop(key, None)
+        return cls("the scenario", tables, allow_import=True)
+
+    def where(self, place: Place) -> str:
+        """Return where a key was set: `file:line`, or whatever set it since."""
+        lines = self.lines or {}
+        dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
+        known = lines.keys() | self.origins.keys()
+        if place not in known and dotted in known:  # TOML makes tables of a dotted key without quotes
+            place = dotted
+        within = [place[:end] for end in range(len(place), 0, -1)]
+        set_by = [text for key, text in self.origins.items() if key in within]
+        if not set_by and place not in lines:  # an override may have made the table
+            set_by = [text for key, text in self.origins.items() if key[: len(place)] == place]
+        if set_by:
+            return set_by[-1]
+        if self.lines is None:
+            return self.name
+        return f"{self.name}:{next((lines[each] for each in within if each in lines), 1)}"
+
+    def copy(self) -> Self:
+        """Return one that can be set without a change of this one."""
+        return type(self)(
+            self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder, self.allow_import
+        )
+
+    def override(self, text: str) -> None:
+        """Set a key to a value: "key.key=value", the value in TOML.
+
+        Raises:
+            ScenarioError: if the text is none of that kind, or the key none of a table.
+        """
+        origin = f"--set {text}"
+        name, equals, value = text.partition("=")
+        if not equals or not all(name.strip().split(".")):
+            raise ScenarioError(f"{origin}: should be KEY=VALUE, for instance network.latency.value=0.05")
+        if DEEP_KEY.search(text):
+            raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than 100 parts")
+        try:
+            self.set(name.strip(), _parsed(value.strip()), origin)
+        except ScenarioError as error:
+            raise ScenarioError(f"{origin}: {error}") from error
+
+    def set(self, name: str, value: Any, origin: str) -> None:
+        """Set a key, its parts joined by dots; tables that are not there begin with the kind they have by default.
+
+        A table that is given another kind loses what it was given before and the new kind has no key for.
+
+        Raises:
+            ScenarioError: if it is not a key of a table.
+        """
+        place: Place = ()
+        node: Any = self.tables
+        default: Any = _defaults(self.tables)
+        *parents, last = parts = self._parts(name)
+        for depth, part in enumerate(parents, start=1):
+            key = _key(part, node)
+            default = default.get(key) if isinstance(default, dict) else None
+            if isinstance(default, tuple) and not holds(node, key):
+                raise ScenarioError(f"{name}: the list {'.'.join(map(str, (*place, key)))} is empty")
+            if isinstance(node, dict) and key not in node:
+                node[key] = {"kind": default["kind"]} if isinstance(default, dict) and "kind" in default else {}
+            if holds(node, key) and isinstance(node[key], Value):
+                node[key] = _replaced(node[key], parts[depth:], value)
+                self.origins[*place, key] = origin
+                return
+            node = node[key] if holds(node, key) else None
+            place += (key,)
+        key = _key(last, node)
+        if not isinstance(node, dict) and not holds(node, key):
+            raise ScenarioError(f"{name} is not a key of a table")
+        if key == "kind" and node.get("kind") != value:
+            self._fit(place, value)
+        node[key] = value
+        self.origins.pop((*place, key), None)  # the last one counts
+        self.origins[*place, key] = origin
+
+    def _fit(self, place: Place, kind: Any) -> None:
+        """Take from a table what was not set since it was given, and a kind of what it holds has no key for."""
+        info = _field_at(self.tables, place)
+        models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
+        for model in filter(None, models):
+            table = _at(self.tables, place)
+            for key in table.keys() - model.model_fields.keys():
+                if not any(set_since[: len(place) + 1] == (*place, key) for set_since in self.origins):
+                    del table[key]
+
+    def _parts(self, name: str) -> list[str]:
+        """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
+        parts = name.split(".")
+        within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
+        spread = [*within, *key.split(".")]
+        if within != ["sweep", "grid"] or not parts[2:]:
+            return parts
+        return spread if _has(self.tables, spread) else [*within, key]
+
+
+def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
+    """Return the model that the value of a field, or an item of it, should be."""
+    for one_of in choices_of(info):
+        return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
+    return next(models_in(info.annotation), None)
+
+
+def _field_at(tables: dict[str, Any], place: Place) -> FieldInfo | None:
+    """Return the field of a model that belongs to a place in the tables of a scenario, or to the list it is in."""
+    model: type[BaseModel] | None = Scenario
+    info: FieldInfo | None = None
+    for end, key in enumerate(place, start=1):
+        if isinstance(key, str):
+            info = fields_of(model).get(key) if model is not None else None
+        model = model_of(info, _at(tables, place[:end])) if info is not None else None
+    return info
+
+
+def _at(tables: Any, place: Place) -> Any:
+    """Return what stands at a place in tables."""
+    return reduce(getitem, place, tables)
+
+
+def _has(tables: Any, parts: list[str]) -> bool:
+    """Return whether there is a key below the keys of tables."""
+    for part in parts:
+        if not isinstance(tables, dict) or part not in tables:
+            return False
+        tables = tables[part]
+    return True
+
+
+def holds(node: Any, key: Any) -> bool:
+    """Return whether a table has a key, or a list a position."""
+    return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
+
+
+def _tables(model: Value) -> dict[str, Any]:
+    """Return what a model was constructed from; a model of no installed kind stays as it is."""
+    fields = type(model).model_fields
+    return {
+        name: _table(getattr(model, name), fields[name])
+        for name in fields
+        if name in model.model_fields_set or name == "kind"
+    }
+
+
+def _table(value: Any, info: FieldInfo) -> Any:
+    """Return the value of a field as a table, if it is a model, or as a list, if it is several."""
+    if isinstance(value, tuple):
+        return [_table(each, info) for each in value]
+    choices = choices_of(info)
+    known = not choices or any(choice.holds(value) for choice in choices)
+    return _tables(value) if isinstance(value, Value) and known else value
+
+
+def _replaced(model: Any, parts: list[str], value: Any) -> Any:
+    """Return a model with another value of a key, in it or in one that it holds."""
+    name, *rest = parts
+    if not isinstance(model, Value) or name not in type(model).model_fields:
+        raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
+    fields = {each: getattr(model, each) for each in model.model_fields_set}
+    fields[name] = _replaced(getattr(model, name), rest, value) if rest else value
+    try:
+        return type(model)(**fields)
+    except ValidationError as error:
+        why = "; ".join(each["msg"].replace("Input should", "should") for each in error.errors())
+        raise ScenarioError(f"{name}: {why}") from error
+
+
+def _copied(tables: Any) -> Any:
+    """Return tables and lists that can be changed without a change of these; what they hold is shared."""
+    if isinstance(tables, dict):
+        return {key: _copied(each) for key, each in tables.items()}
+    return [_copied(each) for each in tables] if isinstance(tables, list) else tables
+
+
+def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
+    """Return what holds where tables say nothing: the default scenario, with the network's preset if it has one."""
+    default = Scenario().model_dump()
+    network = tables.get("network")
+    preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
+    return default if preset is None else default | {"network": default["network"] | preset}
+
+
+def _key(part: str, node: Any) -> str | int:
+    """Return a part of a dotted name as the key of a table or the position in a list."""
+    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
+
+
+def _parsed(text: str) -> Any:
+    """Return a TOML value; text that does not begin like one is a string.
+
+    Raises:
+        ScenarioError: if it begins like a TOML value and is none, or is more than one.
+    """
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError as error:
+        if text.startswith(('"', "'", "[", "{")):
+            raise ScenarioError(f"{text!r} is not a TOML value") from error
+        return text
+    except (ValueError, RecursionError) as error:  # a number that is too long, or lists that are too deep
+        raise ScenarioError(f"{text[:20]!r}... is not a TOML value that can be read: {error}") from error
+    if len(tables) > 1:
+        raise ScenarioError(f"{text!r} is more than one value")
+    return tables["value"]

@@ -1,0 +1,104 @@
+"""The table `sweep` of a scenario: a grid of its keys, and over how many seeds."""
+
+from collections.abc import Iterator, Mapping, Set
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
+from pydantic_core import PydanticCustomError
+
+from desim.config.choice import home_of, import_name, names_code, refusal
+from desim.config.model import Value
+from desim.config.trust import is_trusted
+
+
+def _flat(grid: Any, above: str = "") -> Any:
+    """Return a grid with dotted keys, also if its keys were not quoted, which in TOML makes tables of them."""
+    if not isinstance(grid, Mapping):
+        return grid
+    flat: dict[str, Any] = {}
+    for key, each in grid.items():
+        name = f"{above}{key}"
+        found = _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
+        if twice := flat.keys() & found.keys():
+            raise ValueError(f"{min(twice)} is there twice")
+        flat |= found
+    return flat
+
+
+def _in_order(values: Any) -> Any:
+    if isinstance(values, Set):
+        raise ValueError("should be a list: a set has no order")
+    return values
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with Python's numbers and lists for those of numpy."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+Values = Annotated[tuple[Annotated[Any, BeforeValidator(_plain)], ...], Field(min_length=1), BeforeValidator(_in_order)]
+"""What a key takes, one after the other."""
+
+
+class Sweep(Value):
+    """Many runs of a scenario: over a grid of its keys, and over seeds (`desim sweep`)."""
+
+    reps: Annotated[int, Field(ge=1, le=1_000_000_000, strict=True)] = 30
+    """Number of runs of each configuration."""
+    seeds: Literal["common", "independent"] = "common"
+    """common: run k of every configuration has seed s + k, so that differences between configurations are not those
+    between seeds; independent: every run has a seed of its own."""
+    grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
+    """Keys of the scenario, dotted as in --set, and for each a list of the values it takes; each combination is a
+    configuration."""
+
+    @field_validator("grid")
+    @classmethod
+    def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
+        """Refuse code that a stranger's file names: what a key takes is validated as a model much later."""
+        named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if names_code(kind)]
+        if named:
+            text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
+            misfits = [(("sweep", "grid", key), refusal(kind)) for key, kind in named]
+            raise PydanticCustomError("misfits", "{text}", {"text": text, "misfits": misfits})
+        return grid
+
+    @field_serializer("grid")
+    def _written(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
+        return {key: _named(values) for key, values in grid.items()}
+
+    def __hash__(self) -> int:  # what a key takes may be tables
+        return hash((self.reps, self.seeds, tuple(self.grid)))
+
+
+def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
+    """Yield each kind that a key of a grid takes, or that is in the tables which it takes, and the key."""
+
+    def inside(value: Any) -> Iterator[Any]:
+        inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+        if isinstance(value, dict):
+            yield value.get("kind")
+        for each in inner:
+            yield from inside(each)
+
+    for key, values in grid.items():
+        found = [*inside(values), *(values if key.split(".")[-1].strip("\"'") == "kind" else ())]
+        yield from ((key, kind) for kind in found)
+
+
+def _named(value: Any) -> Any:
+    """Return what JSON may have for a value: a function or a model of a script is told by its name."""
+    if isinstance(value, Value):
+        return value.model_dump()
+    if isinstance(value, dict):
+        return {key: _named(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_named(each) for each in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return {"kind": import_name(home_of(value))}

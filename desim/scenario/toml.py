@@ -1,0 +1,200 @@
+"""Scenario files: TOML in, a `Scenario` or all that is wrong with the file out, each fault with its line."""
+
+import re
+import tomllib
+from codecs import BOM_UTF8
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from desim.config.choice import OneOf, choices_of
+from desim.config.model import fields_of, markers_of
+from desim.config.trust import regular
+from desim.scenario.overrides import ScenarioError, Source, holds, model_of
+from desim.scenario.scenario import Scenario
+from desim.scenario.toml_lines import DEEP_KEY, Place, key_lines, unreadable
+
+
+def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
+    """Return the scenario in a TOML file.
+
+    Args:
+        file: its path.
+        overrides: "key.key=value" each, the value in TOML; they win over the file.
+        allow_import: whether it may name code to be run ("module:name") and files outside of its folder.
+
+    Raises:
+        ScenarioError: with every fault in the file, one a line.
+        OSError: if it cannot be read.
+    """
+    return validate(read(file, overrides, allow_import=allow_import))
+
+
+def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
+    """Return what a TOML file says, with overrides, not yet validated; see `load`."""
+    text = _text(Path(file))
+    if deep := DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also of a number that is too long, or of tables that are too deep
+        raise ScenarioError(_syntax_fault(file, str(error), text)) from error
+    source = Source(str(file), tables, key_lines(text), allow_import=allow_import)
+    for override in overrides:
+        source.override(override)
+    return source
+
+
+def validate(source: Source) -> Scenario:
+    """Return the scenario that a source describes; raise ScenarioError with all its faults, sorted by place."""
+    folder = Path(source.name).parent if source.folder is None else source.folder
+    try:
+        return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
+    except ValidationError as error:
+        faults = [fault for each in error.errors() for fault in _explain(each, source)]
+        raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error
+
+
+def dump(scenario: Scenario) -> str:
+    """Return a scenario as TOML with every default filled in."""
+    return tomli_w.dumps(scenario.model_dump(exclude_none=True))
+
+
+def _text(file: Path) -> str:
+    content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # with which editors of Windows begin
+    try:
+        return content.decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ScenarioError(f"{file}:{line}: not TOML: not UTF-8 text ({error.reason})") from error
+
+
+def _syntax_fault(file: str | Path, message: str, text: str) -> str:
+    """Return the fault of a text that is not TOML, with its line in front."""
+    found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
+    last = text.rstrip().count("\n") + 1
+    if not found and (unread := unreadable(text)):  # it tells no line
+        return f"{file}:{unread}: not TOML that can be read: {message}"
+    line = min(int(found[1]), last) if found and found[1] else last
+    return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
+
+
+Fault = tuple[tuple[int, str], str]
+"""What is wrong with a file as text, after what it is sorted by: its line."""
+
+
+def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
+    """Yield the faults that an error tells of."""
+    if error["type"] == "misfits":
+        for place, why in error["ctx"]["misfits"]:
+            yield _fault(source, place, why)
+        return
+    place, owner, info = _locate(error, source.tables)
+    description = " ".join((info.description or "").split()).rstrip(".") if info else ""
+    note = f"; {description}" if description and error["type"] != "import_refused" else ""
+    name = str(place[-1]) if place else ""
+    yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")
+
+
+def _fault(source: Source, place: Place, what: str) -> Fault:
+    where = source.where(place)
+    line = re.search(r":(\d+)$", where)
+    name = ".".join(map(str, place)) or "the file"
+    return (int(line[1]) if line else 0, where), f"{where}: {name}: {what}"
+
+
+def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[BaseModel] | None, FieldInfo | None]:
+    """Return where a fault is in the file, the model its key belongs to, and the field of the key.
+
+    pydantic's own path also names the kind of each table that has one.
+    """
+    place: Place = ()
+    node: Any = tables
+    owner: type[BaseModel] | None = None
+    inner: type[BaseModel] | None = Scenario
+    info: FieldInfo | None = None
+    path = list(error["loc"])
+    while path:
+        part = path.pop(0)
+        place += (part,)
+        node = node[part] if holds(node, part) else None
+        if isinstance(part, str):
+            owner, info = inner, fields_of(inner).get(part) if inner else None
+        inner = model_of(info, node) if info else None
+        if info is not None and path and path[0] in _tags(info):
+            path.pop(0)
+    if error["type"] in {"union_tag_invalid", "import_refused"}:
+        place += ("kind",)
+    return place, owner, info
+
+
+def _tags(info: FieldInfo) -> set[str]:
+    """Return what pydantic's path may name between a field, or an item of it, and what is in that."""
+    markers = markers_of(info)
+    kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
+    return kinds | {each.tag for each in markers if isinstance(each, Tag)}
+
+
+def _one_of(info: FieldInfo) -> OneOf | None:
+    return next(iter(choices_of(info)), None)
+
+
+def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
+    """Return what is wrong in words, with what is allowed."""
+    kind, context = error["type"], error.get("ctx", {})
+    one_of = _one_of(info) if info else None
+    kinds = list(one_of.choices()) if one_of else []
+    if kind == "extra_forbidden":
+        allowed = sorted(owner.model_fields) if owner else []
+        return f"unknown key{_suggestion(name.split('.')[-1], allowed)}; allowed: {', '.join(allowed)}"
+    if kind == "union_tag_invalid":
+        return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
+    if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
+        return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
+    if kind == "import_refused":
+        return f"{error['msg']}; allowed without: {', '.join(kinds)}"
+    if kind == "literal_error":
+        return f"should be {context['expected']}"
+    if kind == "missing":
+        return "is missing"
+    if kind in NOT_A_TABLE:
+        return "should be a table"
+    if kind in {"too_long", "too_short"}:
+        most = kind == "too_long"
+        limit = context["max_length" if most else "min_length"]
+        return f"should have at {'most' if most else 'least'} {limit} items, has {context['actual_length']}"
+    text = error["msg"]
+    for machine, human in WORDS.items():
+        text = text.replace(machine, human)
+    return text
+
+
+NOT_A_TABLE = {"model_type", "model_attributes_type"}
+WORDS = {
+    "Input should be": "should be",
+    "a valid tuple": "a list",
+    "a valid integer": "an integer",
+    "a valid boolean": "true or false",
+    "valid ": "",
+    "Value error, ": "",
+}
+"""pydantic's words and ours."""
+
+
+def _suggestion(word: str, allowed: Sequence[str]) -> str:
+    close = get_close_matches(word, allowed, n=1)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _got(error: ErrorDetails) -> str:
+    if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
+        return ""
+    got = str(error["input"]).lower() if isinstance(error["input"], bool) else repr(error["input"])
+    return f" (got {got if len(got) < 60 else got[:57] + '...'})"

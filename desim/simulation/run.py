@@ -1,0 +1,249 @@
+"""A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, cast
+
+import simpy
+
+from desim.kernel.clock import Clock, NodeClock, Phase, seconds
+from desim.kernel.events import Trace, Watcher
+from desim.kernel.fault_injection import inject
+from desim.kernel.fault_state import Conditions
+from desim.kernel.faults import Crash, clock_errors, drawn
+from desim.kernel.network import Network
+from desim.kernel.positions import Nodes
+from desim.pursuit.agent import Agent, Behaviour, Process
+from desim.pursuit.announcements import tells_of_chase
+from desim.pursuit.evader import Eavesdropper
+from desim.pursuit.events import Captured, Ended
+from desim.pursuit.sensing import Watch
+from desim.pursuit.state import Floats, coordinates
+from desim.scenario.scenario import Scenario
+from desim.simulation.watchdog import TimedOut, stuck
+from desim.simulation.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from desim.pursuit.views import Surroundings
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run left behind: its scenario, its seed, and everything that happened."""
+
+    scenario: Scenario
+    seed: int
+    trace: Trace
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: what ran, how it ended, and how much is recorded; metrics are in `analysis`."""
+        ends = self.trace.of(Ended)
+        rows = {
+            "scenario": self.scenario.name,
+            "seed": str(self.seed),
+            "protocol": self.scenario.protocol_name,
+            "ended": _ended(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
+            "events": f"{len(self.trace):,}",
+        }
+        lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
+        return f"<table>{lines}</table>"
+
+
+def _ended(end: Ended, captures: int, evaders: int) -> str:
+    """Return how a run ended, in words."""
+    several = f"{captures} of {evaders} captured" if evaders > 1 else ""
+    if end.reason == "captured":
+        how = f"{several}, the last by" if several else "captured by"
+        return f"{how} {end.capturer} after {seconds(end.t):.2f} s"
+    how = f"{several or 'not captured'} within" if end.reason == "horizon" else "stopped after"
+    return f"{how} {seconds(end.t):g} s"
+
+
+def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
+    """Simulate a scenario once; equal arguments give equal traces.
+
+    Args:
+        scenario: what to simulate.
+        seed: of every random stream; that of the scenario if None.
+        watchers: are shown each event as it happens; one that returns True ends the run.
+
+    Raises:
+        TimedOut: with what each pursuer waits for, if it took too long; see `desim.simulation.watchdog.within`.
+        RuntimeError: if code of the scenario calls `sys.exit`, which would end the program as if all were well.
+    """
+    seed = scenario.seed if seed is None else seed
+    env = Clock()
+    radio = Eavesdropper() if any(evader.listens for evader in scenario.evaders) else None
+    watchers = watchers if radio is None else (radio, *watchers)
+    trace = Trace(watchers, messages=scenario.record.messages is True, stop=lambda: world.stop())
+    world = World(env, scenario, seed, trace, radio)
+    faults = drawn(scenario.fault, world.size, scenario.horizon, seed)
+
+    positions = _Places(world, 0.0 if scenario.motion.frozen else max(scenario.team.all_speeds()))
+    network = Network(
+        env,
+        scenario.network.graph(world.size),
+        scenario.network,
+        seed=seed,
+        positions=positions,
+        trace=trace,
+        conditions=Conditions(positions) if faults else None,
+        mark=tells_of_chase,
+    )
+    crew = _Crew(env, scenario, world, network, seed)
+    inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
+    crew.begin()
+    world.begin()
+    try:
+        env.run(until=world.over)
+    except TimedOut as error:
+        raise stuck(env, error, crew.lives) from error
+    except SystemExit as error:
+        notes = getattr(error, "__notes__", [])
+        who = "the protocol" if notes else "code of the scenario"
+        raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
+    world.sample()
+    trace.append(network.tally())
+    assert world.end is not None
+    trace.append(world.end)
+    return Result(scenario, seed, trace)
+
+
+class _Places:
+    """Where the pursuers are, as the network asks for it: see `desim.kernel.positions.Positions`."""
+
+    def __init__(self, world: World, fastest: float):
+        self._world, self.fastest = world, fastest
+
+    def __call__(self) -> Floats:
+        return coordinates(self._world.places())
+
+    def of(self, nodes: Nodes) -> Floats:
+        return coordinates(self._world.players.places_of(nodes))
+
+
+class _Crew:
+    """The agents of a run and their processes."""
+
+    def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
+        self._env, self._scenario, self._world = env, scenario, world
+        clocks = [
+            NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
+        ]
+        blind = scenario.sensing.limited and not getattr(scenario.protocol, "omniscient", False)
+        self._watch = Watch(scenario.sensing, world, network, clocks) if blind else None
+        if self._watch is not None:
+            world.look_through(self._watch)
+        views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
+        self._agents = [
+            Agent(pursuer, env, view, world, network, seed, scenario.announce, clock)
+            for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
+        ]
+        self._embodied = getattr(scenario.protocol, "embodied", True)
+        self.lives: dict[int, tuple[_Life, _Life]] = {}
+        self._open: dict[int, list[Crash]] = defaultdict(list)
+        self._repaired: dict[int, simpy.Event] = {}
+        self._forgetful: set[int] = set()
+
+    def begin(self) -> None:
+        """Let everyone know how it begins, and set all processes going."""
+        env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
+        for pursuer in range(self._world.size):
+            agent = self._agents[pursuer]
+            if announce.warm_start:
+                agent.presume()
+            relay = _Life(env, agent.in_phase(Phase.RELAY), announce.spread)
+            self.lives[pursuer] = relay, _Life(env, agent, protocol)
+            beating = agent.in_phase(Phase.HEARTBEAT)
+            if self._scenario.speaks and announce.beats:
+                env.process(beating.repeat(beating.tell, announce.heartbeat, "heartbeat"))
+            if self._watch is not None:
+                sight, period = self._watch.sights[pursuer], self._watch.sensing.period
+                env.process(beating.repeat(sight.report, period, "sightings"))
+
+    def crashed(self, crash: Crash) -> None:
+        """Stop a pursuer whose robot, not only its radio, broke down."""
+        if crash.scope == "robot":
+            self._open[crash.node].append(crash)
+            if len(self._open[crash.node]) == 1:
+                self._world.halt(crash.node)
+                self._repaired[crash.node] = self._env.event()
+                relay, own = self.lives[crash.node]
+                for life in (relay, own) if self._embodied else (relay,):
+                    if life.is_alive:
+                        life.interrupt(self._repaired[crash.node])
+
+    def recovered(self, crash: Crash) -> None:
+        """Let a pursuer go on, once nothing of it is broken any more."""
+        node, remembers = crash.node, True
+        if crash.scope == "robot":
+            self._open[node].remove(crash)
+            if not crash.memory:
+                self._forgetful.add(node)
+            if not self._open[node]:
+                remembers = node not in self._forgetful
+                self._forgetful.discard(node)
+                self._world.repair(node)
+                self._repaired[node].succeed(remembers)
+        self._agents[node].repaired(restarted=not remembers)
+        if self._watch is not None and not crash.memory:
+            self._watch.sights[node].forget(heard_only=remembers)
+
+
+class _Life(simpy.Process):
+    """A process of a pursuer, which lives by a protocol.
+
+    When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts anew
+    if it has lost its memory.
+    """
+
+    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour):
+        self.behaviour: Process | None = None
+        super().__init__(env, self._live(agent, protocol))
+
+    def _live(self, agent: Agent, protocol: Behaviour) -> Process:
+        """Yield what the behaviour waits for, from time 0 on, in order of ids whatever the order of creation."""
+        awaited: simpy.Event | None = agent.at(agent.now)
+        missed: simpy.Event | None = None  # what it waited for, if that happened while it was broken
+        while awaited is not None:
+            try:
+                value = yield awaited
+            except simpy.Interrupt as crash:
+                remembers = yield cast("simpy.Event", crash.cause)
+                if remembers:
+                    missed = awaited if missed is None and awaited.processed else missed
+                elif self.behaviour is not None:
+                    self.behaviour.close()
+                    self.behaviour = missed = None
+                if self.behaviour is None or awaited.processed:
+                    awaited = agent.at(agent.now)  # it goes on in its turn, after what arrives at this instant
+                continue
+            if missed is not None:
+                value, missed = missed.value, None
+            try:
+                if self.behaviour is None:
+                    self.behaviour = _begun(protocol, agent)
+                    awaited = next(self.behaviour, None)
+                else:
+                    awaited = self.behaviour.send(value)
+            except StopIteration:
+                return
+            except (Exception, SystemExit) as error:
+                error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
+                raise
+
+
+def _begun(protocol: Behaviour, agent: Agent) -> Process:
+    """Return the process that a protocol is for a pursuer.
+
+    Raises:
+        TypeError: if it is none.
+    """
+    behaviour = protocol(agent)
+    if not isinstance(behaviour, Iterator):
+        raise TypeError(f"a protocol should be a generator, which yields what it waits for; {protocol!r} is none")
+    return behaviour

@@ -1,0 +1,338 @@
+"""The watchers of a pursuit: they let right ones pass, and notice each kind of wrong one."""
+
+from contextlib import nullcontext
+from pkgutil import resolve_name
+
+import numpy as np
+import pytest
+
+from desim import Scenario, run
+from desim.analysis.invariants import ActiveTime, Motion, Potential, watched
+from desim.kernel.clock import SECOND
+from desim.kernel.faults import Crash
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.evader import Target
+from desim.pursuit.events import Captured, Decided, Halted, Sampled, Started
+from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.steering import Steering
+from desim.pursuit.utility import EdgePenalty
+from desim.scenario.scenario import Evader, Recording, Team
+from desim.scenario.scenario import Motion as Moving
+from desim.simulation.run import Result
+from desim.simulation.world import World
+from protocols.best_response import BestResponse
+from protocols.regret_matching import RegretMatching
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Periodic, Poisson, Rounds
+from protocols.temperature import ConstantTau
+
+S = SECOND
+
+
+def started(*active, pursuers=((0.0, 0.0), (4.0, 0.0)), evader=(2.0, 0.0), others=()):
+    """Two pursuers of 1 and 2 m/s."""
+    return Started(0, evader, pursuers, (1.0, 2.0), active, others)
+
+
+def sampled(t, *pursuers, evader=(2.0, 0.0), others=()):
+    return Sampled(round(t * S), evader, pursuers, others)
+
+
+def show(watcher, *events):
+    for event in events:
+        watcher(event)
+
+
+# Active time.
+
+
+@pytest.mark.parametrize(
+    ("events", "own"),
+    [
+        ([started(True, False)], (3.0, 0.0)),
+        ([started(1, 0), Decided(1 * S, 0, False), Decided(2 * S, 1, True)], (1.0, 1.0)),
+        ([started(1, 0), Decided(1 * S, 0, True), Decided(2 * S, 0, False), Decided(2 * S, 0, False)], (2.0, 0.0)),
+        ([started(1, 0), Halted(1 * S, 0)], (1.0, 0.0)),
+        ([started(1, 2), Captured(1 * S, 2, 1)], (3.0, 1.0)),
+        ([started(1, 2), Decided(1 * S, 0, 2), Captured(2 * S, 2, 1), Decided(2 * S, 1, 1)], (2.0, 3.0)),
+    ],
+)
+def test_stopwatches_run_while_pursuers_are_active(events, own):
+    watcher = ActiveTime()
+    show(watcher, *events)
+    assert watcher.until(3 * S).tolist() == [round(each * S) for each in own]
+
+
+def breakdown(*watchers):
+    """Return a run of a few seconds in which an active pursuer breaks down after 0.3 s, and obeys from 0.7 s on."""
+    scenario = Scenario(
+        horizon=5.0,
+        team=Team(positions=((0.0, 0.0), (9.0, 0.0)), speeds=2.0),
+        evader=Evader(position=(4.0, 0.0), speed=0.5),
+        protocol=BestResponse(schedule=Periodic(period=0.1)),
+        fault=(Crash(node=0, at=0.3, until=0.7),),
+    )
+    return watched(scenario, 0, *watchers)
+
+
+def test_the_metrics_are_the_integrals_of_the_trace():
+    watcher = ActiveTime()
+    watcher.judge(breakdown(watcher))
+    assert watcher.until(watcher.end).sum() / S > 2.0
+
+
+@pytest.mark.parametrize(("kind", "words"), [(Halted, "active time"), (Decided, "active time"), (Started, "energy")])
+def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
+    """Without the breakdown or the decisions, or with other speeds."""
+    watcher = ActiveTime()
+    result = breakdown(watcher)
+    first, *rest = result.trace.events
+    if kind is Started:
+        result.trace.events = [first._replace(speeds=(2.0 + 1e-6, 2.0)), *rest]
+    else:
+        result.trace.events = [first, *(event for event in rest if not isinstance(event, kind))]
+    with pytest.raises(AssertionError, match=f"the {words} is the integral"):
+        watcher.judge(Result(result.scenario, result.seed, result.trace))
+
+
+@pytest.mark.own_trace
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("desim.analysis.invariants.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
+        ("desim.analysis.invariants.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
+        ("desim.kernel.network.Network.tally", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
+        ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "nobody is faster"),
+    ],
+)
+def test_a_run_that_is_watched_is_judged_by_all(name, wrong, words, monkeypatch):
+    breakdown()
+    monkeypatch.setattr(name, wrong(resolve_name(name)))
+    with pytest.raises(AssertionError, match=words):
+        breakdown()
+
+
+# Motion.
+
+GAME = Scenario(
+    team=Team(positions=((0.0, 0.0), (4.0, 0.0)), speeds=(1.0, 2.0)), evader=Evader(position=(2.0, 0.0), speed=0.5)
+)
+RIGHT = {
+    "nobody moves": [started(0, 0), sampled(1.0, (0.0, 0.0), (4.0, 0.0))],
+    "as fast as it can": [started(1, 1), sampled(0.5, (0.5, 0.0), (4.0, 1.0), evader=(2.25, 0.0))],
+    "half of the time": [started(0, 0), Decided(S // 2, 0, True), sampled(1.0, (0.5, 0.0), (4.0, 0.0))],
+    "until it breaks down": [started(1, 0), Halted(S // 4, 0), sampled(1.0, (0.0, -0.25), (4.0, 0.0))],
+    "two samples at once": [started(0, 0), *[sampled(1.0, (0.0, 0.0), (4.0, 0.0))] * 2],
+    "several evaders": [
+        started(1, 2, others=[(3.0, 0.0)]),
+        sampled(1.0, (1.0, 0.0), (3.0, 0.0), others=[(3.2, 0.0)]),
+        Captured(S, 2, 1),
+        sampled(2.0, (2.0, 0.0), (3.0, 0.0), others=[(3.2, 0.0)]),
+    ],
+}
+WRONG = {
+    "who stays moves": ("player 0", [started(0, 0), sampled(1.0, (1e-6, 0.0), (4.0, 0.0))]),
+    "faster than it can": ("player 1", [started(1, 1), sampled(0.5, (0.0, 0.0), (4.0, 1.0 + 1e-6))]),
+    "longer than it was active": (
+        "player 0",
+        [started(0, 0), Decided(S // 2, 0, True), sampled(1.0, (0.51, 0.0), (4.0, 0.0))],
+    ),
+    "broken and moving": ("player 0", [started(1, 0), Halted(S // 4, 0), sampled(1.0, (0.3, 0.0), (4.0, 0.0))]),
+    "a jump": ("player 1", [started(1, 1), sampled(0.0, (0.0, 0.0), (5.0, 0.0))]),
+    "nowhere": ("player 0", [started(1, 1), sampled(1.0, (np.nan, 0.0), (4.0, 0.0))]),
+    "an evader too fast": ("player 2", [started(0, 0), sampled(1.0, (0.0, 0.0), (4.0, 0.0), evader=(2.0, 0.501))]),
+    "another evader too fast": (
+        "player 3",
+        [started(0, 0, others=[(3.0, 0.0)]), sampled(1.0, (0.0, 0.0), (4.0, 0.0), others=[(3.0, 0.26)])],
+    ),
+    "captured and moving": (
+        "player 3",
+        [
+            started(0, 0, others=[(3.0, 0.0)]),
+            Captured(S // 2, 2, 1),
+            sampled(1.0, (0.0, 0.0), (4.0, 0.0), others=[(3.2, 0.0)]),
+        ],
+    ),
+    "its capturer goes on": (
+        "player 1",
+        [
+            started(1, 2, others=[(3.0, 0.0)]),
+            Captured(S // 2, 2, 1),
+            sampled(1.0, (0.0, 0.0), (2.9, 0.0), others=[(3.0, 0.0)]),
+        ],
+    ),
+}
+
+
+def game_of(events):
+    """Return the scenario of a history: there may be another evader, of 0.25 m/s."""
+    other = Evader(position=(3.0, 0.0), speed=0.25)
+    several = {"evader": (GAME.evader, other)} if events[0].others else {}
+    return GAME.model_copy(update=several)
+
+
+@pytest.mark.parametrize("events", RIGHT.values(), ids=RIGHT)
+def test_right_motion_passes(events):
+    show(Motion(game_of(events)), *events)
+
+
+@pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
+def test_wrong_motion_is_noticed(words, events):
+    with pytest.raises(AssertionError, match=f"nobody is faster than it can be.*{words}"):
+        show(Motion(game_of(events)), *events)
+
+
+def test_in_a_frozen_game_nobody_moves():
+    watcher = Motion(GAME.model_copy(update={"motion": Moving(frozen=True)}))
+    show(watcher, started(1, 1), sampled(1.0, (0.0, 0.0), (4.0, 0.0)))
+    with pytest.raises(AssertionError, match="player 0"):
+        watcher(sampled(2.0, (0.1, 0.0), (4.0, 0.0)))
+
+
+def hurried(flight):
+    return lambda self, state, *, handover: 1.001 * flight(self, state, handover=handover)
+
+
+def leaping(go):
+    def leap(self, velocities):
+        go(self, velocities)
+        self._origins = self._origins + 1e-6
+
+    return leap
+
+
+def deaf(_):
+    return lambda self, pursuer, now, until: None
+
+
+def inert(_):
+    """A breakdown that is told, and does not stop anybody."""
+
+    def halt(self, pursuer):
+        self._trace.append(Halted(self._env.now, pursuer))
+
+    return halt
+
+
+@pytest.mark.parametrize(
+    ("owner", "method", "break_it"),
+    [(Target, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "halt", inert)],
+)
+def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, monkeypatch):
+    """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""
+    breakdown()
+    monkeypatch.setattr(owner, method, break_it(getattr(owner, method)))
+    with pytest.raises(AssertionError, match="nobody is faster"):
+        breakdown()
+
+
+# Potential.
+
+SURE = ConstantTau(value=1e-12)
+FROZEN = Moving(frozen=True)
+
+
+def decide(*decisions, active=(1, 1), motion=FROZEN, sample=None):
+    """Show decisions (t, pursuer, action), and perhaps a sample, to a watcher; return how many it judged.
+
+    The game has r = 30 s at first, and phi = (0.5 / 0.5, 2.8 / 1.5) s.
+    """
+    begin = started(*active, pursuers=((0.4, 0.0), (3.9, 0.0)), evader=(1.0, 0.0))
+    watcher = Potential(GAME.model_copy(update={"motion": motion}))
+    show(watcher, begin, *(Decided(round(t * S), pursuer, action) for t, pursuer, action in decisions))
+    show(watcher, *([sample] if sample else []))
+    return watcher.judged
+
+
+def test_decisions_that_raise_the_potential_or_leave_it_pass():
+    """Phi is 30 s less the mean of 1 and 2.8 / 1.5 s, or less 1 s; 0 if nobody chases."""
+    assert decide((1, 1, 0), (1, 1, 0), (2, 0, 1), active=(1, 1)) == 3
+    assert decide((1, 1, 1), (1, 0, 1), (2, 1, 0), active=(0, 0)) == 3
+
+
+@pytest.mark.parametrize(
+    ("active", "decision", "fall"),
+    [((1, 1), (1, 0, 0), 0.433333), ((1, 0), (1, 1, 1), 0.433333), ((1, 0), (1, 0, 0), 29.0)],
+)
+def test_a_decision_that_lowers_the_potential_is_noticed(active, decision, fall):
+    """phi = (1, 2.8 / 1.5) s: the mean of both is 13/30 s more than the least and less than the greatest."""
+    with pytest.raises(AssertionError, match=f"no decision lowers the potential: Decided.*by {str(fall)[:4]}"):
+        decide(decision, active=active)
+
+
+@pytest.mark.parametrize("t", [1.0, 1.5])
+def test_in_motion_decisions_are_judged_at_samples_by_positions_and_time_left_of_that_instant(t):
+    """At 1 s phi = (2.9 / 0.5, 0.9 / 1.5) s; at 1.5 s nobody knows."""
+    sample = sampled(1.0, (-2.0, 0.0), (2.0, 0.0), evader=(1.0, 0.0))
+    assert decide((t, 0, 0), motion=Moving(), sample=sample) == (t == 1.0)
+    with pytest.raises(AssertionError, match="lowers") if t == 1.0 else nullcontext():
+        decide((t, 1, 0), motion=Moving(), sample=sample)
+
+
+def test_the_time_left_runs_in_motion_only():
+    """Pursuer 0 with phi = 1 s had better chase while r > 1 s; r = 30 s at any time of a frozen game."""
+    late = sampled(29.5, (0.4, 0.0), (3.9, 0.0), evader=(1.0, 0.0))
+    assert decide((29.5, 0, 0), active=(1, 0), motion=Moving(), sample=late) == 1
+    with pytest.raises(AssertionError, match="lowers"):
+        decide((29.5, 0, 0), active=(1, 0))
+
+
+def serial(seed, *, protocol=None, **changes):
+    """Return a static game of six, one at a time and with true knowledge of all; half of them chase at first."""
+    given = {
+        "seed": seed,
+        "horizon": 3.0,
+        "team": Team(count=6, speeds=2.0, active_at_start=0.5),
+        "evader": Evader(count=2),
+        "motion": FROZEN,
+        "protocol": protocol or SpatialAdaptivePlay(schedule=Poisson(rate=5.0), tau=SURE),
+        "announce": Announcements(trigger="change"),
+        "record": Recording(trajectory=0.0),
+    }
+    return Scenario(**(given | changes))
+
+
+def falls(**changes):
+    """Return in how many of 10 games a decision lowers the potential."""
+    number = 0
+    for seed in range(10):
+        scenario = serial(seed, **changes)
+        watcher = Potential(scenario)
+        try:
+            run(scenario, None, watcher)
+            assert watcher.judged > 20
+        except AssertionError as error:
+            if "lowers the potential" not in str(error):
+                raise
+            number += 1
+    return number
+
+
+def test_serial_play_with_true_knowledge_never_lowers_the_potential():
+    assert falls() == 0
+    assert falls(protocol=BestResponse(schedule=Periodic())) == 0
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"protocol": SpatialAdaptivePlay(schedule=Poisson(), tau=ConstantTau(value=1.0))},
+        {"protocol": BestResponse(schedule=Rounds())},
+        {"protocol": RegretMatching(schedule=Poisson())},
+        {"protocol": BestResponse(schedule=Poisson(), utility=EdgePenalty())},
+        {"network": Links(latency=Constant(value=0.3))},
+        {"network": Links(loss=Bernoulli(p=0.5))},
+        {"announce": Announcements(trigger="change", warm_start=False)},
+        {"announce": Announcements(trigger="change", forget_after=0.2)},
+        {"announce": Announcements(trigger="never")},
+        {"fault": (Crash(node=0, at=0.1), Crash(node=1, at=0.1), Crash(node=2, at=0.1))},
+    ],
+    ids=["hot", "at once", "no reply", "another game", "late", "lossy", "cold", "forgetful", "silent", "broken"],
+)
+def test_what_the_theorem_asks_for_is_needed(changes):
+    """The controls: without any one of its conditions some decisions lower the potential."""
+    assert falls(**changes) > 0

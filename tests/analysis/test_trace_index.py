@@ -1,0 +1,71 @@
+"""What is on record of a run: where everyone was, and its messages."""
+
+import pytest
+
+from desim.analysis.trace_index import (
+    lacks_messages,
+    messages_recorded,
+    positions_known,
+    require_messages,
+    sampled,
+    samples,
+)
+from desim.kernel.events import Tally, Trace
+from desim.pursuit.events import Sampled, Started
+from desim.scenario.scenario import Motion, Recording, Scenario, Team
+from desim.simulation.run import Result, run
+from protocols.centralised import Centralised
+
+
+def ran(trajectory=0.0, messages=False, **given):
+    """Return a short run of two, of which little is recorded."""
+    record = Recording(trajectory=trajectory, messages=messages)
+    return run(Scenario(team=Team(count=2), horizon=0.2, record=record, **given))
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "frozen", "moments"),
+    [(0.1, False, [0, 0, 100_000_000, 200_000_000]), (0.0, False, [0]), (0.1, True, [0]), (0.0, True, [0])],
+)
+def test_where_everyone_was_is_known_at_the_start_and_at_each_sample_or_always_if_nobody_moved(
+    trajectory, frozen, moments
+):
+    """The first sample is of the start, too."""
+    result = ran(trajectory, motion=Motion(frozen=frozen))
+    assert [each.t for each in samples(result)] == moments
+    assert isinstance(samples(result)[0], Started)
+    assert positions_known(result) == (frozen or trajectory > 0.0)
+
+
+def test_who_needs_samples_is_told_how_to_have_them():
+    assert sampled(ran(0.1)) == ran(0.1).trace.of(Sampled)
+    with pytest.raises(ValueError, match=r"^positions were not recorded: set record\.trajectory to a time greater"):
+        sampled(ran())
+
+
+def test_messages_are_lacking_if_some_were_sent_and_none_is_on_record():
+    """Who sends none lacks none; asked to record them, that is all there is."""
+    mute = Centralised()
+    assert not messages_recorded(ran())
+    assert lacks_messages(ran())
+    assert messages_recorded(ran(messages=True))
+    assert not lacks_messages(ran(messages=True))
+    assert not messages_recorded(ran(protocol=mute))
+    assert not lacks_messages(ran(protocol=mute))
+    assert messages_recorded(ran(messages=True, protocol=mute))
+
+
+def test_a_run_whose_messages_went_to_a_file_has_them_if_its_trace_was_read_from_there():
+    """In memory it has none; `messages` is all that tells of them."""
+    result, there = ran(messages="file"), ran(messages=True)
+    assert not messages_recorded(result)
+    assert result.trace.of(Tally)[0].sent
+    read = Trace()
+    read.events += there.trace
+    assert messages_recorded(Result(result.scenario, result.seed, read))
+
+
+def test_who_needs_messages_is_told_how_to_have_them():
+    require_messages(ran(messages=True))
+    with pytest.raises(ValueError, match=r"^messages were sent and not recorded: set record\.messages = true"):
+        require_messages(ran())

@@ -1,0 +1,313 @@
+"""Values: what their types take and refuse, what is frozen, and how one of several models is chosen."""
+
+import json
+import re
+from dataclasses import dataclass, field
+from math import inf, nan
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from desim import Scenario
+from desim.config import model
+from desim.config.choice import OneOf, kind_of
+from desim.config.model import (
+    Box,
+    Coordinate,
+    Extent,
+    Horizon,
+    Length,
+    Period,
+    Positive,
+    Probability,
+    Rate,
+    Speed,
+    Time,
+    Truth,
+    Value,
+    fields_of,
+    plain_number,
+)
+
+
+def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
+    box = TypeAdapter(Box)
+    assert box.validate_python((-1.0, 2.0)) == (-1.0, 2.0)
+    assert box.validate_python((2.0, 2.0)) == (2.0, 2.0)
+    with pytest.raises(ValidationError, match=r"should be \[lower, upper\] \(got 2 and 1\.5\)"):
+        box.validate_python((2.0, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("number", "written"), [(1.5, 1.5), (inf, "Infinity"), (-inf, "-Infinity"), (nan, "NaN"), (0.0, 0.0)]
+)
+def test_a_number_is_written_such_that_it_is_read_again(number, written):
+    assert plain_number(number) == written
+    assert float(plain_number(number)) == pytest.approx(number, nan_ok=True)
+
+
+class Circle(Value):
+    """Round."""
+
+    kind: Literal["circle"] = "circle"
+    radius: Positive = 1.0
+    """Radius, m."""
+
+
+class Square(Value):
+    """Has four corners.
+
+    And four sides.
+    """
+
+    kind: Literal["square"] = "square"
+    side: Speed = 2.0
+    """Length of a side, m."""
+
+
+class Drawing(Value):
+    """A shape on paper."""
+
+    kind: Literal["drawing"] = "drawing"
+    shape: Annotated[Any, OneOf(Circle, Square)] = Circle()
+    """What is drawn."""
+    reach: Extent = inf
+    """How far it is seen, m."""
+
+
+NO_NUMBERS = ["1", True, None, [1.0], {}, "nan", 1j]
+NO_TIMES = [inf, -inf, nan, *NO_NUMBERS]
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [
+        (Positive, [1, 0.5, 1e-300], [0, 0.0, -0.0, -1, inf, -inf, nan, *NO_NUMBERS]),
+        (Coordinate, [-3, 0, 1e9], [-1.1e9, 1.1e9, *NO_TIMES]),
+        (Length, [1e-300, 1e9], [0.0, -1, 1.1e9, *NO_TIMES]),
+        (Speed, [0, 0.0, -0.0, 1e9], [-1e-300, 1.1e9, *NO_TIMES]),
+        (Time, [0, 1e-12, 1e9], [-1e-12, 1.1e9, *NO_TIMES]),
+        (Horizon, [1e-12, 1e9], [0, -1, 1.1e9, *NO_TIMES]),
+        (Period, [1e-6, 1e9], [0, 0.9e-6, 1.1e9, *NO_TIMES]),
+        (Rate, [1e-9, 1e6], [0, 0.9e-9, 1.1e6, *NO_TIMES]),
+        (Probability, [0, 1, 0.5], [-1e-300, 1.0000001, inf, nan, *NO_NUMBERS]),
+        (Extent, [1e-300, 3, inf], [0, -1, -inf, nan, *NO_NUMBERS]),
+        (Truth, [True, False], [0, 1, 1.0, "true", "yes", None]),
+    ],
+    ids=[
+        "Positive",
+        "Coordinate",
+        "Length",
+        "Speed",
+        "Time",
+        "Horizon",
+        "Period",
+        "Rate",
+        "Probability",
+        "Extent",
+        "Truth",
+    ],
+)
+def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, bad):
+    adapter = TypeAdapter(kind)
+    assert [adapter.validate_python(each) for each in good] == good
+    for each in bad:
+        with pytest.raises(ValidationError):
+            adapter.validate_python(each)
+
+
+def test_a_value_is_frozen():
+    circle = Circle()
+    with pytest.raises(ValidationError, match="frozen"):
+        circle.radius = 2.0
+    assert circle == Circle()
+
+
+def test_equal_values_are_one_in_a_set():
+    assert len({Circle(radius=2), Circle(radius=2.0), Circle()}) == 2
+
+
+def test_an_unknown_key_of_a_value_is_an_error():
+    with pytest.raises(ValidationError, match="radios"):
+        Circle(radios=2.0)
+
+
+def test_the_string_below_a_field_describes_it():
+    assert fields_of(Circle)["radius"].description == "Radius, m."
+
+
+def test_plain_is_what_strict_json_has():
+    plain = Drawing(shape=Square()).plain()
+    assert plain == {"kind": "drawing", "shape": {"kind": "square", "side": 2.0}, "reach": "Infinity"}
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+
+
+@dataclass
+class Blob:
+    area: float
+    edges: int = field(init=False, default=0)
+
+    def __call__(self):
+        return self.area
+
+
+def test_a_dataclass_of_ones_own_is_written_with_what_it_was_made_of_and_read_again():
+    plain = Drawing(shape=Blob(area=2.0)).plain()["shape"]
+    assert plain == {"kind": f"{__name__}:Blob", "area": 2.0}
+    assert Drawing(shape=plain).shape == Blob(area=2.0)
+
+
+def test_kind_of_a_model_is_its_default():
+    assert (kind_of(Circle), kind_of(Square)) == ("circle", "square")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({"kind": "square", "side": 3}, Square(side=3.0)), ({"kind": "circle"}, Circle()), (Square(), Square())],
+)
+def test_a_table_is_told_by_its_kind(given, expected):
+    assert Drawing(shape=given).shape == expected
+
+
+@pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "square", 3, None])
+def test_what_is_neither_a_table_of_a_kind_nor_callable_is_refused(given):
+    with pytest.raises(ValidationError):
+        Drawing(shape=given)
+
+
+@pytest.mark.parametrize("given", [abs, lambda: 1.0], ids=["function", "lambda"])
+def test_what_can_be_called_is_taken_as_it_is(given):
+    assert Drawing(shape=given).shape is given
+
+
+def test_a_class_is_refused_where_its_instance_is_wanted():
+    with pytest.raises(ValidationError, match=r"should be an instance: Circle\(\) instead of Circle"):
+        Drawing(shape=Circle)
+
+
+def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
+    class Point:
+        """An entry point that another distribution installs."""
+
+        name = "square"
+
+        def load(self) -> type[BaseModel]:
+            return Square
+
+    groups = []
+    monkeypatch.setattr(model, "entry_points", lambda *, group: groups.append(group) or [Point()])
+    shapes = OneOf(Circle, group="shapes")
+    assert list(shapes.choices().items()) == [("circle", Circle), ("square", Square)]
+    adapter = TypeAdapter(Annotated[Any, shapes])
+    assert adapter.validate_python({"kind": "square"}) == Square()
+    assert set(groups) == {"shapes"}
+
+
+def test_only_what_a_table_asks_for_is_loaded(monkeypatch):
+    class Point:
+        """An entry point that another distribution installs."""
+
+        def __init__(self, name: str, model: type[BaseModel]):
+            self.name, self.model = name, model
+
+        def load(self) -> type[BaseModel]:
+            loaded.append(self.name)
+            return self.model
+
+    loaded: list[str] = []
+    points = [Point("square", Square), Point("drawing", Drawing)]
+    monkeypatch.setattr(model, "entry_points", lambda **_: points)
+    shapes = OneOf(Circle, group="shapes")
+    adapter = TypeAdapter(Annotated[Any, shapes])
+    assert adapter.validate_python({"kind": "circle"}) == Circle()
+    assert adapter.dump_python(Circle()) == {"kind": "circle", "radius": 1.0}
+    assert not loaded
+    assert adapter.validate_python({"kind": "square"}) == Square()
+    assert adapter.dump_json(Square()) == b'{"kind":"square","side":2.0}'
+    assert set(loaded) == {"square"}
+    with pytest.raises(ValidationError, match="expected tags: 'circle', 'drawing', 'square'"):
+        adapter.validate_python({"kind": "cube"})
+
+
+def test_a_model_is_not_built_before_it_is_used():
+    class Oval(Value):
+        """Not quite round."""
+
+        kind: Literal["oval"] = "oval"
+        width: Positive = 1.0
+
+    adapter = TypeAdapter(Annotated[Any, OneOf(Circle, Oval)])
+    adapter.validate_python({"kind": "circle"})
+    assert not Oval.__pydantic_complete__
+    assert adapter.validate_python({"kind": "oval", "width": 2.0}) == Oval(width=2.0)
+    with pytest.raises(ValidationError, match=r"oval.width\n  Input should be greater than 0"):
+        adapter.validate_python({"kind": "oval", "width": 0.0})
+
+
+def test_the_kinds_of_one_of_several_are_told_by_the_schema():
+    found = TypeAdapter(Annotated[Any, OneOf(Circle, Square)]).json_schema()
+    assert found["discriminator"]["mapping"] == {"circle": "#/$defs/Circle", "square": "#/$defs/Square"}
+    assert found["$defs"]["Square"]["properties"]["side"]["description"] == "Length of a side, m."
+    assert "description" not in found["$defs"]["Square"]["properties"]["kind"]
+
+
+class Ring(Circle):
+    """A circle with a hole."""
+
+    radius: Positive = 3.0
+    hole: Annotated[Positive, Field(description="As it says itself.")] = 0.5
+    """Not so."""
+
+    class Bead(Value):
+        """What it is strung on."""
+
+        size: Positive = 0.1
+        """Across,
+        m."""
+
+
+def test_a_field_is_described_by_the_string_below_it_where_it_was_last_declared():
+    assert {name: field.description for name, field in fields_of(Ring).items()} == {
+        "kind": None,
+        "radius": None,
+        "hole": "As it says itself.",
+    }
+    assert fields_of(Ring.Bead)["size"].description == "Across,\nm."
+
+
+def test_a_model_without_source_has_no_descriptions():
+    namespace = {"Value": Value, "__name__": "nowhere"}
+    exec('class Blot(Value):\n    size: float = 1.0\n    """Across, m."""', namespace)
+    assert fields_of(namespace["Blot"])["size"].description is None
+
+
+def test_without_a_group_nothing_is_looked_up(monkeypatch):
+    monkeypatch.setattr(model, "entry_points", lambda **_: pytest.fail("looked up"))
+    assert OneOf(Circle, Square).choices() == {"circle": Circle, "square": Square}
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"protocol": {"kind": "sap", "tau": {"kind": "protocols.schedules:Poisson"}}}, "called with (eta)"),
+        (
+            {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules:owned_slots"}}},
+            "should have mean_slot",
+        ),
+        ({"protocol": {"kind": "desim.pursuit.kinematics:within"}}, "called with (me)"),
+        (
+            {"team": {"guidance": {"kind": "desim.pursuit.kinematics:within"}}},
+            "called with (gaps, aims, flight, speeds)",
+        ),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.kinematics:toward"}}}, None),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.kinematics:first_contact"}}}, "called with (state, rng)"),
+    ],
+)
+def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):
+    """`toward` takes two arguments, too: what it makes of them is its own affair."""
+    if says is None:
+        Scenario.model_validate(table)
+    else:
+        with pytest.raises(ValidationError, match=re.escape(says)):
+            Scenario.model_validate(table)

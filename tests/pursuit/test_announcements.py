@@ -1,0 +1,417 @@
+"""What pursuers tell each other: payloads and what they make the others believe, triggers, memory, warm and cold start.
+
+Unless a test says otherwise three pursuers at 2, 3 and 5 m (speed 1) of an evader that stands still say what they are
+told to say and nothing else. The radius of capture is 0.1 m, so they need 1.9, 2.9 and 4.9 s.
+"""
+
+from functools import partial
+from math import inf
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from desim import Scenario, run
+from desim.kernel.clock import nanoseconds, seconds
+from desim.kernel.events import Broadcast
+from desim.kernel.faults import Crash
+from desim.kernel.latency import Constant, Uniform
+from desim.kernel.links import Links
+from desim.kernel.medium import Bitrate
+from desim.pursuit.announcements import Announcements, LocatedAssignment
+from desim.scenario.scenario import Evader, Motion, Recording, Team
+
+PAYLOADS = ["action", "time", "state"]
+
+
+def play(protocol, announce, latency=0.0, **changes):
+    """Run a protocol for three pursuers at 2, 3 and 5 m of an evader that stands still."""
+    given = {
+        "horizon": 10.0,
+        "team": Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=0.0),
+        "evader": Evader(position=(0.0, 0.0), speed=0.0),
+        "protocol": protocol,
+        "network": Links(latency=Constant(value=latency) if isinstance(latency, float) else latency),
+        "announce": Announcements(**({"trigger": "never"} | announce)),
+        "record": Recording(trajectory=0.0, messages=True),
+    }
+    return run(Scenario(**(given | changes)))
+
+
+def script(*acts, seen=None):
+    """Return a protocol by (time, pursuer, act); what acts return is kept in `seen` by time."""
+
+    def protocol(me):
+        for time, pursuer, act in acts:
+            if pursuer == me.id:
+                yield me.at(time)
+                found = act(me)
+                if seen is not None:
+                    seen[time] = found
+
+    return protocol
+
+
+def chase(me):
+    me.assign(True)
+    me.tell()
+
+
+def stop(me):
+    me.assign(False)
+
+
+def withdraw(me):
+    me.assign(False)
+    me.tell()
+
+
+def believed(me):
+    return {j: round(phi, 9) for j, phi in me.believed().items()}
+
+
+def told(result, src):
+    """Return when a pursuer said something, s."""
+    return [seconds(event.t) for event in result.trace.of(Broadcast) if event.src == src]
+
+
+# Payloads.
+
+
+@pytest.mark.parametrize(
+    ("payload", "reckoning", "phi"),
+    [("action", "exact", 2.4), ("time", "exact", 2.9), ("state", "exact", 1.9), ("state", "cheap", 1.9)],
+)
+def test_a_payload_decides_what_the_others_believe(payload, reckoning, phi):
+    """Pursuer 1 chases from 0.5 s on, says so, and stops silently at 1 s, at 2.5 m; pursuer 2 wonders at 1.5 s.
+
+    action: it sees it at 2.5 m; time: it was told 2.9 s; state: it thinks that it has chased and is at 2 m. Its own
+    time is 4.9 s, so its gain is (phi - 4.9) / 2.
+    """
+    seen = {}
+    acts = [(0.5, 1, chase), (1.0, 1, stop), (1.5, 2, lambda me: (believed(me), round(me.gain(), 9)))]
+    play(script(*acts, seen=seen), {"payload": payload, "reckoning": reckoning}, latency=0.25)
+    assert seen[1.5] == ({1: phi}, pytest.approx((phi - 4.9) / 2))
+
+
+def test_a_time_that_was_told_is_a_commitment_until_something_else_is_told():
+    """It stays 2.9 s while the teller comes nearer, and is 1.9 s when it says so 1 s later."""
+    seen = {}
+    looks = [(t, 2, believed) for t in (0.7, 0.8, 1.7, 1.8, 2.5)]
+    play(script((0.5, 1, chase), (1.5, 1, chase), *looks, seen=seen), {"payload": "time"}, latency=0.25)
+    assert [seen[t] for t in (0.7, 0.8, 1.7, 1.8, 2.5)] == [{}, {1: 2.9}, {1: 2.9}, {1: 1.9}, {1: 1.9}]
+
+
+@pytest.mark.parametrize("reckoning", ["exact", "cheap"])
+def test_the_state_of_who_stands_still_stays_exact(reckoning):
+    """It said that its speed is 0: while the evader flees its time grows, just as its sensed position says."""
+
+    def stand(me):
+        me.publish(LocatedAssignment(active=True, x=3.0, y=0.0, speed=0.0))
+
+    seen = {}
+    looks = [(t, 2, lambda me: (me.believed()[1], me.whole.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)]
+    announce = {"payload": "state", "reckoning": reckoning}
+    play(script((0.0, 1, stand), *looks, seen=seen), announce, evader=Evader(position=(0.0, 1.0), speed=0.5))
+    for told, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):
+        assert told == pytest.approx(sensed, abs=1e-9)
+    assert seen[7.5][1] > seen[0.5][1] + 5.0
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("reckoning", ["exact", "cheap"])
+def test_in_a_frozen_game_all_payloads_say_the_same_for_ever(payload, reckoning):
+    seen = {}
+    announce = {"payload": payload, "reckoning": reckoning}
+    acts = [(0.5, 0, chase), (0.5, 1, chase), (9.5, 2, believed)]
+    play(script(*acts, seen=seen), announce, latency=0.25, motion=Motion(frozen=True))
+    assert seen[9.5] == {0: 1.9, 1: 2.9}
+
+
+@pytest.mark.parametrize(("payload", "size"), [("action", 24), ("time", 32), ("state", 48)])
+def test_an_announcement_has_the_size_of_its_payload(payload, size):
+    """Bytes: 16 of header and 8 per number or truth; whether it is active or not, moving or not."""
+    result = play(script((0.5, 1, chase), (1.0, 1, withdraw), (1.5, 0, chase)), {"payload": payload})
+    assert [event.size for event in result.trace.of(Broadcast)] == [size] * 3
+
+
+# Reckoning.
+
+
+def reckonings(order, step, seed, reckoning="exact"):
+    """Return for each look at a teammate that has chased since it spoke how far off its reckoned place was, m.
+
+    Five pursuers start and stop at random times, on the boundaries of steps and inside them, and each speaks at some
+    of these times or between them. Latencies up to 2 s let word age by many steps. Only who is farther than a step's
+    way from the evader is looked at.
+
+    Returns:
+        Rows of: error, age, distance to the evader, whether it spoke in a step inside which it had begun.
+    """
+    rng = np.random.default_rng(seed)
+    turned, rows, h = {}, [], nanoseconds(step)
+
+    def turn(me, active):
+        turned[me.id] = nanoseconds(me.now)
+        me.assign(active)
+
+    def look(me):
+        world = me._world
+        for j, (_, record) in me.heard().items():
+            gap = abs(world.state(1).evader - world.place(j))
+            chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
+            if chased_since and gap > 3.0 * step + 0.5:
+                age = nanoseconds(me.now) - record.sent
+                place = world.reckoned(
+                    complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact"
+                )
+                inside = turned[j] % h != 0 and turned[j] // h == record.sent // h
+                rows.append((abs(place - world.place(j)), seconds(age), gap, inside))
+
+    acts = []
+    for pursuer in range(5):
+        for k in range(5):
+            t = rng.uniform(0.0, 4.0)
+            t = step * round(t / step) if k % 3 == 0 else t
+            acts.append((t, pursuer, partial(turn, active=bool(rng.random() < 0.6))))
+            acts.append((t + rng.choice([0.0, 0.0, 0.013, 0.4]), pursuer, lambda me: me.tell()))
+        acts += [(t, pursuer, look) for t in rng.uniform(0.0, 6.0, 40)]
+        acts += [(step * round(t / step), pursuer, look) for t in rng.uniform(0.0, 6.0, 10)]
+    places, speeds = rng.uniform(-15.0, 15.0, (5, 2)).tolist(), rng.uniform(1.0, 2.0, 5).tolist()
+    play(
+        script(*sorted(acts, key=lambda act: act[0])),
+        {"payload": "state", "reckoning": reckoning, "warm_start": False},
+        latency=Uniform(low=0.0, high=2.0),
+        horizon=6.0,
+        team=Team(positions=places, speeds=speeds, active_at_start=0.0),
+        evader=Evader(position=(0.0, 0.0), speed=0.9),
+        motion=Motion(step=step, order=order),
+    )
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("step", [0.01, 0.07, 0.5])
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_exact_reckoning_is_where_a_chasing_teammate_is(order, step):
+    """Orders inside steps, ages of many steps: to 1e-9 m. The control: straight towards the evader it is not."""
+    rows = np.vstack([reckonings(order, step, seed) for seed in range(2)])
+    assert len(rows) > 100
+    assert rows[:, 1].max() > 2.0
+    assert rows[:, 3].sum() > 10
+    assert rows[:, 0].max() < 1e-9
+    assert reckonings(order, step, 0, "cheap")[:, 0].max() > 0.01
+
+
+@pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
+def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
+    """d = max(|x_e - x_j| - v_j age, 0), whatever way the evader went and even if the teammate has silently stopped."""
+    seen = []
+
+    def look(me):
+        for _, record in me.heard().values():
+            _, x, y, speed = record.body
+            ahead = abs(me._world.state(1).evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
+            seen.append((me.believed()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
+
+    acts = [
+        (0.123, 0, chase),
+        (0.5, 1, chase),
+        (0.6, 1, stop),
+        *((t, 2, look) for t in (0.2, 0.6, 1.0, 2.345, 4.5, 6.0)),
+    ]
+    play(
+        script(*acts),
+        {"payload": "state", "reckoning": "cheap", "warm_start": False},
+        team=Team(positions=[(4.0, 0.0), (0.0, 2.0), (9.0, 9.0)], speeds=[1.0, 1.5, 1.0], active_at_start=0.0),
+        evader=Evader(position=(0.0, 0.0), speed=0.9),
+        motion=Motion(order=order),
+    )
+    assert len(seen) == 11
+    for phi, gap, closing in seen:
+        assert phi == pytest.approx(max(gap, 0.0) / closing, abs=1e-9)
+    assert min(gap for _, gap, _ in seen) == pytest.approx(-0.1)
+    assert max(gap for _, gap, _ in seen) > 1.0
+
+
+# Triggers.
+
+SAID = "TTFFTTTFF"
+"""What pursuer 0 decides at 0.1, 0.2, ... 0.9 s; it is inactive at first."""
+
+
+def decide(me):
+    """Decide as it is written."""
+    for k, letter in enumerate(SAID, 1):
+        yield me.at(k / 10)
+        if me.id == 0:
+            me.assign(letter == "T")
+            me.announce()
+
+
+@pytest.mark.parametrize(
+    ("trigger", "deciding", "others"),
+    [("change", 4, 0), ("heartbeat", 4, 4), ("both", 8, 4), ("revision", 9, 0), ("never", 0, 0)],
+)
+def test_a_trigger_decides_how_often_something_is_said(trigger, deciding, others):
+    """9 decisions, 4 of them changes, in 1 s; a heartbeat of 0.25 s beats 4 times from any phase in [0, 0.25) s on.
+
+    Changes are told at once and in both directions.
+    """
+    result = play(decide, {"trigger": trigger, "heartbeat": 0.25}, horizon=1.0, motion=Motion(frozen=True))
+    assert [len(told(result, pursuer)) for pursuer in range(3)] == [deciding, others, others]
+    if trigger == "change":
+        assert told(result, 0) == [0.1, 0.3, 0.5, 0.8]
+        assert [event.body.active for event in result.trace.of(Broadcast)] == [True, False, True, False]
+
+
+def test_what_has_never_been_told_is_news_after_a_cold_start():
+    """The first decision is to stay: after a warm start everybody knows, after a cold one nobody."""
+
+    def stays(me):
+        for t in (0.1, 0.2):
+            yield me.at(t)
+            me.assign(False)
+            me.announce()
+
+    for warm, times in ((True, []), (False, [0.1])):
+        result = play(stays, {"trigger": "change", "warm_start": warm}, horizon=1.0)
+        assert told(result, 1) == times
+
+
+def phases(count, period):
+    """Return the phases of a team's heartbeats; all its waits are periods to 1 ns."""
+    result = play(
+        lambda me: iter(()),
+        {"trigger": "heartbeat", "heartbeat": period},
+        horizon=4 * period,
+        team=Team(count=count),
+        motion=Motion(frozen=True),
+    )
+    times = np.array([told(result, pursuer) for pursuer in range(count)])
+    assert times.shape == (count, 4)
+    assert np.diff(times) == pytest.approx(period, abs=1.1e-9)
+    return times[:, 0]
+
+
+def test_heartbeats_are_periodic_from_a_random_phase_on():
+    """120 phases are uniform in [0, T): p > 0.001 (Kolmogorov and Smirnov); the control, 30 % less, is told apart."""
+    found = phases(120, 0.2) / 0.2
+    assert kstest(found, "uniform").pvalue > 0.001
+    assert kstest(0.7 * found, "uniform").pvalue < 0.001
+
+
+# Memory.
+
+
+def last_trusted(announce, latency=0.25, **changes):
+    """Return how long after its last word arrived pursuer 2 believes pursuer 0 active, s; None if it is for ever.
+
+    Pursuer 0 chases from 0.5 s on, says so, and its radio is dead from 1.05 s on.
+    """
+    seen = {}
+
+    def protocol(me):
+        if me.id == 0:
+            yield me.at(0.5)
+            chase(me)
+        if me.id == 2:
+            yield me.at(1.35)
+            arrival = seconds(me.heard()[0][0])
+            while me.believed() and me.now < 9.0:
+                yield me.sleep(0.001)
+            seen["until"] = me.now - 0.001 - arrival if me.now < 9.0 else None
+
+    changes = {"motion": Motion(frozen=True), "fault": (Crash(node=0, at=1.05, scope="radio"),)} | changes
+    play(protocol, announce, latency, **changes)
+    return seen["until"]
+
+
+@pytest.mark.parametrize(
+    ("announce", "until"),
+    [
+        ({"trigger": "both"}, 0.3 + 0.5),
+        ({"trigger": "both", "forget_after": 2.0}, 2.0),
+        ({"trigger": "heartbeat", "heartbeat": 0.5}, 1.5 + 0.5),
+        ({"trigger": "both", "heartbeat": 0.7}, 2.1 + 0.5),
+        ({"trigger": "both", "forget_after": inf}, inf),
+        ({"trigger": "change"}, inf),
+        ({"trigger": "revision"}, inf),
+        ({"trigger": "never"}, inf),
+        ({"trigger": "never", "forget_after": 3.0}, 3.0),
+    ],
+)
+def test_a_teammate_is_forgotten_after_so_long_without_its_word(announce, until):
+    """A number; auto: 3 T + 2 L with T = 0.1 s, if nothing else is given, and L = 0.25 s; without heartbeats never."""
+    found = last_trusted(announce)
+    if until == inf:
+        assert found is None
+    else:
+        assert found == pytest.approx(until, abs=0.0011)
+
+
+def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
+    """3 T + 2 (L + A) after arrival, where 24 bytes take A = 0.04 s at 4800 bit/s."""
+    slow = Links(latency=Constant(value=0.25), medium=Bitrate(bitrate=4800.0))
+    announce = {"trigger": "heartbeat", "heartbeat": 0.2}
+    assert last_trusted(announce, network=slow) == pytest.approx(0.6 + 2 * (0.25 + 0.04), abs=0.0011)
+
+
+@pytest.mark.parametrize(("announce", "memory"), [({"forget_after": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])
+def test_word_counts_up_to_the_very_end_of_the_memory_and_not_a_nanosecond_longer(announce, memory):
+    """It was said at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
+    end, seen = 0.75 + memory, {}
+    acts = [(0.75 - 1e-9, 2, believed), (0.75, 2, believed), (end, 2, believed), (end + 1e-9, 2, believed)]
+    beating = {"trigger": "heartbeat", "warm_start": False} | announce
+    windows = ((0.0, 0.5 - 1e-9), (0.5 + 1e-9, inf))  # its heartbeats are silent
+    mute = [Crash(node=0, at=at, until=until, scope="radio") for at, until in windows]
+    play(script((0.5, 0, chase), *acts, seen=seen), beating, 0.25, fault=tuple(mute), motion=Motion(frozen=True))
+    assert [*seen.values()][-4:] == [{}, {0: 1.9}, {0: 1.9}, {}]
+
+
+# Start.
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("active", [True, False])
+def test_after_a_warm_start_everybody_knows_who_is_active_at_first(payload, active):
+    """Nobody ever says anything; r = 10 s. Warm: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; cold: 10 - 4.9."""
+    team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=float(active))
+
+    def heard(me):
+        return {j: record.body.active for j, (_, record) in me.heard().items()}
+
+    for warm, others, gain in ((True, {0: 1.9, 1: 2.9}, (2.4 - 4.9) / 3), (False, {}, 5.1)):
+        seen, known = {}, others if active else {}
+        acts = [(0.0, 2, lambda me: (believed(me), me.gain(), heard(me))), (9.0, 2, believed)]
+        announce = {"payload": payload, "warm_start": warm}
+        result = play(script(*acts, seen=seen), announce, team=team, motion=Motion(frozen=True))
+        assert seen[0.0] == (known, pytest.approx(gain if active else 5.1), dict.fromkeys(others, active))
+        assert seen[9.0] == known
+        assert not result.trace.of(Broadcast)
+
+
+# Overtaking.
+
+
+def late_at_first(hops, rng):
+    """The latency: 1 s until 0.25 s, 0.1 s from then on."""
+    return 1.0 if hops.now < 0.25 else 0.1
+
+
+@pytest.mark.parametrize("payload", PAYLOADS)
+@pytest.mark.parametrize("faults", [(), (Crash(node=1, at=9.0),)], ids=["noted at sending", "settled on arrival"])
+def test_an_older_record_neither_replaces_a_newer_one_nor_prolongs_its_memory(payload, faults):
+    """ "I chase" of 0.1 s arrives at 1.1 s, "I stay" of 0.5 s at 0.6 s. The control: without it, it is believed.
+
+    If the newer one is "I chase", too, it is believed for 0.7 s from 0.6 s on.
+    """
+    late = {"motion": Motion(frozen=True), "fault": faults}
+    for last, memory, expected in (
+        (withdraw, {}, [{}, {}, {}, {}]),
+        (lambda me: None, {}, [{}, {}, {0: 1.9}, {0: 1.9}]),
+        (chase, {"forget_after": 0.7}, [{}, {0: 1.9}, {0: 1.9}, {}]),
+    ):
+        seen, times = {}, (0.55, 0.65, 1.2, 1.4 if memory else 5.0)
+        acts = script((0.1, 0, chase), (0.5, 0, last), *((t, 2, believed) for t in times), seen=seen)
+        play(acts, {"payload": payload} | memory, late_at_first, **late)
+        assert [seen[t] for t in times] == expected

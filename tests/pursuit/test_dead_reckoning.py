@@ -1,0 +1,222 @@
+"""Dead reckoning without a simulator: legs are made by hand, and chases have closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from desim.kernel.clock import SECOND, nanoseconds, seconds
+from desim.pursuit.dead_reckoning import MOST_RETRACINGS, Leg, Path, nearer
+from desim.pursuit.guidance import ConstantBearing, PurePursuit
+from desim.pursuit.kinematics import toward
+
+LAWS = [PurePursuit(), ConstantBearing()]
+STEP = nanoseconds(0.25)
+numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
+plane = st.builds(complex, numbers, numbers)
+
+
+def straight_run(law, evader, flight, until, *, ahead=True):
+    """Return what is seen in steps of 0.25 s of an evader that keeps its velocity; aimed at is where a step ends."""
+    path = Path(law)
+    for t in range(0, until + 1, STEP):
+        at = evader + flight * seconds(t)
+        path.see(t, at, at + (flight * seconds(STEP) if ahead else 0.0), flight)
+    return path
+
+
+def turning(seed, until):
+    """Yield what is seen at each step of an evader that turns at every step, far from everybody."""
+    rng = np.random.default_rng(seed)
+    at = 50.0 + 50.0j
+    for t in range(0, until + 1, STEP):
+        flight = complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
+        yield t, at, at + flight * seconds(STEP), flight
+        at += flight * seconds(STEP)
+
+
+def fresh(law, seed, question, now):
+    """Return the answer of one who has never been asked before."""
+    path = Path(law)
+    for leg in turning(seed, now):
+        path.see(*leg)
+    return path.place(*question, now)
+
+
+def test_a_leg_goes_on_straight():
+    """From (1, 2) at 1 s with (4, -2) m/s: (2, 1.5) a quarter of a second later."""
+    leg = Leg(SECOND, 1.0 + 2.0j, 5.0j, 4.0 - 2.0j)
+    assert leg.at(SECOND) == 1.0 + 2.0j
+    assert leg.at(SECOND + STEP) == 2.0 + 1.5j
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_the_present_step_is_what_was_seen_last(remembers):
+    path = Path(PurePursuit(), remembers=remembers)
+    path.see(0, 1j, 2j, 1.0)
+    assert path.last == (0, 1j, 2j, 1.0)
+    path.see(STEP, 3j, 4j, 5.0)
+    assert path.last == (STEP, 3j, 4j, 5.0)
+
+
+def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
+    path = Path(PurePursuit(), remembers=False)
+    for k in range(100):
+        path.see(k, 0j, 0j, 0j)
+    assert not path._legs
+    assert path.last.begun == 99
+    with pytest.raises(AssertionError):
+        path.place(1j, 1.0, 0, 5)
+
+
+# Closed forms.
+
+
+@pytest.mark.parametrize("law", LAWS)
+@given(plane, plane, st.integers(0, 3 * SECOND), st.integers(0, SECOND))
+def test_an_evader_that_stands_still_is_approached_on_a_straight_line(law, evader, position, since, age):
+    """x = p + (x_e - p) t / 16 at a speed of |x_e - p| / 16, over as many steps as there are between."""
+    speed = abs(evader - position) / 16.0
+    place = straight_run(law, evader, 0j, since + age).place(position, speed, since, since + age)
+    assert place == pytest.approx(position + (evader - position) * (age / SECOND / 16.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+@given(st.integers(0, 3 * SECOND), st.integers(0, SECOND))
+def test_an_evader_that_runs_straight_is_met_on_one_course(ahead, since, age):
+    """Constant bearing, v = 5, w = 3 across the line of sight: 4 along it and 3 across it, whatever the boundaries.
+
+    When the chase begins the evader is 10 m to the east, running north.
+    """
+    path = straight_run(ConstantBearing(), 10.0 + 0j, 3j, since + age, ahead=ahead)
+    start = 3j * (since / SECOND)
+    assert path.place(start, 5.0, since, since + age) == pytest.approx(start + (4.0 + 3.0j) * (age / SECOND), abs=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("ahead", [True, False])
+def test_a_tail_chase_is_a_straight_line(law, ahead):
+    """Behind an evader that runs away at 1 m/s, 5 m ahead: 2 m/s for 3.1 s are 6.2 m, under both laws."""
+    now = nanoseconds(3.1)
+    path = straight_run(law, 5.0 + 0j, 1.0 + 0j, now, ahead=ahead)
+    assert path.place(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
+
+
+def test_pure_pursuit_aims_anew_at_every_step():
+    """The evader runs from (3, 0) north at 4 m/s, the pursuer from (0, 0) at 4 m/s, so 1 m a step, from 0.125 s on.
+
+    The first half step leads 0.5 m towards (3, 1), the second step 1 m towards (3, 2), and 0.06 s of the third 0.24 m
+    towards (3, 3).
+    """
+    now = nanoseconds(0.56)
+    path = straight_run(PurePursuit(), 3.0 + 0j, 4j, now)
+    expected = 0j
+    for length, aim in [(0.5, 3.0 + 1.0j), (1.0, 3.0 + 2.0j), (0.24, 3.0 + 3.0j)]:
+        expected += length * (aim - expected) / abs(aim - expected)
+    assert path.place(0j, 4.0, STEP // 2, now) == pytest.approx(expected, abs=1e-12)
+    assert abs(expected - 1.74 * (3.0 + 3.0j) / abs(3.0 + 3.0j)) > 0.1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
+    """It stands still at (4, 0) for a step and then, as if it had jumped, at (1, 3): 1 m east, then 1 m north."""
+    for position, since in [(0j, 0), (0.5 + 0j, STEP // 2), (1.0 + 0j, STEP)]:
+        path = Path(law)
+        path.see(0, 4.0 + 0j, 4.0 + 0j, 0j)
+        path.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j)
+        assert path.place(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
+
+
+def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece():
+    """At 0.125 s and 0.25 s: the evader runs from (3, 0) north at 4 m/s and is aimed at where a step ends, 1 m on."""
+    told = []
+
+    def law(gaps, aims, flight, speeds):
+        told.append((gaps.tolist(), aims.tolist(), flight, speeds.tolist()))
+        return toward(gaps, speeds) * 0.0 + speeds
+
+    now = 2 * STEP - 1
+    path = straight_run(law, 3.0 + 0j, 4j, now)
+    assert path.place(1j, 2.0, STEP // 2, now) == pytest.approx(0.75 + 1.0j, abs=1e-8)
+    assert told == [([3.0 - 0.5j], [3.0 + 0j], 4j, [2.0]), ([2.75 + 0j], [2.75 + 1j], 4j, [2.0])]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
+    """A clock that is ahead lets word seem older than the pursuit: 1 s of chase, not 3."""
+    assert Path(law).place(3j, 1.0, -SECOND, 0) == 3j
+    path = straight_run(law, 9.0 + 0j, 0j, SECOND)
+    assert path.place(3j, 1.0, SECOND, SECOND) == 3j
+    assert path.place(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
+
+
+# Going on from the last question.
+
+
+@pytest.mark.parametrize("law", [*LAWS, lambda gaps, aims, w, v: toward(gaps + w, v)])
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
+def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed, since, later):
+    """Bit by bit: it goes on from the beginning of a step, so that no piece of a path is ever cut in two."""
+    path, legs, question = Path(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
+    for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
+        while legs and legs[0][0] <= now:
+            path.see(*legs.pop(0))
+        assert path.place(*question, now) == fresh(law, seed, question, now)
+
+
+def test_going_on_looks_at_no_step_that_is_over():
+    """Twelve steps the first time, one the second, in the same step, and two in the next: the last and the new one."""
+    asked = []
+
+    def law(gaps, aims, flight, speeds):
+        asked.append(1)
+        return toward(aims, speeds)
+
+    path, (*legs, newest) = Path(law), turning(0, 12 * STEP)
+    for leg in legs:
+        path.see(*leg)
+    pieces = []
+    for steps in (11.2, 11.7, 12.5):
+        if steps > 12:
+            path.see(*newest)
+        asked.clear()
+        path.place(0j, 1.0, 0, round(steps * STEP))
+        pieces.append(len(asked))
+    assert pieces == [12, 1, 2]
+
+
+def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
+    for question in [(1j, 1.0, 0), (2j, 1.0, 0), (1j, 2.0, 0), (1j, 1.0, STEP + 7)]:
+        path = Path(PurePursuit())
+        for leg in turning(3, 5 * STEP):
+            path.see(*leg)
+        path.place(1j, 1.0, 0, 5 * STEP)
+        assert path.place(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
+
+
+def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longest_ago_goes():
+    """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
+    path, (now, *later) = Path(PurePursuit()), turning(4, 5 * STEP)
+    path.see(*now)
+    questions = [(complex(k), 1.0, 0) for k in range(MOST_RETRACINGS + 1)]
+    for question in [*questions[:-1], questions[0], questions[-1]]:
+        path.place(*question, STEP // 2)
+    assert len(path._retracings) == MOST_RETRACINGS
+    assert questions[0] in path._retracings
+    assert questions[1] not in path._retracings
+    for leg in later:
+        path.see(*leg)
+    assert path.place(*questions[1], 5 * STEP) == fresh(PurePursuit(), 4, questions[1], 5 * STEP)
+    assert len(path._retracings) == MOST_RETRACINGS
+
+
+# Without the path of the evader.
+
+
+def test_the_way_run_comes_off_the_distance_at_most_to_the_evader():
+    """From (3, 4) to the evader at (0, 0) it is 5 m: 2 m lead to (1.8, 2.4), 5 or 7 there; who is there stays."""
+    assert nearer(3.0 + 4.0j, 0j, 2.0) == pytest.approx(1.8 + 2.4j)
+    assert nearer(3.0 + 4.0j, 0j, 0.0) == pytest.approx(3.0 + 4.0j)
+    assert nearer(3.0 + 4.0j, 0j, 5.0) == nearer(3.0 + 4.0j, 0j, 7.0) == 0j
+    assert nearer(1.0 + 1.0j, 1.0 + 1.0j, 3.0) == 1.0 + 1.0j

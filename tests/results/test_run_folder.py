@@ -1,0 +1,373 @@
+"""The folder of a run."""
+
+import json
+import random
+import sys
+from math import inf, nan
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from desim.analysis.metrics import plain, summary
+from desim.cli import main
+from desim.kernel.events import MESSAGES
+from desim.kernel.trace_file import line_of
+from desim.pursuit.events import Captured
+from desim.results import provenance
+from desim.results.run_folder import can_plot, events, read, simulate, simulate_below, write, write_below
+from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.toml import dump, load
+from desim.simulation.run import run
+
+DATA = {"trace.jsonl", "summary.json", "scenario.toml", "run.json"}
+PICTURES = {"trajectory.svg", "trajectory.png"}
+SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3), record=Recording(trajectory=0.0))
+
+
+def names(folder) -> set[str]:
+    return {each.name for each in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run(SCENARIO, 5)
+
+
+def test_a_folder_holds_the_trace_the_numbers_the_scenario_and_where_they_come_from(result, tmp_path):
+    """It is made with all above it, and the numbers are returned."""
+    folder = tmp_path / "a" / "b"
+    assert write(result, folder) == summary(result)
+    assert names(folder) == DATA
+    assert json.loads((folder / "summary.json").read_text(encoding="utf-8")) == plain(summary(result))
+    assert (folder / "trace.jsonl").read_bytes() == "".join(map(line_of, result.trace)).encode()
+    assert load(folder / "scenario.toml") == SCENARIO.model_copy(update={"seed": 5})
+    assert result.scenario.seed == 1
+    assert provenance.read(folder / "run.json") == provenance.document("run", SCENARIO, seed=5)
+
+
+def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
+    assert write_below(tmp_path, result) == summary(result)
+    assert names(tmp_path) == {"seed-5"}
+    assert names(tmp_path / "seed-5") == DATA
+
+
+def test_the_folder_of_one_of_several_runs_says_where_that_run_comes_from(result, tmp_path):
+    made = provenance.document("run", SCENARIO, seed=4, runs=3, folder=tmp_path) | {"argv": ["desim", "run", "x"]}
+    write_below(tmp_path, result, made)
+    written = provenance.read(tmp_path / "seed-5" / "run.json")
+    assert written == made | {"seed": 5, "runs": 1, "scenario": SCENARIO.plain() | {"seed": 5}}
+
+
+@pytest.fixture
+def seen() -> Scenario:
+    return SCENARIO.model_copy(update={"record": Recording(trajectory=0.1)})
+
+
+def test_there_are_pictures_if_positions_were_recorded(seen, tmp_path):
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA | PICTURES
+
+
+def test_there_are_no_pictures_without_matplotlib(seen, tmp_path, monkeypatch):
+    assert can_plot()
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
+    assert not can_plot()
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA
+
+
+def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_one(seen, result, tmp_path):
+    write(run(seen), tmp_path)
+    write(result, tmp_path)
+    assert names(tmp_path) == DATA
+
+
+@pytest.mark.slow
+def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_path):
+    """Whatever `replay` and `draw` make; a folder `seed-S` has a scenario of its own."""
+    write_below(tmp_path, run(seen, 4))
+    for command in ("draw spacetime", "draw perfetto", "draw gif", "replay"):
+        write(run(seen.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})), tmp_path)
+        before = names(tmp_path)
+        assert before == DATA | PICTURES | {"seed-4"}
+        assert CliRunner().invoke(main, [*command.split(), str(tmp_path)]).exit_code == 0
+        assert names(tmp_path) > before
+    write(run(SCENARIO), tmp_path)
+    assert names(tmp_path) == DATA | {"seed-4"}
+    assert names(tmp_path / "seed-4") == DATA | PICTURES
+
+
+def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
+    (tmp_path / "trajectory.csv").write_text("precious")
+    (tmp_path / "notes.txt").write_text("precious")
+    write(run(seen), tmp_path)
+    assert names(tmp_path) == DATA | PICTURES | {"trajectory.csv", "notes.txt"}
+
+
+FILES = ("relay", "faults", "radio", "soak", "auction", "flooding", "token_ring", "server", "reckoning")
+
+
+PACK = ("evader.count=3", "evader.box=[1, 19]", "team.speeds=4.0")
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("name", "pack"), [*((name, ()) for name in FILES), ("relay", PACK), ("reckoning", PACK)])
+def test_a_run_that_was_written_is_read_again(run_of, name, pack, tmp_path):
+    """The same events, and the same numbers from them: beliefs too, which come from what was relayed."""
+    result = run_of(f"{name}.toml", "horizon=1.5" if pack else "horizon=1.0", "record.messages=true", *pack)
+    assert bool(result.trace.of(Captured)) == bool(pack)
+    numbers = write(result, tmp_path)
+    again = read(tmp_path)
+    assert again.seed == result.seed
+    assert again.trace.events == result.trace.events
+    assert [type(event) for event in again.trace] == [type(event) for event in result.trace]
+    assert json.dumps(plain(summary(again))) == json.dumps(plain(numbers))
+    assert dump(again.scenario) == (tmp_path / "scenario.toml").read_text()
+
+
+TO_FILE = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages="file")})
+WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})
+
+
+@pytest.mark.slow
+def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_that_of_the_result(tmp_path):
+    result = simulate(tmp_path / "a", TO_FILE, 5)
+    assert list(result.trace) == list(run(TO_FILE, 5).trace)
+    assert not [event for event in result.trace if isinstance(event, MESSAGES)]
+    write(result, tmp_path / "a", simulated_there=True)
+    whole = run(WITH_MESSAGES, 5).trace
+    assert (tmp_path / "a" / "trace.jsonl").read_bytes() == "".join(map(line_of, whole)).encode()
+    assert list(events(tmp_path / "a")) == whole.events
+    assert names(tmp_path / "a") == DATA | PICTURES
+
+
+@pytest.mark.slow
+def test_what_needs_no_messages_is_measured_though_they_go_to_a_file_and_all_of_it_is_once_they_are_read(tmp_path):
+    numbers = plain(write(simulate(tmp_path, TO_FILE, 5), tmp_path, simulated_there=True))
+    whole = plain(summary(run(WITH_MESSAGES, 5)))
+    absent = {name for name in whole if whole[name] is not None and numbers[name] is None}
+    assert absent == {"age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"}
+    assert {name: each for name, each in numbers.items() if name not in absent} == {
+        name: each for name, each in whole.items() if name not in absent
+    }
+    assert plain(summary(read(tmp_path))) == whole
+
+
+@pytest.mark.slow
+def test_the_file_of_one_of_several_runs_is_below_the_folder(tmp_path):
+    write_below(tmp_path, simulate_below(tmp_path, TO_FILE, 5), simulated_there=True)
+    assert names(tmp_path) == {"seed-5"}
+    assert list(events(tmp_path / "seed-5")) == run(WITH_MESSAGES, 5).trace.events
+
+
+@pytest.mark.slow
+def test_a_run_whose_messages_go_nowhere_else_is_written_as_far_as_it_is_known(tmp_path):
+    write(run(TO_FILE, 5), tmp_path)
+    assert list(events(tmp_path)) == run(TO_FILE, 5).trace.events
+
+
+def test_nothing_is_written_before_its_time_of_a_run_that_keeps_its_messages(tmp_path):
+    assert simulate(tmp_path, WITH_MESSAGES, 5).trace.events == run(WITH_MESSAGES, 5).trace.events
+    assert names(tmp_path) == set()
+
+
+def test_half_a_trace_is_not_read(result, tmp_path):
+    write(result, tmp_path)
+    trace = (tmp_path / "trace.jsonl").read_text()
+    (tmp_path / "trace.jsonl").write_text(trace[: trace.rindex("{")])
+    with pytest.raises(ValueError, match=r"trace.jsonl: is not of a whole run"):
+        read(tmp_path)
+
+
+@pytest.fixture
+def other_file(tmp_path):
+    (tmp_path / "other.toml").write_text(dump(SCENARIO.model_copy(update={"team": Team(count=4)})))
+    return tmp_path / "other.toml"
+
+
+def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_file, tmp_path):
+    write(result, tmp_path / "out")
+    done = CliRunner().invoke(main, ["run", str(other_file), "-n", "2", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert names(tmp_path / "out") == {"run.json", "seed-1", "seed-2"}
+    done = CliRunner().invoke(main, ["replay", str(tmp_path / "out")])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert done.stderr.endswith("; it holds seed-1, seed-2\n")
+
+
+OF_ANOTHER = {
+    "several runs": (lambda made: made | {"runs": 2}, "is of 2 runs, and not of that in trace.jsonl"),
+    "another seed": (lambda made: provenance.of_one(made, 6), "is not of the run in trace.jsonl"),
+    "a sweep": (lambda made: made | {"what": "sweep"}, "is of a sweep, which is not repeated"),
+}
+
+
+@pytest.mark.parametrize(("change", "why"), OF_ANOTHER.values(), ids=OF_ANOTHER)
+def test_a_trace_is_not_read_under_what_is_written_of_other_runs(result, change, why, tmp_path):
+    write(result, tmp_path)
+    provenance.write(tmp_path, change(provenance.read(tmp_path / "run.json")))
+    with pytest.raises(ValueError, match=f"run.json: {why}"):
+        read(tmp_path)
+
+
+SCENARIOS = {
+    "pursuers": {"team": Team(count=4)},
+    "speeds": {"team": Team(count=3, speeds=2.0)},
+    "box": {"team": Team(count=3, box=(0.0, 1.0))},
+    "evaders": {"evader": {"count": 2}},
+    "their place": {"evader": {"position": (1.0, 1.0)}},
+}
+
+
+@pytest.mark.parametrize("changes", SCENARIOS.values(), ids=SCENARIOS)
+def test_a_trace_is_not_read_under_another_scenario(result, changes, tmp_path):
+    write(result, tmp_path)
+    other = Scenario(**{"seed": 1, "horizon": 0.2, "team": Team(count=3)} | changes)
+    provenance.write(tmp_path, provenance.document("run", other, seed=5))
+    with pytest.raises(ValueError, match=r"run.json: is not of the run in trace.jsonl: pursuers or evaders begin else"):
+        read(tmp_path)
+
+
+def test_a_trace_without_a_beginning_is_not_read(result, tmp_path):
+    write(result, tmp_path)
+    (tmp_path / "trace.jsonl").write_text((tmp_path / "trace.jsonl").read_text().splitlines()[-1] + "\n")
+    with pytest.raises(ValueError, match=r"line 1 is no event: .* Started"):
+        read(tmp_path)
+
+
+def record(folder, name, *overrides):
+    """Write a run of a scenario file of which everything is recorded to a folder, and return that."""
+    file = Path(__file__).parents[2] / "scenarios" / f"{name}.toml"
+    write(run(load(file, ["record.messages=true", "record.trajectory=0.1", *overrides])), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the folder of a run in which faults begin and end."""
+    return record(tmp_path_factory.mktemp("recorded"), "faults", "horizon=2.5")
+
+
+def rewritten(recorded, folder, change):
+    """Write a copy of a run to a folder, with the events in its trace, as JSON has them, changed."""
+    lines = [json.loads(line) for line in (recorded / "trace.jsonl").read_text().splitlines()]
+    folder.mkdir()
+    (folder / "run.json").write_bytes((recorded / "run.json").read_bytes())
+    (folder / "trace.jsonl").write_text("".join(json.dumps(line) + "\n" for line in change(lines)))
+    return folder
+
+
+def first(lines, kind):
+    """Return the place of the first event of a kind."""
+    return next(k for k, line in enumerate(lines) if line["event"] == kind)
+
+
+def with_field(kind, **fields):
+    """Return what changes fields of the first event of a kind."""
+
+    def change(lines):
+        k = first(lines, kind)
+        return [*lines[:k], lines[k] | fields, *lines[k + 1 :]]
+
+    return change
+
+
+def twice(kind):
+    """Return what repeats the first event of a kind."""
+
+    def change(lines):
+        k = first(lines, kind)
+        return [*lines[:k], lines[k], *lines[k:]]
+
+    return change
+
+
+MISFITS = {
+    "pursuer": (with_field("Decided", pursuer=99), "pursuer: Input should be less than"),
+    "action": (with_field("Decided", active=99), "active: Input should be less than or equal to"),
+    "places": (with_field("Sampled", pursuers=[["x", "y"]]), "pursuers.0.0: Input should be a valid number"),
+    "too few places": (with_field("Sampled", pursuers=[[0.0, 1.0]]), "pursuers: Tuple should have at least"),
+    "evaders": (with_field("Sampled", others=[[0.0, 1.0]] * 9), "others: Tuple should have at most"),
+    "said": (with_field("Broadcast", body={"active": 99}), "body: Value error, active should be 0 to"),
+    "relayed": (with_field("Broadcast", body={"records": [7]}), "body: Value error, records should be tables of src"),
+    "records": (
+        with_field("Broadcast", body={"records": [{"src": 99, "seq": 1, "sent": 0, "body": None}]}),
+        "body: Value error, a record should have a src of 0 to",
+    ),
+    "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
+    "flight": (with_field("Lost", flight=1 << 40), f"is of a message that was not sent: {1 << 40} to "),
+    "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
+    "start": (twice("Started"), "is a second Started"),
+    "end": (twice("Tally"), "is a second Tally"),
+    "broken": (with_field("Began", fault={"kind": "crash", "at": 0.0, "node": 99}), "is of a node that is not one of"),
+    "repaired": (with_field("Over", fault={"kind": "crash", "at": 0.9, "node": 1}), "ends a fault that did not begin"),
+    "kind of fault": (with_field("Began", fault={"kind": "cats"}), "fault: Input tag 'cats'"),
+    "no fault": (with_field("Began", fault=7), "fault: "),
+}
+
+
+@pytest.mark.parametrize("name", MISFITS)
+def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path):
+    change, told = MISFITS[name]
+    with pytest.raises(ValueError, match=rf"trace\.jsonl: line \d+ (is no event: )?{told}"):
+        read(rewritten(recorded, tmp_path / "x", change))
+
+
+WRONG = ("x", "", -1, 0, 1.5, 999, 10**18, 10**400, -1e300, inf, nan, None, True, [], [1], {}, {"a": 1})
+
+
+def mutated(rng, value):
+    """Return a value, or one somewhere in it, as another."""
+    if isinstance(value, list) and value and rng.random() < 0.7:
+        k = rng.randrange(len(value))
+        return [*value[:k], mutated(rng, value[k]), *value[k + 1 :]]
+    if isinstance(value, dict) and value and rng.random() < 0.8:
+        key = rng.choice(sorted(value))
+        return value | {key: mutated(rng, value[key])}
+    near = (value + 1, value * 2) if isinstance(value, int | float) else ()
+    return rng.choice([*WRONG, *near, *((value[:-1], value * 2) if isinstance(value, list) else ())])
+
+
+def mutant(seed):
+    """Return what changes a field, or the place, of an event: each kind is as likely as any other."""
+    rng = random.Random(seed)
+
+    def change(lines):
+        kind = rng.choice(sorted({line["event"] for line in lines}))
+        k = rng.choice([k for k, line in enumerate(lines) if line["event"] == kind])
+        line = dict(lines[k])
+        key, way = rng.choice(sorted(line)), rng.random()
+        if way < 0.8:
+            return [*lines[:k], line | {key: mutated(rng, line[key])}, *lines[k + 1 :]]
+        return [*lines[:k], *([line, line] if way < 0.9 else []), *lines[k + 1 :]]
+
+    return change
+
+
+def shown_or_refused(recorded, folder, seeds, commands):
+    """Check that what is wrong in a trace is told with its file, or harms nobody who reads it."""
+    outcomes = set()
+    for seed in seeds:
+        copy = rewritten(recorded, folder / f"{recorded.name} {seed}", mutant(seed))
+        for words in commands:
+            done = CliRunner().invoke(main, [*words, str(copy)], catch_exceptions=False)
+            outcomes.add(done.exit_code)
+            assert done.exit_code in {0, 2}, (seed, done.output)
+            if done.exit_code:
+                assert done.stderr.startswith(str(copy)), (seed, done.stderr)
+                break
+    assert outcomes == {0, 2}
+
+
+@pytest.mark.slow
+def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
+    shown_or_refused(recorded, tmp_path, range(20), (["replay"], ["draw", "perfetto"]))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
+def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path):
+    short = record(tmp_path / name, name, "horizon=1.0", *(["team.count=6"] if name in {"radio", "flooding"} else []))
+    shown_or_refused(short, tmp_path, range(1000, 1040), (["replay"], ["draw", "perfetto"], ["draw", "spacetime"]))

@@ -1,0 +1,345 @@
+"""Assumptions: each where it holds and where it does not, and what is said of those that a scenario breaks."""
+
+import networkx as nx
+import pytest
+
+from desim import Scenario
+from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
+from desim.kernel.graphs import Edge, Edges, Link, Ring
+from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli, GilbertElliott
+from desim.kernel.medium import Bitrate
+from desim.kernel.reception import QuasiUnitDisk
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.utility import Component, EdgePenalty, LocalMean
+from desim.scenario.assumptions import (
+    ASSUMPTIONS,
+    broken,
+    component_heard,
+    connected,
+    equal_clocks,
+    equal_speeds,
+    everyone_heard,
+    host_in_reach,
+    no_crashes,
+    one_at_a_time,
+    places_known,
+    times_known,
+    word_gets_through,
+)
+from desim.scenario.checks import warnings
+from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
+from protocols.best_response import BestResponse, BetterReply
+from protocols.dissemination import Flooding, Gossip
+from protocols.fictitious_play import FictitiousPlay
+from protocols.local_min import ArgminKnown, LocalMin
+from protocols.mutex import LocalMutex
+from protocols.rule import Rule
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.token import TokenRing, TokenWalk
+
+FOUR = Team(positions=[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
+"""On a line, 1 m apart."""
+HALVES = Partition(at=1.0, until=2.0, groups=((0, 1),))
+TWO_PAIRS = nx.Graph([(0, 1), (2, 3)])
+FLOODED = Announcements(spread=Flooding())
+
+
+def four(graph=None, **given):
+    """Return a scenario of four on a line, linked as by a networkx graph if one is given."""
+    network = {"network": Links(graph=Edges.of(graph))} if graph is not None else {}
+    return Scenario(**({"team": FOUR, "protocol": BetterReply(schedule=Poisson())} | network | given))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        (four(), None),
+        (four(nx.path_graph(4)), None),
+        (four(network=Links(range=1.0)), None),
+        (four(network=Links(range=0.99)), "several components"),
+        (four(TWO_PAIRS), "several components"),
+        (four(nx.DiGraph([(0, 1), (1, 2), (2, 3)])), "several components"),
+        (four(nx.DiGraph([(0, 1), (1, 2), (2, 3), (3, 0)])), None),
+        (four(fault=[HALVES]), "partition"),
+        (four(fault=[Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)]), None),
+    ],
+)
+def test_all_are_connected_over_any_number_of_hops_or_not(scenario, why):
+    """In both directions: along a one-way path the last is not heard."""
+    assert_says(connected(scenario), why)
+
+
+def assert_says(found, why):
+    """Check that there is a reason iff there should be one, and that it is the right one."""
+    assert (found is None) == (why is None), found
+    assert why is None or why in found
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        (four(), None),
+        (four(network=Links(range=3.0)), None),
+        (four(network=Links(range=2.99)), "not everybody hears everybody"),
+        (four(network=Links(range=2.99), announce=FLOODED), None),
+        (four(network=Links(range=2.99), announce=Announcements(spread=Gossip())), None),
+        (four(nx.path_graph(4)), "not everybody hears everybody"),
+        (four(TWO_PAIRS, announce=FLOODED), "several components"),
+        (four(fault=[HALVES], announce=FLOODED), "partition"),
+        (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),
+        (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenWalk())), None),
+        (four(nx.path_graph(4), protocol=BetterReply(schedule=LocalMutex())), "not everybody hears everybody"),
+        (Scenario(team=Team(count=1)), None),
+    ],
+)
+def test_everyone_is_heard_at_once_or_as_word_is_passed_on_or_not(scenario, why):
+    assert_says(everyone_heard(scenario), why)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        (four(), None),
+        (four(TWO_PAIRS), None),
+        (four(nx.Graph([(0, 1), (1, 2), (0, 2), (0, 3)])), "several hops"),
+        (four(nx.path_graph(4)), "several hops"),
+        (four(nx.path_graph(4), announce=FLOODED), None),
+        (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),
+        (four(network=Links(range=1.5)), "several hops"),
+        (four(network=Links(range=0.5)), None),
+        (four(nx.DiGraph([(0, 1), (1, 0), (2, 3)])), "several hops"),
+    ],
+)
+def test_the_component_is_heard_if_it_is_complete_or_word_is_passed_on_or_not(scenario, why):
+    assert_says(component_heard(scenario), why)
+
+
+LOSSY = Links(loss=Bernoulli(p=0.1))
+ONE_LOSSY = Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])
+LOSSY_EDGE = Links(
+    graph=Edges(edges=[Edge(src=0, dst=1), Edge(src=1, dst=2), Edge(src=2, dst=3, loss=Bernoulli(p=0.1))])
+)
+LOSSLESS_LINKS = Links(
+    graph=Edges(edges=[Edge(src=k, dst=k + 1, loss=Bernoulli()) for k in range(3)]),
+    link=[Link(src=0, dst=1, loss=Bernoulli(p=0.0))],
+)
+ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 0.1})])
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("trigger", ["change", "never", "heartbeat", "both", "revision"])
+@pytest.mark.parametrize(
+    ("given", "lost"),
+    [
+        ({}, False),
+        ({"network": LOSSY}, True),
+        ({"network": Links(loss=GilbertElliott())}, True),
+        ({"network": ONE_LOSSY}, True),
+        ({"network": LOSSY_EDGE}, True),
+        ({"network": LOSSLESS_LINKS}, False),
+        ({"network": ONE_LATE}, False),
+        ({"fault": [HALVES]}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6))}, False),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, half_duplex=True))}, True),
+        ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
+        ({"network": Links(range=50.0), "motion": Motion(frozen=True)}, False),
+        ({"network": Links(range=50.0, reach=QuasiUnitDisk()), "motion": Motion(frozen=True)}, False),
+        ({"network": Links(range=50.0, fading="message"), "motion": Motion(frozen=True)}, False),
+        (
+            {"network": Links(range=50.0, reach=QuasiUnitDisk(), fading="message"), "motion": Motion(frozen=True)},
+            True,
+        ),
+    ],
+)
+def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trigger, given, lost):
+    found = word_gets_through(four(announce=Announcements(trigger=trigger), **given))
+    if trigger == "never":
+        assert_says(found, "nothing is ever announced")
+    else:
+        assert_says(found, "never said again" if lost and trigger == "change" else None)
+
+
+def test_who_comes_into_range_has_missed_what_was_said_before():
+    found = word_gets_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
+    assert_says(found, "comes into range")
+    assert word_gets_through(four(network=Links(range=50.0))) is None
+
+
+@pytest.mark.parametrize("trigger", ["change", "never"])
+@pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk(), LocalMutex()], ids=lambda each: each.kind)
+def test_word_gets_through_if_it_travels_with_the_messages_of_the_schedule(trigger, schedule):
+    announce = Announcements(trigger=trigger)
+    assert word_gets_through(four(network=LOSSY, announce=announce, protocol=BetterReply(schedule=schedule))) is None
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        (four(protocol=BestResponse(schedule=Rounds())), "at once"),
+        (four(protocol=BestResponse(schedule=Rounds(q=0.5))), "at once"),
+        (Scenario(team=Team(count=2), protocol=BestResponse(schedule=Rounds())), "at once"),
+        (Scenario(team=Team(count=1), protocol=BestResponse(schedule=Rounds())), None),
+        *((four(protocol=BestResponse(schedule=s)), None) for s in (SharedSeed(), Poisson(), Periodic(), TokenRing())),
+        (four(protocol=lambda me: iter(())), None),
+    ],
+)
+def test_one_decides_at_a_time_or_everybody_at_once(scenario, why):
+    assert_says(one_at_a_time(scenario), why)
+
+
+@pytest.mark.parametrize(
+    ("fault", "crashes", "skewed"),
+    [
+        ([], False, False),
+        ([HALVES], False, False),
+        ([Crash(at=0.0, node=0)], True, False),
+        ([RandomCrashes()], True, False),
+        ([RandomPlan()], True, False),
+        ([ClockSkew(offset=0.1)], False, True),
+        ([HALVES, ClockSkew(offset=0.1), Crash(at=0.0, node=0)], True, True),
+    ],
+)
+def test_pursuers_break_down_and_clocks_differ_or_not(fault, crashes, skewed):
+    assert_says(no_crashes(four(fault=fault)), "break down" if crashes else None)
+    assert_says(equal_clocks(four(fault=fault)), "clocks differ" if skewed else None)
+
+
+@pytest.mark.parametrize(
+    ("team", "why"),
+    [
+        (Team(count=3, speeds=1.5), None),
+        (Team(count=3, speeds=(1.0, 2.5, 1.0)), "speeds are 1 to 2.5 m/s"),
+        (Team(count=3), "speeds are 1 to 2 m/s"),
+        (Team(count=1), None),
+        (Team(count=3, speeds=Speeds(default=2.0, last=2.0)), None),
+    ],
+)
+def test_all_are_equally_fast_or_not(team, why):
+    assert_says(equal_speeds(Scenario(team=team)), why)
+
+
+class Served(Rule):
+    """A rule with a server on one of the pursuers."""
+
+    host: int = 0
+
+
+@pytest.mark.parametrize(
+    ("scenario", "why"),
+    [
+        (four(protocol=Served(host=3)), None),
+        (four(nx.star_graph(3), protocol=Served()), None),
+        (four(nx.star_graph(3), protocol=Served(host=1)), "2 of 3 are out of reach of pursuer 1"),
+        (four(nx.DiGraph([(0, 1), (0, 2), (0, 3)]), protocol=Served()), "3 of 3 are out of reach of pursuer 0"),
+        (four(nx.DiGraph([(1, 0), (2, 0), (3, 0), (0, 3)]), protocol=Served()), "2 of 3 are out of reach"),
+        (four(protocol=Served(), fault=[HALVES]), "partition"),
+        (four(nx.star_graph(3)), None),
+    ],
+)
+def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why):
+    """Without a host it is pursuer 0."""
+    assert_says(host_in_reach(scenario), why)
+
+
+@pytest.mark.parametrize(
+    ("payload", "given", "times", "places"),
+    [
+        ("action", {"network": Links(range=1.0)}, None, None),
+        ("time", {}, None, "nobody says where it is"),
+        ("state", {}, None, None),
+        ("time", {"network": Links(range=1.0)}, "not everybody hears", "nobody says where it is"),
+        ("state", {"network": Links(range=1.0)}, "not everybody hears", "not everybody hears"),
+        ("state", {"network": LOSSY, "trigger": "change"}, "never said again", "never said again"),
+        ("action", {"evader": Evader(count=2)}, None, None),
+        ("time", {"evader": Evader(count=2)}, "other evaders than its own", "nobody says where it is"),
+        ("state", {"evader": Evader(count=2)}, None, None),
+    ],
+)
+def test_times_and_places_are_known_if_they_are_sensed_or_told_or_not(payload, given, times, places):
+    trigger = given.get("trigger", "both")
+    network = {key: each for key, each in given.items() if key != "trigger"}
+    scenario = four(announce=Announcements(payload=payload, trigger=trigger), **network)
+    assert_says(times_known(scenario), times)
+    assert_says(places_known(scenario), places)
+
+
+# What is said.
+
+
+def test_every_assumption_goes_by_its_own_name_and_says_what_it_is():
+    assert all(name == each.__name__ and each.__doc__ for name, each in ASSUMPTIONS.items())
+    with pytest.raises(TypeError):
+        ASSUMPTIONS["wishful"] = no_crashes
+
+
+def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
+    """The rule, its schedule and its utility each break one; all are warned of under their own key."""
+    scenario = four(
+        nx.path_graph(4),
+        protocol=SpatialAdaptivePlay(schedule=Rounds()),
+        fault=[ClockSkew(offset=0.1)],
+    )
+    hops = "as it begins not everybody hears everybody, and word is not passed on (`announce.spread`)"
+    found = [
+        ("protocol", "sap assumes one_at_a_time, but everybody decides at once"),
+        ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),
+        ("protocol.utility", f"mean assumes everyone_heard, but {hops}"),
+    ]
+    assert list(broken(scenario)) == found
+    assert [each for each in warnings(scenario) if " assumes " in each[1]] == found
+
+
+@pytest.mark.parametrize(
+    ("protocol", "assumes"),
+    [
+        (LocalMin(schedule=Poisson()), []),
+        (ArgminKnown(schedule=Poisson()), ["everyone_heard"]),
+        (BetterReply(schedule=Poisson()), ["everyone_heard"]),
+        (FictitiousPlay(schedule=Poisson()), ["everyone_heard"]),
+        (BetterReply(schedule=Poisson(), utility=EdgePenalty()), []),
+        (BetterReply(schedule=Poisson(), utility=LocalMean()), []),
+        (BetterReply(schedule=Poisson(), utility=Component()), ["component_heard"]),
+    ],
+    ids=repr,
+)
+def test_on_a_ring_those_are_warned_that_go_by_more_than_their_neighbours(protocol, assumes):
+    scenario = Scenario(team=FOUR, network=Links(graph=Ring()), protocol=protocol)
+    assert [why.split(",")[0].split()[-1] for _, why in broken(scenario)] == assumes
+
+
+@pytest.mark.parametrize("kind", sorted(PROTOCOLS.choices()))
+def test_no_protocol_breaks_anything_in_the_default_scenario(kind):
+    """But for equal speeds; nor does any name an assumption that there is not."""
+    protocol = PROTOCOLS.choices()[kind]()
+    found = [why for _, why in broken(Scenario(protocol=protocol))]
+    assert found == ["voronoi assumes equal_speeds, but speeds are 1 to 2 m/s"] * (kind == "voronoi")
+    assert not list(broken(Scenario(team=Team(speeds=2.0), protocol=protocol)))
+    assert set(getattr(protocol, "assumes", ())) <= set(ASSUMPTIONS)
+
+
+class Wishful(Rule):
+    assumes = ("good_weather",)
+    kind: str = "wishful"
+
+
+def test_an_assumption_that_nobody_knows_is_an_error_that_says_which_there_are():
+    with pytest.raises(
+        ValueError, match=r"wishful assumes 'good_weather', which nobody knows; there are undivided, connected, "
+    ):
+        list(broken(four(protocol=Wishful())))
+    with pytest.raises(ValueError, match="good_weather"):
+        list(warnings(four(protocol=Wishful())))
+
+
+def test_a_function_may_assume_something_too():
+    """It has no kind, and is called the protocol; a function that says nothing assumes nothing."""
+
+    def mine(me):
+        yield from ()
+
+    assert not list(broken(four(fault=[Crash(at=0.0, node=0)], protocol=mine)))
+    mine.assumes = ("no_crashes",)
+    scenario = four(fault=[Crash(at=0.0, node=0)], protocol=mine)
+    assert list(broken(scenario)) == [("protocol", "the protocol assumes no_crashes, but pursuers break down")]

@@ -1,0 +1,252 @@
+"""Warnings: each where it is due and where it just is not, and none for the default."""
+
+import pytest
+
+from desim import Scenario, run
+from desim.kernel.events import Broadcast
+from desim.kernel.faults import ClockSkew, Crash, RandomCrashes
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.reception import QuasiUnitDisk
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.sensing import Sensing
+from desim.scenario.checks import warnings
+from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from protocols.cbba import CBBA
+from protocols.centralised import Centralised
+from protocols.dissemination import Flooding
+from protocols.geometric import Argmin, Voronoi
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Periodic, Rounds
+from protocols.server import Server
+
+BITS = {"kind": "bitrate", "bitrate": 8 * 240.0}
+"""240 bytes a second: an announcement of 24 bytes takes a tenth of a second."""
+
+
+def warned(**given):
+    """Return what a scenario is warned of, as a list of key and reason."""
+    return list(warnings(Scenario(**given)))
+
+
+def test_the_default_is_not_warned_of():
+    assert warned() == []
+
+
+@pytest.mark.parametrize(
+    ("given", "key", "why"),
+    [
+        ({"team": Team(count=2, speeds=(0.5, 0.9))}, "team.speeds", "the fastest moves at 0.9 m/s, the evader at 0.9"),
+        ({"sensing": Sensing(estimate="hold")}, "sensing.estimate", "no effect while the radius is inf"),
+        ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "nobody sees an evader before it is captured"),
+        ({"network": Links(reach=QuasiUnitDisk())}, "network.reach", "no effect while the range is inf"),
+        (
+            {"network": Links(preset="lte", latency={"kind": "constant"})},
+            "network.latency",
+            "not that of the preset 'lte'",
+        ),
+        (
+            {"announce": Announcements(trigger="never", spread=Flooding())},
+            "announce.spread",
+            "nothing is ever announced",
+        ),
+        ({"fault": [Crash(at=1.0, node=0), Crash(at=30.0, node=0)]}, "fault.1.at", "begin after the horizon"),
+        (
+            {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.08)},
+            "announce.heartbeat",
+            "heartbeats of 24 bytes alone would keep the channel busy 1.2 times over",
+        ),
+        (
+            {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=3), "announce": {"heartbeat": 0.2}},
+            "announce.heartbeat",
+            "busy 1.5 times over",
+        ),
+        (
+            {"network": Links(medium=BITS), "team": Team(count=20), "protocol": CBBA()},
+            "announce.heartbeat",
+            "heartbeats of 200 bytes alone would keep the channel busy 8.3 times over",
+        ),
+        (
+            {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2, jitter=0.0)), "motion": Motion(step=0.05)},
+            "protocol.schedule.jitter",
+            "4 motion steps",
+        ),
+        (
+            {"network": Links(medium=BITS | {"bitrate": 1e13})},
+            "network.medium",
+            "the airtime of 24 bytes, 2e-11 s, rounds to 0",
+        ),
+        (
+            {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)},
+            None,
+            "",
+        ),
+        (
+            {"motion": Motion(step=0.11), "capture": Capture(test="sample")},
+            "motion.step",
+            "step x speed = 0.22 m is more than 2 x radius = 0.2 m",
+        ),
+        (
+            {
+                "motion": Motion(step=0.11),
+                "capture": Capture(test="sample"),
+                "team": Team(count=2, speeds=1.0),
+                "evader": Evader(speed=2.0),
+            },
+            "team.speeds",
+            "every time of capture is inf",
+        ),
+    ],
+)
+def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key, why):
+    """The last jumps because the *evader* is fast: it is warned of that as well."""
+    found = [(where, text) for where, text in warned(**given) if " assumes " not in text]
+    assert [where for where, _ in found][:1] == [key] * (key is not None)
+    assert key is None or why in found[0][1]
+    assert len(found) == (0 if key is None else 2 if key == "team.speeds" and "motion" in given else 1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"team": Team(count=2, speeds=(0.5, 0.91))},
+        {"network": Links(range=1e6, reach=QuasiUnitDisk())},
+        {"sensing": Sensing(radius=0.11, estimate="hold")},
+        {"network": Links(preset="lte")},
+        {"network": Links(preset="lte", range=1e6)},
+        {"announce": Announcements(trigger="revision", spread=Flooding())},
+        {"announce": Announcements(spread=Flooding())},
+        {"fault": [Crash(at=29.9, node=0), RandomCrashes()]},
+        {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.1)},
+        {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.05, trigger="revision")},
+        {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
+        {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2)), "motion": Motion(step=0.05)},
+        {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.15, jitter=0.0)), "motion": Motion(step=0.05)},
+        {"motion": Motion(step=1.0), "horizon": 1.0},
+        {"motion": Motion(step=0.1), "capture": Capture(test="sample")},
+        {"motion": Motion(step=0.11)},
+    ],
+)
+def test_what_just_goes_together_is_not_warned_of(given):
+    assert [each for each in warned(**given) if " assumes " not in each[1]] == []
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(
+    ("protocol", "payload", "speaks"),
+    [
+        (SpatialAdaptivePlay(), "action", True),
+        (Centralised(), "action", False),
+        (Centralised(), "state", False),
+        (Server(), "action", False),
+        (Server(), "state", False),
+        (Voronoi(), "action", False),
+        (Voronoi(), "state", True),
+        (Argmin(), "action", False),
+        (Argmin(), "time", True),
+    ],
+)
+def test_only_those_fill_the_channel_with_heartbeats_who_have_heartbeats(protocol, payload, speaks):
+    """20 pursuers of at least 24 bytes every 0.1 s are at least 4800 bytes a second, and the channel carries 240."""
+    given = {
+        "protocol": protocol,
+        "network": Links(medium=BITS | {"shared": True}),
+        "announce": Announcements(payload=payload),
+    }
+    assert ("announce.heartbeat" in dict(warned(**given))) == speaks
+    result = run(Scenario(**given, horizon=0.5, record=Recording(messages=True)))
+    assert bool(result.trace.of(Broadcast)) == speaks
+
+
+@pytest.mark.parametrize(
+    ("speeds", "said"),
+    [
+        ((0.5, 0.8), None),
+        ((0.5, 1.0), "faster than 1 of the 2 evaders: the fastest moves at 0.9 m/s, the slowest of these at 1.0 m/s"),
+        ((2.0, 0.9), "faster than 2 of the 2 evaders: the fastest moves at 0.9 m/s, the slowest of these at 0.9 m/s"),
+    ],
+)
+def test_each_of_several_evaders_is_to_be_slower_than_somebody(speeds, said):
+    evaders = tuple(Evader(speed=speed) for speed in speeds)
+    whys = [why for key, why in warned(team=Team(count=2, speeds=(0.5, 0.9)), evader=evaders) if key == "team.speeds"]
+    assert len(whys) == (said is not None)
+    assert all(f"no pursuer is {said}, so every time of capture of theirs is inf and nobody" in why for why in whys)
+    free = warned(team=Team(count=2, speeds=0.4), evader=evaders, prune="none")
+    assert [why.endswith("of theirs is inf") for key, why in free if key == "team.speeds"] == [True]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_fastest_of_several_evaders_may_jump(first):
+    evaders = (Evader(speed=2.0), Evader(speed=0.5))
+    given = {"motion": Motion(step=0.11), "capture": Capture(test="sample"), "team": Team(count=2, speeds=1.0)}
+    found = dict(warned(**given, evader=evaders if first else evaders[::-1]))
+    assert "step x speed = 0.22 m" in found["motion.step"]
+
+
+SHORT = [
+    ("network.latency.value", {"network": {"latency": {"kind": "constant", "value": 0.5e-9}}}),
+    ("network.latency.values.1", {"network": {"latency": {"kind": "empirical", "values": [0.51e-9, 0.5e-9, 0.0]}}}),
+    (
+        "network.link.0.latency.scale",
+        {"network": {"link": [{"src": 0, "dst": 1, "latency": {"kind": "gamma", "scale": 0.5e-9}}]}},
+    ),
+    ("network.processing.sender", {"network": {"processing": {"sender": 0.5e-9}}}),
+    ("announce.forget_after", {"announce": {"forget_after": 0.5e-9}}),
+    ("evader.reaction", {"evader": {"reaction": 0.5e-9}}),
+]
+
+
+@pytest.mark.parametrize(("key", "given"), SHORT)
+def test_a_time_that_rounds_to_0_is_warned_of(key, given):
+    assert [each for each in warned(**given) if each[0] == key] == [
+        (key, "5e-10 s rounds to 0, for time is counted in nanoseconds")
+    ]
+
+
+def test_the_shortest_times_that_do_not_round_to_0_are_not_warned_of():
+    assert warned(network={"latency": Constant(value=0.51e-9), "processing": {"receiver": 1e-9}}) == []
+
+
+PERIODS = [
+    ("motion.step", {"motion": {"step": 1.5}}),
+    ("record.trajectory", {"record": {"trajectory": 1.5}}),
+    ("announce.heartbeat", {"announce": {"heartbeat": 1.5}}),
+    ("sensing.period", {"sensing": {"period": 1.5, "radius": 3.0}}),
+    ("protocol.slot", {"protocol": {"kind": "centralised", "slot": 1.5}}),
+    ("protocol.schedule.slot", {"protocol": {"kind": "sap", "schedule": {"kind": "shared_seed", "slot": 1.5}}}),
+    ("protocol.schedule.hold", {"protocol": {"kind": "sap", "schedule": {"kind": "token_ring", "hold": 1.5}}}),
+    ("evader.1.strategy.period", {"evader": [{}, {"strategy": {"kind": "zigzag", "period": 1.5}}]}),
+]
+
+
+@pytest.mark.parametrize(("key", "given"), PERIODS)
+@pytest.mark.parametrize(("horizon", "warned_of"), [(1.5, False), (1.499, True)])
+def test_a_period_beyond_the_horizon_is_warned_of(key, given, horizon, warned_of):
+    expected = [(key, "1.5 s is longer than the horizon of 1.499 s")] * warned_of
+    assert [each for each in warned(**given, horizon=horizon) if "longer than" in each[1]] == expected
+
+
+def test_a_period_that_nothing_has_may_be_beyond_the_horizon():
+    """Without heartbeats, without a limit of sight, and for faults, whose mean duration is no period."""
+    silent = Announcements(heartbeat=99.0, trigger="change")
+    assert warned(announce=silent, sensing=Sensing(period=0.1), horizon=0.5) == []
+    assert [why for _, why in warned(fault=[RandomCrashes(mean_downtime=99.0)]) if "longer than" in why] == []
+
+
+def test_each_thing_is_warned_of_in_one_go():
+    """Assumptions stand between what concerns the network and what concerns motion."""
+    keys = [
+        key
+        for key, _ in warned(
+            team=Team(count=2, speeds=0.5),
+            network=Links(reach=QuasiUnitDisk()),
+            protocol=SpatialAdaptivePlay(schedule=Rounds()),
+            fault=[ClockSkew(offset=1.0)],
+            motion=Motion(step=31.0),
+        )
+    ]
+    assert keys == ["team.speeds", "network.reach", "protocol", "protocol.schedule", "motion.step"]
+
+
+def test_a_protocol_from_a_script_has_nothing_to_be_warned_of():
+    assert warned(protocol=lambda me: iter(()), announce=Announcements(trigger="never")) == []

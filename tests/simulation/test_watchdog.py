@@ -1,0 +1,224 @@
+"""Time-outs: whatever takes too long is ended, and a run then says what each pursuer waits for."""
+
+import time
+from contextlib import suppress
+from queue import SimpleQueue
+from threading import Event
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from pydantic import BaseModel, field_serializer
+from pydantic_core import PydanticSerializationError
+
+from desim.cli import main
+from desim.results import run_folder
+from desim.scenario.scenario import Motion, Scenario, Team
+from desim.simulation.run import run
+from desim.simulation.watchdog import TimedOut, within
+from desim.study.sweep import sweep
+
+
+def spin(me):
+    """Loop without end at the first turn of pursuer 1; the others sleep, or wait for mail that never comes."""
+    yield me.sleep(0.5)
+    while me.id == 1:
+        pass
+    yield from mail(me)
+
+
+def mail(me):
+    yield me.arrival("never")
+
+
+def endless(me):
+    """Let no time pass."""
+    while True:
+        yield me.sleep(0.0)
+
+
+def scenario(protocol):
+    return Scenario(team=Team(count=3), protocol=protocol, motion=Motion(frozen=True), horizon=9.0)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), 1e300])
+def test_a_limit_is_a_time(limit):
+    with pytest.raises(ValueError, match="should be a time > 0 s"), within(limit):
+        pass
+
+
+@pytest.mark.slow
+def test_what_ends_in_time_is_left_alone():
+    """Also if the time is over in the very moment in which it ends: it hears of that at once, or never."""
+    for _ in range(200):
+        start = time.monotonic()
+        try:
+            with within(0.001):
+                while time.monotonic() - start < 0.001:
+                    pass
+        except TimedOut as error:
+            told = str(error)
+            assert not told or told.startswith("took longer than 0.001 s: ")
+    for _ in range(100_000):
+        pass
+
+
+def test_who_hears_of_it_only_as_it_ends_is_told_what_took_so_long(monkeypatch):
+    """The time is over while it takes leave, which has no end."""
+    begun = []
+
+    class Slow(Event):
+        def set(self):
+            begun.append(self)
+            while len(begun) == 1:
+                pass
+            super().set()
+
+    monkeypatch.setattr("desim.simulation.watchdog.Event", Slow)
+    with pytest.raises(TimedOut, match=r"^took longer than 0.05 s: tests/test_timeout.py:\d+ \(set\)$"), within(0.05):
+        pass
+
+
+@pytest.fixture
+def look(monkeypatch):
+    """Return what lets the watcher look once, after which its exception is raised, if it raises one; no time passes."""
+    watched = []
+
+    class Cued(Event):
+        def __init__(self):
+            super().__init__()
+            self.cues, self.looks = SimpleQueue(), SimpleQueue()
+            watched.append(self)
+
+        def wait(self, pause):
+            if pause < 9.0:
+                self.looks.put(None)
+            self.cues.get()
+            return self.is_set()
+
+        def set(self):
+            super().set()
+            self.cues.put(None)
+
+    def once():
+        watched[-1].cues.put(None)
+        watched[-1].looks.get()
+
+    monkeypatch.setattr("desim.simulation.watchdog.Event", Cued)
+    return once
+
+
+def test_it_is_raised_again_whenever_it_is_lost_and_never_while_it_is_on_its_way(look):
+    told = []
+
+    def lose():
+        for k in range(5):
+            try:
+                look()
+            except TimedOut:
+                look()
+                told.append(k)
+        try:
+            look()
+        finally:
+            look()
+            told.append("clean-up")
+
+    with pytest.raises(TimedOut, match=r"^took longer than 9 s: tests/test_timeout.py:\d+ \(once\)$"), within(9.0):
+        lose()
+    assert told == [0, 1, 2, 3, 4, "clean-up"]
+
+
+class Late(BaseModel):
+    """Is late when it is serialised: pydantic turns whatever is raised there into an error of its own."""
+
+    look: Any
+
+    @field_serializer("look")
+    def _written(self, look):
+        look()
+
+
+def test_an_error_that_it_is_turned_into_is_taken_for_what_it_is(look):
+    with pytest.raises(TimedOut, match=r"^took longer than 9 s: ") as caught, within(9.0):
+        Late(look=look).model_dump_json()
+    assert isinstance(caught.value.__cause__, PydanticSerializationError)
+
+
+def test_what_loses_it_to_the_end_has_taken_too_long_all_the_same(look):
+    with (
+        pytest.raises(TimedOut, match=r"^took longer than 9 s: it ended before"),
+        within(9.0),
+        suppress(PydanticSerializationError),
+    ):
+        Late(look=look).model_dump_json()
+
+
+def test_an_interrupt_is_not_taken_for_it(look):
+    def interrupted():
+        try:
+            look()
+        finally:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), within(9.0):
+        interrupted()
+
+
+@pytest.mark.slow
+def test_no_limit_is_lost_in_a_serialiser():
+    """Of 87 limits that were told of once 15 were lost here, and 69 were a PydanticSerializationError."""
+
+    def write_on():
+        while True:
+            model.model_dump_json()
+
+    model = Scenario()
+    for _ in range(50):
+        with pytest.raises(TimedOut, match=r"^took longer than 0.02 s: "), within(0.02):
+            write_on()
+
+
+def test_a_loop_without_end_is_ended_and_everybody_told_of():
+    """Pursuer 1 never comes back from its turn at 0.5 s; 0 has gone on to wait for mail, 2 has its turn yet to come."""
+    with pytest.raises(TimedOut) as caught, within(0.3):
+        run(scenario(spin))
+    first, *others = str(caught.value).splitlines()
+    assert first.startswith("took longer than 0.3 s: at 0.5 s of simulated time, in tests/test_timeout.py:")
+    assert "(spin); " in first
+    own = [line.strip() for line in others]
+    assert len(own) == 2
+    assert own[0].startswith("pursuer 0: tests/test_timeout.py:")
+    assert own[0].endswith('(mail): yield me.arrival("never")')
+    assert own[1].startswith("pursuer 2: ")
+    assert own[1].endswith("yield me.sleep(0.5), at 0.5 s")
+
+
+def test_a_run_in_which_no_time_passes_is_ended():
+    with pytest.raises(TimedOut, match=r"(?s)at 0 s of simulated time, in .*pursuer 2: "), within(0.3):
+        run(scenario(endless))
+
+
+@pytest.mark.slow
+def test_the_command_ends_with_1_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_folder, "can_plot", lambda: False)  # to find out takes its time
+    file = tmp_path / "long.toml"
+    file.write_text("horizon = 1e9\nevader.speed = 9.0\nteam.count = 2\nrecord.trajectory = 0.0\n")
+    made = CliRunner().invoke(main, ["run", str(file), "--timeout", "1", "-o", str(tmp_path / "out")])
+    assert made.exit_code == 1
+    assert "\n--timeout: took longer than 1 s: at " in made.stderr
+    assert "\n  pursuer 1: " in made.stderr
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("text", ["0", "nan", "soon"])
+def test_the_command_refuses_what_is_no_time(tmp_path, text):
+    made = CliRunner().invoke(main, ["run", str(tmp_path / "x.toml"), "--timeout", text])
+    assert made.exit_code == 2
+    assert "Invalid value for '--timeout'" in made.stderr
+
+
+@pytest.mark.slow
+def test_a_run_of_a_sweep_that_takes_too_long_has_failed_and_the_others_go_on():
+    swept = sweep(scenario(endless), {"horizon": [1e-9, 1.0]}, reps=1, timeout=0.3)
+    assert len(swept.failed) == 2

@@ -1,0 +1,263 @@
+"""The driver: each task has one outcome, whatever becomes of it and of who does it."""
+
+import sys
+import threading
+from collections import Counter
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import closing
+from functools import partial
+
+import pytest
+
+import desim
+from desim.analysis.metrics import summary
+from desim.scenario.toml import load
+from desim.simulation.run import run
+from desim.study import dispatch
+from desim.study.dispatch import CRASHED, INNERMOST, LOT_SIZE, drive
+from desim.study.store import Row
+from desim.study.workers import Here, Workers, workers_for
+from tests.study import sweeps
+from tests.study.test_workers import command
+
+FAILED = 3
+WAYS = ("raise", "stubborn", "wild", "quit", "recursion", "memory", "huge")
+"""Ways in which a run raises."""
+PASSED = ("raise", "picky", "quit", "stubborn")
+"""Those of which another process may be told, or not."""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    """Return a scenario in which nothing goes wrong yet."""
+    return load(sweeps.write(tmp_path / "in", losses=(0.2,), reps=40), allow_import=True)
+
+
+def wrong(scenario, how, *bad):
+    """Return a scenario that goes wrong in a way if the seed is one of some."""
+    return scenario.model_copy(update={"protocol": scenario.protocol.model_copy(update={"how": how, "bad": bad})})
+
+
+def outcomes(tasks, workers, measure=summary):
+    """Return what becomes of tasks, in their order, each once."""
+    found = list(drive(tasks, workers, measure))
+    assert sorted(k for k, _ in found) == list(range(len(tasks)))
+    return [outcome for _, outcome in sorted(found, key=lambda each: each[0])]
+
+
+class Counting(Here):
+    """Notes how many runs it is handed at once."""
+
+    def __init__(self, took=0.0):
+        super().__init__()
+        self.lots, self.took = [], took
+
+    def submit(self, call):
+        self.lots.append(len(call.args[0]))
+        future = Future()
+        future.set_result(([dispatch.Outcome("ok", task) for task in call.args[0]], self.took))
+        return future
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
+@pytest.mark.parametrize("took", [1e-6, 0.01, 10.0])
+def test_each_task_is_handed_out_once_in_its_order_and_the_first_alone(count, took):
+    workers = Counting(took)
+    assert list(drive(range(count), workers)) == [(k, dispatch.Outcome("ok", k)) for k in range(count)]
+    assert sum(workers.lots) == count
+    assert workers.lots[:1] == [1][:count]
+    most = {1e-6: LOT_SIZE, 0.01: 25, 10.0: 1}[took]  # in 0.25 s
+    assert max(workers.lots, default=0) == (most if count == 1000 else min(count, 1))
+
+
+def test_towards_the_end_lots_become_small_so_that_all_workers_end_together():
+    workers = Counting(1e-6)
+    workers.count = 4
+    list(drive(range(200), workers))
+    assert workers.lots[-8:] == [1] * 8
+    assert max(workers.lots) <= 200 // 8
+
+
+def test_a_lot_that_a_broken_worker_did_not_take_is_handed_out_again_in_its_order():
+    class Broken(Counting):
+        renewed = 0
+
+        def submit(self, call):
+            if len(call.args[0]) > 2 and not self.renewed:
+                raise BrokenExecutor
+            return super().submit(call)
+
+        def renew(self):
+            self.renewed += 1
+
+    workers = Broken(1e-6)
+    assert [k for k, _ in drive(range(100), workers)] == list(range(100))
+    assert workers.renewed == 1
+
+
+def test_the_time_of_a_run_is_that_of_its_lot_shared(monkeypatch):
+    now = 3.0
+
+    def simulate(scenario, seed):
+        nonlocal now
+        now += 0.5
+        return seed
+
+    monkeypatch.setattr(dispatch, "perf_counter", lambda: now)
+    outcomes, took = dispatch.perform([(None, k) for k in range(10)], lambda result: result, simulate)
+    assert [outcome.value for outcome in outcomes] == list(range(10))
+    assert took == 0.5
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_its_worker_costs_no_other_run(scenario):
+    """The first and the last are killed; of two at once, each leaves with exit code 0."""
+    ways = {0: "kill", 11: "leave", 12: "leave", 23: "kill"}
+    tasks = [(wrong(scenario, ways.get(seed, ""), *ways), seed) for seed in range(24)]
+    with workers_for(2) as workers:
+        found = outcomes(tasks, workers)
+    assert {k for k, each in enumerate(found) if each.status == "crashed"} == ways.keys()
+    for k, each in enumerate(found):
+        assert each.traceback == (CRASHED if k in ways else "")
+        assert each.value == (None if k in ways else summary(run(*tasks[k])))
+
+
+@pytest.mark.slow
+def test_the_crash_of_the_seventh_of_twenty_runs_is_a_row_of_the_same_table_everywhere(tmp_path, cluster):
+    file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=20, bad=(6,), how="exit")
+    told = []
+    for name, options in {"processes": ("-j", 2), "cluster": ("--cluster", cluster)}.items():
+        made = command("sweep", file, "--allow-import", "-o", tmp_path / name, *options)
+        assert made.exit_code == FAILED, made.output
+        assert "1 runs failed; the same command tries them again" in made.stderr
+        assert command("export", tmp_path / name, tmp_path / name / "runs.csv").exit_code == 0
+        table = (tmp_path / name / "runs.csv").read_text()
+        told.append((made.stdout, table, sweeps.rows(tmp_path / name / "sweep.sqlite")))
+    assert told[0] == told[1]
+    _, table, (_, runs) = told[0]
+    assert [row.split(",")[1:3] for row in table.splitlines()[1:]] == [
+        [str(k), "crashed" if k == 6 else "ok"] for k in range(20)
+    ]
+    assert CRASHED.strip() in table.splitlines()[7]
+    assert Counter(run[4] for run in runs) == {"ok": 19, "crashed": 1}
+
+
+@pytest.mark.slow
+def test_two_crashes_on_a_cluster_cost_two_runs(scenario, cluster):
+    tasks = [(wrong(scenario, "kill", 0, 11), seed) for seed in range(20)]
+    with workers_for(cluster) as workers:
+        found = outcomes(tasks, workers)
+    assert [each.status for each in found] == ["crashed" if k in (0, 11) else "ok" for k in range(20)]
+
+
+@pytest.mark.slow
+def test_what_a_run_raises_reads_the_same_wherever_it_does(scenario, cluster):
+    """Two good runs stand between the bad ones, so that some share a lot with others."""
+    tasks = [task for how in WAYS for task in ((wrong(scenario, how, 0), 0), (scenario, 1), (scenario, 2))]
+    here = outcomes(tasks, Here())
+    assert [each.status for each in here] == ["error", "ok", "ok"] * len(WAYS)
+    texts = dict(zip(WAYS, (each.traceback for each in here[::3]), strict=True))
+    last = {how: Row(0, 0, "error", traceback=text).error for how, text in texts.items()}
+    assert last["raise"] == "ValueError: seventh heaven"
+    assert last["stubborn"] == "my_trouble.StubbornError: no pickle"
+    assert last["wild"] == "my_trouble.WildError: whoa"
+    assert last["quit"].startswith("RuntimeError: the protocol called exit(4) (pursuer 0, at ")
+    assert last["recursion"].startswith("RecursionError: ")
+    assert last["memory"].startswith("MemoryError")
+    assert last["huge"].startswith(("MemoryError", "OverflowError"))
+    for how, text in texts.items():
+        assert text.startswith("Traceback (most recent call last):")
+        assert text.count("File ") <= 2 * INNERMOST  # what a process raised, and where its simulator did
+        assert 'my_rules.py", line' in text or how == "recursion"
+    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
+        for where in (threads, processes, 2, cluster):
+            with workers_for(where) as workers:
+                there = outcomes(tasks, workers)
+            assert [(each.status, each.value, each.traceback) for each in there] == [
+                (each.status, each.value, each.traceback) for each in here
+            ]
+
+
+@pytest.mark.slow
+def test_an_exception_is_passed_on_if_another_process_can_be_told_of_it(scenario):
+    def fail(how, _):
+        sys.modules["my_trouble"].trouble(how)
+
+    def fail_there(how, _):  # where nobody has imported it
+        trouble(how)
+
+    trouble = sys.modules["my_trouble"].trouble
+    for workers, measure in ((Here(), fail), (workers_for(2), fail_there)):
+        found = {how: outcomes([(scenario, 0)], workers, partial(measure, how))[0] for how in PASSED}
+        assert {each.status for each in found.values()} == {"error"}
+        assert repr(found["raise"].error) == "ValueError('seventh heaven')"
+        assert repr(found["quit"].error) == "SystemExit(4)"
+        assert repr(found["picky"].error) in {"None", "PickyError('this and that')"}  # Dask's pickler knows a way
+        assert found["picky"].traceback.endswith("my_trouble.PickyError: this and that\n")
+        assert found["stubborn"].error is None
+
+
+def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(drive([(scenario, 0)], Here(), simulate=interrupt))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_pickled_is_an_error_of_each_run_that_would_need_it(scenario, cluster):
+    """A measure that returns a lock, and one that has a lock."""
+    lock = threading.Lock()
+
+    def give(_):
+        return threading.Lock()
+
+    def have(_):
+        return lock
+
+    tasks = [(scenario, seed) for seed in range(6)]
+    with ProcessPoolExecutor(2) as processes:
+        for where in (2, cluster, processes):
+            with workers_for(where) as workers:
+                for measure in (give, have):
+                    found = outcomes(tasks, workers, measure)
+                    assert {(each.status, each.traceback) for each in found} == {
+                        ("error", "TypeError: cannot pickle '_thread.lock' object\n")
+                    }
+    assert [each.status for each in outcomes(tasks, Here(), give)] == ["ok"] * 6  # it never leaves
+
+
+@pytest.mark.slow
+def test_an_executor_that_breaks_ends_the_sweep_and_what_was_done_is_kept(tmp_path):
+    scenario = load(sweeps.write(tmp_path / "in", losses=(0.2,), bad=(30,), how="exit", reps=40), allow_import=True)
+    with (
+        ProcessPoolExecutor(2) as executor,
+        pytest.raises(BrokenExecutor, match=r"ProcessPoolExecutor.* takes no more work: give a number of workers"),
+    ):
+        desim.sweep(scenario, executor=executor, store=tmp_path / "store.sqlite")
+    _, runs = sweeps.rows(tmp_path / "store.sqlite")
+    assert 4 <= len(runs) < 40
+    assert {row[4] for row in runs} == {"ok"}
+
+
+class Lazy(Executor):
+    """Makes the first call and no other."""
+
+    def __init__(self):
+        self.futures = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.futures.append(Future())
+        if len(self.futures) == 1:
+            self.futures[0].set_result(fn(*args, **kwargs))
+        return self.futures[-1]
+
+
+def test_what_nobody_waits_for_any_more_is_called_off(scenario):
+    executor = Lazy()
+    with closing(drive([(scenario, k) for k in range(9)], Workers(executor, 2))) as found:
+        assert next(found)[0] == 0
+        assert not any(future.cancelled() for future in executor.futures)
+    assert len(executor.futures) == 4  # two for each worker
+    assert [future.cancelled() for future in executor.futures] == [False, True, True, True]

@@ -1,0 +1,291 @@
+"""Pictures of a sweep: what is drawn where."""
+
+from dataclasses import replace
+from itertools import pairwise, product
+from math import inf, isnan
+
+import numpy as np
+import pytest
+
+from desim.analysis.metrics import summary
+from desim.analysis.plots import save
+from desim.scenario.scenario import Scenario, Team
+from desim.simulation.run import run
+from desim.study.figures import INK, means, multiples, phase
+from desim.study.result import Group, SweepResult
+from desim.study.store import Row
+
+RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
+
+
+def result(grid, runs=3, name="a <b> & $c$"):
+    """Return a sweep in which the active time of configuration k is k, k + 1, ... s, and nobody is captured."""
+    groups = []
+    for k, values in enumerate(product(*grid.values())):
+        rows = [Row(r, r, "ok", replace(RUN, active_time=float(k + r), capture_time=None)) for r in range(runs)]
+        groups.append(Group(dict(zip(grid, values, strict=True)), tuple(rows)))
+    return SweepResult(name, tuple(grid), tuple(groups))
+
+
+def drawn(grid, metric="active_time", **options):
+    """Return the axes of a picture, and the points and error bars of each line in it."""
+    (axes,) = means(result(grid, **options), metric).axes
+    return axes, [container.lines[0] for container in axes.containers]
+
+
+def ticks(axis):
+    return dict(zip([text.get_text() for text in axis.get_ticklabels()], axis.get_ticklocs(), strict=True))
+
+
+def test_one_key_is_a_line_over_its_values():
+    axes, (line,) = drawn({"horizon": [1.0, 2.0, 5.0]})
+    assert line.get_xdata().tolist() == [1.0, 2.0, 5.0]
+    assert line.get_ydata().tolist() == [1.0, 2.0, 3.0]
+    assert ticks(axes.xaxis) == {"1": 1.0, "2": 2.0, "5": 5.0}
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("horizon (s)", "active time (s)")
+    assert axes.get_title() == "a <b> & $c$, 95 % intervals"
+    assert axes.get_legend() is None
+
+
+def test_error_bars_are_intervals():
+    """Of k, k + 1, k + 2: 4.303 / sqrt(3) = 2.484 to either side."""
+    axes, _ = drawn({"horizon": [1.0, 2.0]})
+    (bars,) = axes.containers[0].lines[2]
+    assert [segment[:, 1].tolist() for segment in bars.get_segments()] == [
+        pytest.approx([mean - 2.484, mean + 2.484], abs=1e-3) for mean in (1.0, 2.0)
+    ]
+
+
+def test_values_out_of_order_are_drawn_from_left_to_right():
+    _, (line,) = drawn({"horizon": [5.0, 1.0, 2.0]})
+    assert line.get_xdata().tolist() == [1.0, 2.0, 5.0]
+    assert line.get_ydata().tolist() == [2.0, 3.0, 1.0]
+
+
+def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
+    axes, lines = drawn({"network.range": [1.0, 2.0], "prune": ["inf", "none", "infeasible"]})
+    places = np.array([line.get_xdata() for line in lines])
+    assert (np.diff(places, axis=0) > 0.0).all()
+    assert places.mean(axis=0) == pytest.approx([1.0, 2.0])
+    assert np.ptp(places[:, 0]) < 0.05
+    legend = axes.get_legend()
+    assert legend.get_title().get_text() == "prune"
+    assert [text.get_text() for text in legend.get_texts()] == ["inf", "none", "infeasible"]
+    assert len({line.get_color() for line in lines}) == 3
+
+
+def test_lines_over_several_other_keys_are_named_by_all_of_them():
+    axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.frozen": [True, False]})
+    assert len(lines) == 4
+    assert axes.get_legend().get_texts()[0].get_text() == "prune = inf, motion.frozen = true"
+    assert axes.get_xlabel() == "network.range (m)"
+
+
+@pytest.mark.slow
+def test_many_lines_look_different():
+    _, lines = drawn({"network.range": [1.0, 2.0], "prune": [str(k) for k in range(20)]})
+    assert len({(line.get_color(), line.get_marker()) for line in lines}) == 20
+    assert len({line.get_marker() for line in lines[:5]}) == 5, "in grey, too"
+
+
+def test_infinity_stands_to_the_right_of_all():
+    axes, (line,) = drawn({"network.range": [4.0, inf, 8.0]})
+    assert ticks(axes.xaxis) == pytest.approx({"4": 4.0, "8": 8.0, "inf": 8.8})
+    assert line.get_ydata().tolist() == [1.0, 3.0, 2.0]
+
+
+def test_one_value_and_infinity_are_apart():
+    axes, _ = drawn({"network.range": [inf, 4.0]})
+    assert ticks(axes.xaxis) == {"4": 4.0, "inf": 5.0}
+
+
+def test_values_of_several_magnitudes_are_equally_far_apart_with_0_and_infinity_at_the_ends():
+    """From 0.01 to 10 three decades: a fifth of them, 0.6, lies before and after."""
+    axes, (line,) = drawn({"x": [0.0, 0.01, 0.1, 1.0, 10.0, inf]})
+    assert ticks(axes.xaxis) == pytest.approx({"0": -2.6, "0.01": -2.0, "0.1": -1.0, "1": 0.0, "10": 1.0, "inf": 1.6})
+    assert line.get_xdata() == pytest.approx([-2.6, -2.0, -1.0, 0.0, 1.0, 1.6])
+
+
+@pytest.mark.parametrize("values", [[float(k) for k in range(30)], [-100.0, 0.1, 1.0, 10.0], [1.0, 25.0], [0.0, 0.5]])
+def test_other_values_are_drawn_as_they_are(values):
+    _, (line,) = drawn({"x": values})
+    assert line.get_xdata().tolist() == values
+
+
+def test_not_every_one_of_many_values_has_a_tick():
+    axes, _ = drawn({"x": [float(k) for k in range(30)]})
+    assert len(axes.get_xticks()) < 12
+    axes, _ = drawn({"x": [*(float(k) for k in range(30)), inf]})
+    assert len(axes.get_xticks()) == 8
+    assert {"0", "inf"} < ticks(axes.xaxis).keys()
+
+
+LABELS = {"labels": ["sap", "best_response"], "truths": [True, False], "one number": [3.0], "infinity": [inf]}
+
+
+@pytest.mark.parametrize("values", LABELS.values(), ids=LABELS)
+def test_what_is_no_axis_of_numbers_is_a_row_each_the_first_on_top(values):
+    axes, (line,) = drawn({"x": values, "y": ["a", "b"]})
+    assert line.get_xdata().tolist() == [k + 1.0 for k in range(2 * len(values))]
+    assert list(ticks(axes.yaxis))[1].endswith(", b")
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("active time (s)", "x, y")
+
+
+def test_more_rows_make_a_higher_picture():
+    heights = [means(result({"x": [str(k) for k in range(n)]}), "active_time").get_size_inches()[1] for n in (1, 10)]
+    assert heights[1] > 2.0 * heights[0]
+
+
+GRIDS = {
+    "numbers": ({"x": [1.0, 2.0], "y": ["$a_$", "b"]}, "active_time"),
+    "labels": ({"x": ["<lambda>", "$a$ & b"]}, "capture_time"),
+    "infinity": ({"x": [1.0, inf]}, "active_time"),
+}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("grid", "metric"), GRIDS.values(), ids=GRIDS)
+def test_a_picture_can_be_saved_also_of_single_runs_and_of_what_nobody_measured(tmp_path, grid, metric):
+    for path in save(means(result(grid, runs=1), metric), tmp_path / "x"):
+        assert path.stat().st_size > 1000
+
+
+def test_names_are_drawn_as_they_are():
+    """matplotlib hides lines whose name begins with an underscore, and reads $..$ as mathematics."""
+    axes, _ = drawn({"x": [1.0, 2.0], "y": ["_own", "$a_$"]})
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == [" _own", r"\$a_\$"]
+
+
+def test_what_nobody_measured_is_not_drawn():
+    _, (line,) = drawn({"x": [1.0, 2.0]}, "capture_time")
+    assert all(map(isnan, line.get_ydata()))
+
+
+def test_a_metric_without_a_unit_has_none():
+    axes, _ = drawn({"x": [1.0, 2.0]}, "switches")
+    assert axes.get_ylabel() == "switches"
+
+
+# Several metrics.
+
+
+@pytest.mark.slow
+def test_small_panels_show_what_the_pictures_of_each_metric_show():
+    grid, metrics = {"horizon": [1.0, 2.0], "prune": ["inf", "none"]}, ["active_time", "switches", "end_time", "energy"]
+    figure = multiples(result(grid), metrics)
+    assert len(figure.axes) == 6  # of which two are empty
+    assert [axes.axison for axes in figure.axes] == [True] * 4 + [False] * 2
+    for axes, metric in zip(figure.axes, metrics, strict=False):
+        alone, lines = drawn(grid, metric)
+        assert axes.get_title(loc="left") == alone.get_ylabel()
+        here = [container.lines[0] for container in axes.containers]
+        assert [line.get_xydata().tolist() for line in here] == [line.get_xydata().tolist() for line in lines]
+        assert axes.get_legend() is None
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "prune"
+    assert [each.get_text() for each in legend.get_texts()] == ["inf", "none"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", *["horizon (s)"] * 3, "", ""]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("size", [1, 9])
+def test_the_legend_of_small_panels_is_within_the_picture(size):
+    others = {"network.range": [float(k) for k in range(size)], "announce.payload": ["action", "state"]}
+    figure = multiples(result({"x": [1.0, 2.0]} | others), ["active_time"])
+    box = figure.legends[0].get_window_extent()
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0
+    assert box.y1 < figure.axes[0].get_window_extent().y0
+    assert figure.axes[0].get_window_extent().height > 60
+
+
+def test_small_panels_over_no_number_have_a_row_per_configuration():
+    figure = multiples(result({"prune": ["inf", "none"]}), ["active_time", "switches"])
+    assert not figure.legends
+    assert [axes.get_ylabel() for axes in figure.axes] == ["prune", ""]
+    assert list(ticks(figure.axes[0].yaxis)) == ["inf", "none"]
+    assert [each.label2.get_visible() or each.label1.get_visible() for each in figure.axes[1].yaxis.majorTicks] == [
+        False
+    ] * 2
+
+
+def test_there_are_no_panels_of_nothing():
+    with pytest.raises(ValueError, match="at least one metric"):
+        multiples(result({"x": [1.0, 2.0]}), [])
+
+
+# Phase diagrams.
+
+
+def written(axes):
+    """Return the text of each cell of a map, by place."""
+    return {tuple(each.get_position()): each.get_text() for each in axes.texts}
+
+
+def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
+    """Of k, k + 1, k + 2, the mean is k + 1; the last key changes fastest, and values are sorted."""
+    figure = phase(result({"x": [2.0, 1.0], "prune": ["inf"], "y": [4.0, inf, 3.0]}), "active_time")
+    (axes,) = figure.axes
+    assert ticks(axes.xaxis) == {"1": 0, "2": 1}
+    assert ticks(axes.yaxis) == {"3": 0, "4": 1, "inf": 2}
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("x", "y", "prune = inf")
+    assert written(axes) == {(1, 1): "1", (1, 2): "2", (1, 0): "3", (0, 1): "4", (0, 2): "5", (0, 0): "6"}
+
+
+def test_a_phase_diagram_has_a_panel_for_each_combination_of_the_other_keys_in_the_same_colours():
+    figure = phase(result({"prune": ["inf", "none"], "x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time")
+    one, other = figure.axes
+    assert [one.get_title(), other.get_title()] == ["prune = inf", "prune = none"]
+    assert written(other)[0, 0] == "5"
+    cells = [each for axes in figure.axes for each in zip(axes.texts, axes.patches, strict=True)]
+    faces = [patch.get_facecolor() for _, patch in sorted(cells, key=lambda each: float(each[0].get_text()))]
+    light = [0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue, _ in faces]
+    assert len(set(light)) == 8
+    assert light == sorted(light)
+
+
+def test_what_is_written_on_dark_is_light():
+    axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time").axes[0]
+    for patch, each in zip(axes.patches, axes.texts, strict=True):
+        red, green, blue, _ = patch.get_facecolor()
+        light = 0.299 * red + 0.587 * green + 0.114 * blue
+        assert each.get_color() == ("white" if light < 0.5 else INK)
+    assert {each.get_color() for each in axes.texts} == {"white", INK}
+
+
+@pytest.mark.slow
+def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
+    axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "capture_time").axes[0]
+    assert set(written(axes).values()) == {"-"}
+    assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize(("panels", "size"), [(1, 3), (3, 8)])
+def test_what_is_written_in_a_cell_fits_into_it(panels, size):
+    """Values of up to 20,000, and panels of one width beside each other."""
+    grid = {"prune": [str(k) for k in range(panels)], "x": [k + 0.125 for k in range(size)], "y": [1.0, 2.0]}
+    found = result(grid)
+    many = tuple(
+        replace(
+            group, rows=tuple(replace(row, summary=replace(row.summary, active_time=1e4 + k)) for row in group.rows)
+        )
+        for k, group in enumerate(found.groups)
+    )
+    figure = phase(replace(found, groups=many), "active_time")
+    figure.draw_without_rendering()
+    assert figure.get_size_inches()[0] <= 9.4
+    for axes in figure.axes:
+        if not axes.axison:
+            continue
+        width = axes.get_window_extent().width / size
+        assert all(each.get_window_extent().width < 0.95 * width for each in axes.texts)
+        ticks = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_visible()]
+        assert all(one.x1 < other.x0 for one, other in pairwise(ticks))
+    assert {each.get_text() for each in figure.axes[0].texts} >= {"10,000", "10,001"}
+
+
+def test_a_phase_diagram_needs_two_numbers():
+    with pytest.raises(ValueError, match="two keys that take several numbers, there are 1"):
+        phase(result({"x": [1.0, 2.0], "prune": ["inf", "none"], "y": [3.0]}), "active_time")
