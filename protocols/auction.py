@@ -100,7 +100,7 @@ def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
         return lambda _: NO_BID
     if not me.senses_others:
         return lambda bid: bid
-    phi = me.whereabouts(evader).capture_times.tolist()
+    phi = me.team_estimate(evader).capture_times.tolist()
     return lambda bid: bid if bid.winner == NOBODY else Bid(bid.winner, -phi[bid.winner])
 
 

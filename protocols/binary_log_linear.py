@@ -17,7 +17,7 @@ from typing import Literal
 from desim.pursuit.agent import Agent
 from desim.pursuit.game import logit
 from protocols.rule import present
-from protocols.sap import LogLinear, drawn
+from protocols.sap import LogLinear, categorical
 
 
 class BinaryLogLinear(LogLinear):
@@ -35,7 +35,7 @@ class BinaryLogLinear(LogLinear):
             worth = self.utilities(me)
             now = present(me, worth)
             trial = self.trial(me, list(worth), now)
-            yield (now, trial)[drawn(logit([worth[now], worth[trial]], inverse_tau), me.rng)]
+            yield (now, trial)[categorical(logit([worth[now], worth[trial]], inverse_tau), me.rng)]
 
 
 class SelectiveSAP(BinaryLogLinear):

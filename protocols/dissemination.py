@@ -18,7 +18,7 @@ from pydantic import Field
 
 from desim.config.model import Time, Value
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import Relayed
+from desim.pursuit.announcements import Forwarded
 
 PORT = "word"
 """Where word that is passed on comes in."""
@@ -65,7 +65,7 @@ class Flooding(Value):
 
     def tell(self, me: Agent, news: Any) -> None:
         """Send it to the neighbours."""
-        me.send(None, Relayed((me.record(news),), self.hops), PORT)
+        me.send(None, Forwarded((me.record(news),), self.hops), PORT)
 
     def __call__(self, me: Agent) -> Process:
         """Pass on what is new after a random delay."""
@@ -78,7 +78,7 @@ class Flooding(Value):
                 me.learn([record])
                 if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
                     passed_on[record.src] = (record.seq, hops)
-                    again = partial(me.send, None, Relayed((record,), hops - 1), PORT)
+                    again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
                     me.after(rng.uniform(0.0, self.jitter), again)
 
 
@@ -93,7 +93,7 @@ class Gossip(Value):
     def tell(self, me: Agent, news: Any) -> None:
         """Send it with all that is known."""
         known = [record for _, record in me.heard().values()]
-        me.send(None, Relayed((me.record(news), *known)), PORT)
+        me.send(None, Forwarded((me.record(news), *known)), PORT)
 
     def __call__(self, me: Agent) -> Process:
         """Merge what comes in."""

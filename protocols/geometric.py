@@ -27,12 +27,12 @@ from pydantic import Field
 
 from desim.config.model import Period, Time, Value
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.beliefs import Whereabouts
+from desim.pursuit.beliefs import TeamEstimate
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates, lengths
 from protocols.schedules import ticks
 
-Measure = Callable[[Whereabouts], Floats]
+Measure = Callable[[TeamEstimate], Floats]
 """By what pursuers are compared, the (n,) of them whose whereabouts are known: the least is first."""
 
 
@@ -63,7 +63,7 @@ class Geometric(Value):
             yield me.at(tick)
             measures, present = dict[int, Floats](), dict[int, Collection[int | None]]()
             for evader in me.evaders():
-                known = me.whereabouts(evader)
+                known = me.team_estimate(evader)
                 found = of[evader](known)
                 measures[evader] = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
                 present[evader] = [owner.get(evader)] if me.senses_others else said_active(me, evader)
@@ -112,7 +112,7 @@ class Argmin(Geometric):
             return lambda known: known.capture_times
         velocity = Velocity(self.time_constant)
 
-        def intercept(known: Whereabouts) -> Floats:
+        def intercept(known: TeamEstimate) -> Floats:
             place = me.evader(evader)
             x_e, w = (coordinates(np.array([each]))[0] for each in (place, velocity(me.now, place)))
             return intercept_time(x_e, w, coordinates(known.places), known.speeds, me.radius)

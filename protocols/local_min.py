@@ -4,7 +4,7 @@ Paper: LocalMin: the greedy maximal independent set, in order of (phi, id), of t
     local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: the obvious rule of thumb.
 Parameters: schedule.
 Assumes: that neighbours hear each other. LocalMin leaves one pursuer active in every neighbourhood; ArgminKnown one in
-    all, if everyone hears everyone (`announce.spread` for more than one hop), else it may leave a neighbourhood
+    all, if everyone hears everyone (`announce.dissemination` for more than one hop), else it may leave a neighbourhood
     without any.
 Messages: announcements as the scenario's `announce` says.
 Robust to loss: yes, with heartbeats. Settles under any schedule.
@@ -33,7 +33,7 @@ class LocalMin(Rule):
     def _is_first(self, me: Agent, evader: int, near: set[int]) -> bool:
         """Return whether it would be in time, and no active neighbour before it."""
         own = me.capture_time(evader), me.id
-        active = [(phi, j) for j, phi in me.believed(evader).items() if j in near]
+        active = [(phi, j) for j, phi in me.believed_chasers(evader).items() if j in near]
         return own[0] < me.time_left() and all(own < other for other in active)
 
 

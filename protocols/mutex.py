@@ -22,7 +22,7 @@ from desim.config.model import Duration, Rate, Value
 from desim.kernel.clock import nanoseconds
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from protocols.retransmission import TimeOut, Waiting, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 PORT = "mutex"
 """Where all that concerns the section comes in."""
@@ -102,7 +102,7 @@ class Section:
 
     def __init__(self, me: Agent, attempts: int, floor: float):
         self._me, self._attempts = me, attempts
-        self._time_out = TimeOut(me, on_air(me, len(me.neighbours())), floor)
+        self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), floor)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request
         self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain

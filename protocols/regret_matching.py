@@ -23,7 +23,7 @@ from desim.config.model import Probability
 from desim.pursuit.agent import Agent
 from protocols.best_response import Willingness
 from protocols.rule import LearningRule, present
-from protocols.sap import drawn
+from protocols.sap import categorical
 
 
 class RegretMatching(LearningRule):
@@ -50,7 +50,7 @@ class RegretMatching(LearningRule):
             positive = [max(regret[action], 0.0) for action in worth]
             total = sum(positive)
             willing = me.rng.random() < self.alpha
-            yield list(worth)[drawn([r / total for r in positive], me.rng)] if total > 0.0 and willing else now
+            yield list(worth)[categorical([r / total for r in positive], me.rng)] if total > 0.0 and willing else now
 
 
 class GeneralisedRegretMatching(RegretMatching):

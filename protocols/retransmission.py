@@ -17,7 +17,7 @@ Waiting = Generator[Any, Any, bool]
 """A part of a process that finds out whether something is so."""
 
 
-class TimeOut:
+class RetransmissionTimer:
     """How long one pursuer waits for answers: `time_out(attempt)`.
 
     Args:

@@ -15,7 +15,7 @@ from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from protocols.mutex import LocalMutex
 from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
-from protocols.synchronous import Together
+from protocols.synchronous import Synchronous
 from protocols.token import TokenRing, TokenWalk
 
 SCHEDULES = OneOf(
@@ -26,7 +26,7 @@ SCHEDULES = OneOf(
     TokenRing,
     TokenWalk,
     LocalMutex,
-    Together,
+    Synchronous,
     needs=("mean_slot",),
     takes=("me", "revise"),
 )
@@ -56,7 +56,7 @@ class Rule(Value):
             raise TypeError(f"actions(me) of {type(self).__name__} should yield actions, not return {actions!r}")
 
         def revise() -> None:
-            action = next(actions, None) if me.may_choose() else 0
+            action = next(actions, None) if me.has_choice() else 0
             if action is None:
                 raise ValueError(f"actions(me) of {type(self).__name__} should never end: `while True`")
             me.assign(action)

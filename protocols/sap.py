@@ -43,10 +43,10 @@ class SpatialAdaptivePlay(LogLinear):
         """Yield a draw from the logit at each turn."""
         for inverse_tau in self.inverse_temperatures(me):
             utilities = self.utilities(me)
-            yield list(utilities)[drawn(logit([*utilities.values()], inverse_tau), me.rng)]
+            yield list(utilities)[categorical(logit([*utilities.values()], inverse_tau), me.rng)]
 
 
-def drawn(chances: list[float], rng: np.random.Generator) -> int:
+def categorical(chances: list[float], rng: np.random.Generator) -> int:
     """Return which of several is drawn with the given probabilities, by one number of `rng`."""
     luck = rng.random()
     for which in range(len(chances) - 1, 0, -1):

@@ -23,7 +23,7 @@ Messages: a first report of each and, per period, N - 1 reports of 72 bytes and 
 Robust to loss: yes. Reports and orders are repeated every period, and an order that was overtaken by a newer one is not
     obeyed. The server takes its orders for obeyed: one that is lost or late misplaces its pursuer by the way of the
     time since its last report at most, and only until the repetition. Who has not been heard for long
-    (`announce.forget_after`, where "auto" goes by the period of the reports) is left out, and the server decides
+    (`announce.belief_timeout`, where "auto" goes by the period of the reports) is left out, and the server decides
     without any report only if none has come for 3 periods and a round trip.
 """
 
@@ -36,7 +36,7 @@ from pydantic import Field
 from desim.config.model import Period, Value
 from desim.kernel.clock import nanoseconds, seconds
 from desim.pursuit.agent import Agent, Process
-from desim.pursuit.announcements import Relayed
+from desim.pursuit.announcements import Forwarded
 from desim.pursuit.beliefs import Orders
 from protocols.centralised import matching
 from protocols.schedules import ticks
@@ -88,7 +88,7 @@ class Server(Value):
                     if message.body.number >= newest:
                         newest = message.body.number
                         obey(me, message.body)
-            me.send(self.host, Relayed((me.record(me.located()),)), PORT)
+            me.send(self.host, Forwarded((me.record(me.located()),)), PORT)
 
     def _lead(self, me: Agent) -> Process:
         """Decide on what has arrived, obey oneself, and tell the others."""

@@ -17,7 +17,7 @@ from protocols.schedules import Rounds, Schedule, SharedSeed
 from protocols.token import TokenRing, TokenWalk
 
 
-class Together(Value):
+class Synchronous(Value):
     """A round per slot of a schedule under which pursuers take turns: where that lets one revise, all revise.
 
     So each revises N times as often. The slot that temperatures go by is that of the other schedule, so that they cool

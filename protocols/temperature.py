@@ -87,8 +87,8 @@ class AdaptiveTau(Value):
         GeometricTau()
     )
     """How it cools between two surprises."""
-    surprises: tuple[Surprise, ...] = ("neighbour", "silence", "order")
-    """What surprises: a teammate is heard that was not; one falls silent (`announce.forget_after`); another pursuer
+    reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
+    """What surprises: a teammate is heard that was not; one falls silent (`announce.belief_timeout`); another pursuer
     than before has the least time of capture of an evader, of those that are heard, itself included; or an evader has
     been captured."""
 
@@ -103,9 +103,9 @@ class AdaptiveTau(Value):
             beliefs = me.beliefs()
             ahead = [_first(me, evader) for evader in me.evaders()]
             surprised = heard is not None and (
-                ("neighbour" in self.surprises and bool(beliefs.keys() - heard))
-                or ("silence" in self.surprises and bool(heard - beliefs.keys()))
-                or ("order" in self.surprises and ahead != first)
+                ("neighbour" in self.reheat_on and bool(beliefs.keys() - heard))
+                or ("silence" in self.reheat_on and bool(heard - beliefs.keys()))
+                or ("order" in self.reheat_on and ahead != first)
             )
             since = me.now if surprised else since
             heard, first = beliefs.keys(), ahead

@@ -7,7 +7,7 @@ Assumes: a connected graph; each component of it has a token of its own.
 Messages: two per revision, the token and its receipt; what the pursuers announce besides is theirs. The token carries
     what is known of everyone, so it is long.
 Robust to loss: yes; see `protocols.token_passing`. Without faults every decision is based on the actions of all others
-    as they are, at any latency, as long as word is not forgotten (`forget_after`) between two revisions of a pursuer.
+    as they are, at any latency, as long as word is not forgotten (`belief_timeout`) between two revisions of a pursuer.
 """
 
 from collections.abc import Callable

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from protocols.retransmission import TimeOut, Waiting, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 Epoch = tuple[int, int, float]
 """Number, claimant and the time on its clock, s: no two claims have the same, not even after a loss of memory."""
@@ -87,7 +87,7 @@ Choice = Callable[[Agent, Token], int | None]
 
 def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int, choose: Choice) -> Process:
     """Revise whenever the token has been here for `hold` s, and pass it on; claim a new one if it is lost."""
-    station = Station(me, hold, attempts)
+    station = TokenNode(me, hold, attempts)
     if me.id == 0:
         station.claim()
     while True:
@@ -96,7 +96,7 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
         elif (yield from station.keep(station.token)):
             revise()
             me.announce()
-            yield from station.hand_on(station.token, choose)
+            yield from station.forward(station.token, choose)
 
 
 def full_token(me: Agent) -> Token:
@@ -110,7 +110,7 @@ def hop_time(me: Agent) -> float:
     return me.latency + me.airtime(full_token(me))
 
 
-class Station:
+class TokenNode:
     """One pursuer's part in the circulation.
 
     Attributes:
@@ -128,7 +128,7 @@ class Station:
         self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
         self._hop_time = hop_time(me)
         # There and back, with what may wait in front of the token and of its receipt.
-        self._time_out = TimeOut(me, me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)), hold)
+        self._time_out = RetransmissionTimer(me, me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)), hold)
         self._greeting = 0.0  # not before this time, on the own clock, is anybody greeted
         self._deadline = me.now + self.patience
 
@@ -162,7 +162,7 @@ class Station:
                 return self.token is token
         return False
 
-    def hand_on(self, token: Token, choose: Choice) -> Process:
+    def forward(self, token: Token, choose: Choice) -> Process:
         """Put all that is known into the token and give it to the next one that confirms its receipt."""
         token = self._updated(token)
         while (dst := choose(self._me, token)) is not None:

@@ -98,7 +98,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
         env.process(node(me))
     begin = time.process_time()
     env.run()
-    return (time.process_time() - begin) / network.tally().sent, (memory("VmHWM") - before) / size
+    return (time.process_time() - begin) / network.message_counts().sent, (memory("VmHWM") - before) / size
 
 
 def flat(options: Options) -> list[Cost]:

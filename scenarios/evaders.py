@@ -56,10 +56,10 @@ LATENCY = 0.1
 STRATEGIES: Mapping[str, Strategy] = MappingProxyType(
     {
         "pure evasion": PureEvasion(),
-        "pure, of active": PureEvasion(heeds="active"),
+        "pure, of active": PureEvasion(flees_from="active"),
         "weighted flee": WeightedFlee(),
         "max-min": MaxMin(),
-        "max-min, of active": MaxMin(heeds="active"),
+        "max-min, of active": MaxMin(flees_from="active"),
         "zigzag": Zigzag(),
         "Voronoi vertex": VoronoiVertex(arena=(0.0, 20.0)),
         "diffusion": Diffusion(),
@@ -90,7 +90,7 @@ WATCHED = Scenario(
     name="limited sight",
     team=Team(count=WATCHERS + CHASERS, speeds=(0.5,) * WATCHERS + (1.5,) * CHASERS),
     evader=Evader(speed=1.2, strategy=Diffusion(sigma=0.4)),
-    sensing=Sensing(lost_after=2.0),
+    sensing=Sensing(track_timeout=2.0),
     protocol=contender("sap"),
     announce=SPOKEN,
     record=Recording(messages=True),
@@ -146,7 +146,7 @@ class Sighted:
     never_seen: float
     """Share of the runs in which nobody ever saw the evader."""
     lost: float
-    """Share of the runs in which somebody did, and then for longer than `lost_after` nobody."""
+    """Share of the runs in which somebody did, and then for longer than `track_timeout` nobody."""
     reports: float
     """Messages with sightings, each receiver counted as one, per second of the pursuit."""
     report_transmissions: float
@@ -236,7 +236,7 @@ def observe(result: Result) -> Watched:
         end_time(result),
         active_time(result),
         not since,
-        longest * period > sensing.lost_after,
+        longest * period > sensing.track_timeout,
         len(told),
         len({event.flight for event in told}),
     )
@@ -339,7 +339,7 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
                 f"{each.report_transmissions:.1f}",
             )
         )
-    lost = f"never seen: by nobody; lost: seen, and then by nobody for longer than {WATCHED.sensing.lost_after:g} s"
+    lost = f"never seen: by nobody; lost: seen, and then by nobody for longer than {WATCHED.sensing.track_timeout:g} s"
     what = f"{WATCHERS} watch, {CHASERS} chase, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
     return f"Limited sight: {what}\n{lost}\n{aligned(rows, right_from=2)}"
 

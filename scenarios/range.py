@@ -95,8 +95,8 @@ class Pursuits:
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
     """Return the scenario of the paper with a team that hears each other up to a range (m)."""
-    chosen, spread = PROTOCOLS[protocol]
-    said = {} if spread is None else {"spread": spread}
+    chosen, dissemination = PROTOCOLS[protocol]
+    said = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],

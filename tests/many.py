@@ -7,7 +7,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Decided, Halted, Started
+from desim.pursuit.events import BrokeDown, Decided, Started
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 
 LOSSY = Links(loss=Bernoulli(p=0.2), latency=Constant(value=0.03))
@@ -65,6 +65,6 @@ def chased(result, at=np.inf):
     """Return which evader each pursuer chases right after an instant (s) of a run without captures, if any."""
     actions = dict(enumerate(result.trace.of(Started)[0].active))
     for event in result.trace:
-        if isinstance(event, Decided | Halted) and event.t <= at * 1e9 + 1:
+        if isinstance(event, Decided | BrokeDown) and event.t <= at * 1e9 + 1:
             actions[event.pursuer] = getattr(event, "active", 0)
     return {pursuer: action for pursuer, action in actions.items() if action}

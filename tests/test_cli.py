@@ -482,7 +482,14 @@ def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, 
     assert names(out) == FILES + PICTURES
     assert strict_json((out / "summary.json").read_text(encoding="utf-8")) == strict_json(printed)["runs"][0]
     events = [strict_json(line) for line in (out / "trace.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert {event["event"] for event in events} >= {"Started", "Decided", "Broadcast", "Sampled", "Tally", "Ended"}
+    assert {event["event"] for event in events} >= {
+        "Started",
+        "Decided",
+        "Broadcast",
+        "Sampled",
+        "MessageCounts",
+        "Ended",
+    }
     assert (out / "trajectory.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (out / "trajectory.svg").read_text(encoding="utf-8")
 
@@ -616,7 +623,7 @@ schedule = { kind = "periodic", period = 0.2, jitter = 0.0 }
 
 [announce]
 trigger = "never"
-spread = { kind = "gossip" }
+dissemination = { kind = "gossip" }
 
 [network]
 preset = "wifi"
@@ -643,7 +650,7 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
     assert {key: (where, why) for where, key, why in said} == {
         "network.latency": (f"{path}:18", "it is given, and is not that of the preset 'wifi'"),
         "network.reach": (f"{path}:19", "it has no effect while the range is inf"),
-        "announce.spread": (f"{path}:14", "it has no effect, for nothing is ever announced"),
+        "announce.dissemination": (f"{path}:14", "it has no effect, for nothing is ever announced"),
         "fault.1.at": (f"{path}:29", "it would begin after the horizon"),
         "protocol": (f"{path}:8", "sap assumes word_gets_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (

@@ -73,7 +73,7 @@ def case(schedule, number):
             payload=str(rng.choice(["action", "time", "state"])),
             trigger=str(rng.choice(["heartbeat", "both"])),
             heartbeat=1.0 if schedule in SLOW else 0.2,
-            forget_after=np.inf,  # several heartbeats in a row may be lost
+            belief_timeout=np.inf,  # several heartbeats in a row may be lost
             warm_start=bool(rng.random() < 0.5),
         ),
         network=Links(latency=LATENCIES[rng.integers(7)](rng, mean), loss=LOSSES[rng.integers(3)](rng)),
@@ -113,7 +113,7 @@ def without_repetition(trigger, seed, horizon):
         team=Team(count=5, active_at_start=0.5),
         motion=Motion(frozen=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=Poisson(rate=5.0)),
-        announce=Announcements(trigger=trigger, forget_after=np.inf),
+        announce=Announcements(trigger=trigger, belief_timeout=np.inf),
         network=Links(latency=Constant(value=0.05), loss=Bernoulli(p=0.5)),
         record=Recording(trajectory=0.0),
     )
@@ -136,8 +136,8 @@ def test_news_that_is_lost_and_never_repeated_can_be_wrong_for_ever():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("spread", "settles"), [(OneHop(), False), (Flooding(hops=5), True)])
-def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(spread, settles):
+@pytest.mark.parametrize(("dissemination", "settles"), [(OneHop(), False), (Flooding(hops=5), True)])
+def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(dissemination, settles):
     """Six on a path, phi = 1, 2, 4, 8, 16, 32 s: who hears of nobody near it chases, however far pursuer 0 is ahead.
 
     With one hop each weighs its phi against those of its active neighbours, by the utility of the whole game; 2 to 5
@@ -151,7 +151,7 @@ def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(spread
         evader=Evader(position=(0.0, 0.0), speed=0.0),
         motion=Motion(frozen=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=Poisson(rate=5.0)),
-        announce=Announcements(spread=spread, warm_start=False, forget_after=np.inf),
+        announce=Announcements(dissemination=dissemination, warm_start=False, belief_timeout=np.inf),
         network=Links(graph=Edges.of(nx.path_graph(6)), latency=Constant(value=0.02)),
         record=Recording(trajectory=0.0),
     )

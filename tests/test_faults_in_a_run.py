@@ -8,13 +8,13 @@ import pytest
 
 from desim import Scenario, run, summary
 from desim.analysis.metrics import activity
-from desim.kernel.events import Broadcast, Tally
+from desim.kernel.events import Broadcast, MessageCounts
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided, Ended, Halted, Sampled
+from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.sap import SpatialAdaptivePlay
@@ -67,7 +67,7 @@ def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_r
     Repaired at 1.55 s it makes up at once for what was due meanwhile, and chases. The others chase all the while.
     """
     result = play(chasing, Crash(node=1, at=at, until=1.55), horizon=1.9)
-    assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(Halted)] == [(at, 1)]
+    assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(BrokeDown)] == [(at, 1)]
     assert [t for t in decided(result, 1) if t > at] == pytest.approx([1.55, 1.6, 1.7, 1.8], abs=1e-5)
     assert len([t for t in decided(result, 0) if 0.75 < t < 1.55]) == 8
     t, x = track(result, 1)
@@ -81,13 +81,13 @@ def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_r
 
 def test_a_pursuer_whose_radio_alone_is_broken_goes_on_and_is_not_heard():
     result = play(chasing, Crash(node=1, at=0.75, until=1.55, scope="radio"), horizon=1.9)
-    assert not result.trace.of(Halted)
+    assert not result.trace.of(BrokeDown)
     assert len(decided(result, 1)) == len(decided(result, 0)) == 19
     t, x = track(result, 1)
     assert x == pytest.approx(3.0 - t, abs=1e-5)
     said = [b.t / 1e9 for b in result.trace.of(Broadcast) if b.src == 1]
     assert [round(t, 3) for t in said] == [k / 10 for k in range(19) if not 0.75 < k / 10 < 1.55]
-    assert result.trace.of(Tally)[0].lost_by["crash"] == 2 * 8
+    assert result.trace.of(MessageCounts)[0].lost_by["crash"] == 2 * 8
 
 
 def east(state, rng):
@@ -251,7 +251,9 @@ def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_fo
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", PAYLOADS)
-@pytest.mark.parametrize("announce", [{"forget_after": inf}, {"trigger": "change"}], ids=["never forget", "on change"])
+@pytest.mark.parametrize(
+    "announce", [{"belief_timeout": inf}, {"trigger": "change"}], ids=["never forget", "on change"]
+)
 def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announce):
     """The mission ends at the horizon, with nobody active since 1 s. The control: 2 s of memory are enough."""
     for seed in range(3):
@@ -260,14 +262,14 @@ def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announ
         numbers = summary(result)
         assert not numbers.captured
         assert numbers.idle_time == pytest.approx(39.0, abs=1e-6)
-    remembering = Announcements(payload=payload, **(announce | {"forget_after": 2.0}))
+    remembering = Announcements(payload=payload, **(announce | {"belief_timeout": 2.0}))
     assert summary(relay_breaks_down(remembering, 0, CRASH)).captured
 
 
 def test_a_relay_pursuer_with_a_broken_radio_is_doubled_and_captures_all_the_same():
     """Forgotten, it is joined by another; unforgotten it is not."""
     crash = Crash(node=0, at=1.0, scope="radio")
-    for announce, crowd in ((Announcements(), 2), (Announcements(forget_after=inf), 1)):
+    for announce, crowd in ((Announcements(), 2), (Announcements(belief_timeout=inf), 1)):
         result = relay_breaks_down(announce, 1, crash)
         assert summary(result).capturer == 0
         assert activity(result)[1][-1] == crowd
@@ -403,7 +405,7 @@ def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offse
     def look(me):
         yield me.at(me.now)
         if me.id == 1:
-            seen.append(me.believed())
+            seen.append(me.believed_chasers())
 
     seen = []
     skews = [ClockSkew(node=node, offset=offset) for node in range(3)]
@@ -467,7 +469,7 @@ def test_who_was_stopped_by_a_breakdown_announces_that_it_chases_again(announce,
     for seed in range(6):
         crash = Crash(node=1, at=1.1, until=1.2, memory=memory)
         result = play(protocol, crash, seed=seed, **changes)
-        assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(Halted)] == [(1.1, 1)]
+        assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(BrokeDown)] == [(1.1, 1)]
         assert told(result)[1.0] == told(result)[2.0] == 1
         assert 2.0 not in told(play(protocol, seed=seed, **changes))
 

@@ -362,7 +362,7 @@ FOUND = [
         "network": {"preset": "lora_sf7"},
     },
     {"fault": [{"kind": "crash", "node": 0, "at": 0.1, "until": 1e308}]},
-    {"announce": {"forget_after": 1e308}},
+    {"announce": {"belief_timeout": 1e308}},
 ]
 """What was wrong once, of documents that follow the schema."""
 

@@ -16,7 +16,7 @@ from desim.kernel.links import Links
 from desim.kernel.trace_file import line_of
 from desim.pursuit.announcements import DISSEMINATIONS, Announcements
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
 from protocols.rule import SCHEDULES, Rule
@@ -147,7 +147,7 @@ def outcome(case, kind):
     phi = capture_time(start.evader, start.pursuers, start.speeds, result.scenario.evader.speed, 0.1)
     profile = list(start.active)
     for event in result.trace:
-        if isinstance(event, Decided | Halted):
+        if isinstance(event, Decided | BrokeDown):
             profile[event.pursuer] = isinstance(event, Decided) and event.active
     return tuple(profile), phi.tolist()
 
@@ -238,7 +238,7 @@ def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind,
 def test_at_rest_no_two_pursuers_are_left_on_one_evader_and_none_without_that_could_be_chased(kind, network):
     """Three games of six after 4 s: who chases is in time, and who stays would be late for what nobody chases."""
     for seed in range(3):
-        case = at_rest(quick(kind), 6, 3, seed, network=MANY[network], announce=Announcements(forget_after=np.inf))
+        case = at_rest(quick(kind), 6, 3, seed, network=MANY[network], announce=Announcements(belief_timeout=np.inf))
         result = run(case, None, lambda event: event.t > 4 * SECOND)
         actions, phi = chased(result), times(result)
         assert len(set(actions.values())) == len(actions)

@@ -107,7 +107,7 @@ PLACES = {
     "evader.strategy.then": 'evader.strategy = {{ kind = "listener", then = {} }}',
     "evader.0.strategy": "[[evader]]\nstrategy = {}",
     "team.guidance": "team.guidance = {}",
-    "announce.spread": "announce.spread = {}",
+    "announce.dissemination": "announce.dissemination = {}",
     "fault.0": "fault = [{}]",
     "sweep.grid.network.latency": "[sweep.grid]\nnetwork.latency = [{}]",
     "sweep.grid.protocol": '[sweep.grid]\nprotocol = [{{ kind = "sap" }}, {{ kind = "sap", tau = {} }}]',
@@ -298,7 +298,7 @@ def test_a_trace_names_no_code(mark, ran, monkeypatch):
     text = (ran / "trace.jsonl").read_text()
     lines = [json.loads(line) for line in text.splitlines()]
     for line in lines:
-        if line["event"] == "Began":
+        if line["event"] == "FaultStarted":
             line["fault"] = {"kind": "evil:late"}
     (ran / "trace.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     for words in ("replay", ran), ("replay", "--allow-import", ran):

@@ -140,8 +140,8 @@ def test_each_evader_flees_who_is_nearest_to_it_and_who_chases_it():
     """Two teams far apart; the first evader heeds who is active, and nobody chases it."""
     team = Team(positions=((0.0, 0.0), (100.0, 0.0)), speeds=1.0)
     evaders = (
-        Evader(position=(2.0, 0.0), speed=0.5, strategy=PureEvasion(heeds="active")),
-        Evader(position=(102.0, 0.0), speed=0.5, strategy=PureEvasion(heeds="active")),
+        Evader(position=(2.0, 0.0), speed=0.5, strategy=PureEvasion(flees_from="active")),
+        Evader(position=(102.0, 0.0), speed=0.5, strategy=PureEvasion(flees_from="active")),
     )
     result = desim.run(standing(team=team, evader=evaders, protocol=chase(2, 2), horizon=1.0))
     last = result.trace.of(Sampled)[-1]
@@ -176,7 +176,7 @@ def test_what_is_said_names_the_evader(payload):
         me.assign(me.id + 1)
         me.tell()
         yield me.at(0.5)
-        others = {j: (me.believed(j), me.beliefs(evader=j)) for j in me.evaders()}
+        others = {j: (me.believed_chasers(j), me.beliefs(evader=j)) for j in me.evaders()}
         seen.append((me.id, others, [me.whole.capture_times(j) for j in me.evaders()]))
         yield me.at(1e6)
 
@@ -210,7 +210,7 @@ def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sen
         me.assign(2)
         me.tell()
         yield me.at(1.0)
-        seen.append((me.id, me.whereabouts(1).places[0]))
+        seen.append((me.id, me.team_estimate(1).places[0]))
 
     team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
     evaders = (
@@ -260,7 +260,7 @@ def test_a_trace_with_several_evaders_reads_back():
 def test_a_trace_with_one_evader_does_not_know_of_others():
     result = desim.run(Scenario(horizon=1.0))
     events = [json.loads(line) for line in map(line_of, result.trace)]
-    assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "Tally", "Ended"}
+    assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "MessageCounts", "Ended"}
     assert not any("others" in event for event in events)
     started, decided = (
         [event["active"] for event in events if event["event"] == kind] for kind in ("Started", "Decided")

@@ -17,7 +17,7 @@ from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import LATENCIES
 from desim.kernel.loss import LOSSES
 from desim.kernel.medium import MEDIA
-from desim.kernel.reception import REACHES
+from desim.kernel.reception import RECEPTION_MODELS
 from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
@@ -95,7 +95,7 @@ def evaders(dice, **changes):
             "speed": dice.number(0.0, 2.0),
             "strategy": dice.kind(STRATEGIES),
             "sight": dice.one([np.inf, 4.0]),
-            "reaction": dice.one([0.0, 0.07]),
+            "reaction_delay": dice.one([0.0, 0.07]),
         }
         | changes
         for _ in range(dice.count(1, 3))
@@ -137,8 +137,8 @@ def anything(seed):
             "radius": dice.one([np.inf, np.inf, 3.0, 6.0]),
             "estimate": dice.one(["hold", "constant_velocity", "worst_case"]),
             "pass_on": dice.chance(0.5),
-            "lost_after": dice.one([0.2, 5.0]),
-            "when_lost": dice.one(["stay", "search"]),
+            "track_timeout": dice.one([0.2, 5.0]),
+            "on_lost": dice.one(["stay", "search"]),
         },
         "capture": {
             "radius": dice.number(0.05, 0.5),
@@ -156,16 +156,16 @@ def anything(seed):
             "reckoning": dice.one(["exact", "cheap"]),
             "trigger": dice.one(["change", "heartbeat", "both", "revision", "never"]),
             "heartbeat": dice.one([0.1, 0.3]),
-            "forget_after": dice.one(["auto", 0.5, np.inf]),
+            "belief_timeout": dice.one(["auto", 0.5, np.inf]),
             "warm_start": dice.chance(0.7),
-            "spread": dice.kind(DISSEMINATIONS),
+            "dissemination": dice.kind(DISSEMINATIONS),
         },
         "network": {
             "graph": graph,
             "link": [link] if graph["kind"] == "complete" and size > 1 and dice.chance(0.3) else [],
             "processing": dice.one([{}, {"sender": 0.01, "receiver": 0.02}]),
             "range": dice.one([np.inf, 4.0]),
-            "reach": dice.kind(REACHES),
+            "reach": dice.kind(RECEPTION_MODELS),
             "fading": dice.one(["frozen", "message"]),
             "range_check": dice.one(["send", "delivery", "both"]),
             "latency": dice.kind(LATENCIES),

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from desim.analysis.trace_index import Floats, Integers, Truths, captures, ended, remembered, started
+from desim.analysis.trace_index import Bools, Floats, Integers, captures, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.pursuit.events import Captured, Decided, Halted
+from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
 
 Steps = tuple[Floats, Integers]
@@ -29,12 +29,12 @@ class Released(NamedTuple):
     pursuer: int
 
 
-Change = Decided | Halted | Released
+Change = Decided | BrokeDown | Released
 """What changes an action."""
 
 
 @dataclass(frozen=True, slots=True)
-class Hunt:
+class EvaderPursuit:
     """Who chased an evader."""
 
     start: tuple[bool, ...]
@@ -57,7 +57,7 @@ def changes(result: Result) -> list[Change]:
     actions = list(started(result).active)
     changed: list[Change] = []
     for event in result.trace:
-        if isinstance(event, Decided | Halted):
+        if isinstance(event, Decided | BrokeDown):
             if action(event) != actions[event.pursuer]:
                 actions[event.pursuer] = action(event)
                 changed.append(event)
@@ -87,12 +87,12 @@ def moves(result: Result) -> Iterator[tuple[Change, int]]:
 
 
 @remembered
-def hunts(result: Result) -> list[Hunt]:
+def evader_pursuits(result: Result) -> list[EvaderPursuit]:
     """Return who chased each evader."""
     start = started(result)
     ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
     ends |= {capture.evader: capture.t for capture in captures(result)}
-    found = [Hunt(tuple(each == evader for each in start.active), [], end) for evader, end in ends.items()]
+    found = [EvaderPursuit(tuple(each == evader for each in start.active), [], end) for evader, end in ends.items()]
     for change, before in moves(result):
         if before:
             found[before - 1].steps.append((change.t, change.pursuer, -1))
@@ -111,7 +111,9 @@ def activity(result: Result) -> Steps:
 @remembered
 def pressure(result: Result) -> list[Steps]:
     """Return n_j(t) of each evader, up to its capture."""
-    return [_counted(sum(hunt.start), ((t, by) for t, _, by in hunt.steps), hunt.end) for hunt in hunts(result)]
+    return [
+        _counted(sum(hunt.start), ((t, by) for t, _, by in hunt.steps), hunt.end) for hunt in evader_pursuits(result)
+    ]
 
 
 def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
@@ -123,7 +125,7 @@ def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
     return np.diff([*times, end]) / SECOND, np.array(counts)
 
 
-def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Truths]) -> float:
+def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
     """Return the integral of a function of the counts over time, summed over the step functions, s, rounded once."""
     return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
 
@@ -182,10 +184,10 @@ def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
 
 @remembered
 def _relays(result: Result) -> list[list[tuple[int, int]]]:
-    return [_relays_of(hunt) for hunt in hunts(result)]
+    return [_relays_of(hunt) for hunt in evader_pursuits(result)]
 
 
-def _relays_of(hunt: Hunt) -> list[tuple[int, int]]:
+def _relays_of(hunt: EvaderPursuit) -> list[tuple[int, int]]:
     active = {pursuer for pursuer, chasing in enumerate(hunt.start) if chasing}
     times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
     found: list[tuple[int, int]] = []

@@ -87,7 +87,7 @@ def belief_error(result: Result) -> float:
 
     It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At first everyone knows what all
     do or, after a cold start, takes nobody for active. Whether silence is taken for inactivity
-    (`announce.forget_after`) plays no part: this is about word, and not what is made of it. So it is with several
+    (`announce.belief_timeout`) plays no part: this is about word, and not what is made of it. So it is with several
     evaders, where word of another evader than the one that is chased is wrong, as is word of one captured since.
 
     Raises:

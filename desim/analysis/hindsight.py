@@ -25,12 +25,12 @@ from math import fsum
 import numpy as np
 
 from desim.analysis.activity import decisions
-from desim.analysis.timeline import Course, course
-from desim.analysis.trace_index import Floats, Integers, Truths, ended, remembered, started
+from desim.analysis.timeline import Timeline, course
+from desim.analysis.trace_index import Bools, Floats, Integers, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
-from desim.kernel.propagation import TYPICAL_SIZE, Travel
+from desim.kernel.propagation import TYPICAL_SIZE, LinkSampler
 from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
@@ -45,7 +45,7 @@ class Hindsight:
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
-    relayed: Truths
+    relayed: Bools
     """(k,) whether S = {i*}: the relay pursuer chases alone, or nobody does and nobody should; so on each evader."""
     gap: Floats
     """(k,) what the potential lacks to its maximum, Phi* - Phi(S), s."""
@@ -83,7 +83,7 @@ def hindsight(result: Result) -> Hindsight:
     return Hindsight(np.concatenate(times), np.concatenate(relayed), np.concatenate(gap), regret)
 
 
-def gains(part: Course) -> Floats:
+def gains(part: Timeline) -> Floats:
     """Return what chasing the evader was worth to each pursuer in each piece, given what the others did, (k, N) s.
 
     U_i(active) - U_i(inactive) for the wonderful-life utility, as `desim.pursuit.game.gain`; 0 for a pursuer that
@@ -98,7 +98,7 @@ def gains(part: Course) -> Floats:
     return np.where(able, np.where(n > 0, (others - phi) / (n + 1), part.left[:, None] - phi), 0.0)
 
 
-def _best(parts: Sequence[Course]) -> Integers:
+def _best(parts: Sequence[Timeline]) -> Integers:
     """Return which pursuer each evader had best be chased by, (M, k), or `NOBODY`; of one, the relay pursuer."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
     best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NOBODY
@@ -111,20 +111,20 @@ def _best(parts: Sequence[Course]) -> Integers:
     return best
 
 
-def _worth(part: Course, chaser: Integers) -> Floats:
+def _worth(part: Timeline, chaser: Integers) -> Floats:
     """Return the (k,) potential if one pursuer chased alone, s, given who in each piece; 0 if it would be late."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
     return np.where(chaser == NOBODY, 0.0, found)
 
 
-def _relayed(part: Course, best: Integers) -> Truths:
+def _relayed(part: Timeline, best: Integers) -> Bools:
     """Return (k,) whether the best pursuer chases alone, or nobody does and nobody should."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
-    found: Truths = np.where(best == NOBODY, number == 0, (number == 1) & alone)
+    found: Bools = np.where(best == NOBODY, number == 0, (number == 1) & alone)
     return found
 
 
-def _potential(part: Course) -> Floats:
+def _potential(part: Timeline) -> Floats:
     """Return the (k,) potential of who chases the evader, s; as `desim.pursuit.game.potential`."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
@@ -216,7 +216,7 @@ def _latency(result: Result) -> float:
     size = len(places)
     if isinstance(links.graph, Complete) and not links.link:
         size = min(size, ALIKE)
-    travel = Travel(links, links.graph(size), result.seed, lambda: places)
+    travel = LinkSampler(links, links.graph(size), result.seed, lambda: places)
     return travel.typical_latency() + links.medium(TYPICAL_SIZE)
 
 

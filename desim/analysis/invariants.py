@@ -19,7 +19,7 @@ from desim.kernel.events import Event, Watcher
 from desim.kernel.invariants import Conservation
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.state import Points, complex_points, lengths
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
@@ -66,7 +66,7 @@ class ActiveTime:
         self._notices: dict[type, Callable[[Any], None]] = {
             Started: self._start,
             Decided: lambda event: self._change(event, event.pursuer, event.active),
-            Halted: lambda event: self._change(event, event.pursuer, 0),
+            BrokeDown: lambda event: self._change(event, event.pursuer, 0),
             Captured: self._release,
             Ended: self._finish,
         }

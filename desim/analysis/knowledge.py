@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from desim.analysis.trace_index import Integers, ended, remembered, require_messages, started
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
-from desim.kernel.faults import Crash, Over, clock_errors
+from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
 from desim.pursuit.announcements import records_in
 from desim.simulation.run import Result
@@ -198,7 +198,7 @@ def _columns(records: list[Record]) -> _Said:
 def _forgets(result: Result) -> dict[int, list[int]]:
     """Return when each pursuer forgot all it had heard, ns: as it recovered from a crash without its memory."""
     forgets: dict[int, list[int]] = {}
-    for over in result.trace.of(Over):
+    for over in result.trace.of(FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:
             forgets.setdefault(over.fault.node, []).append(over.t)
     return forgets

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from desim.analysis.activity import changes, hunts
+from desim.analysis.activity import changes, evader_pursuits
 from desim.analysis.trace_index import (
     NO_POSITIONS,
+    Bools,
     Floats,
     Integers,
-    Truths,
     captures,
     ended,
     positions_known,
@@ -24,7 +24,7 @@ from desim.analysis.trace_index import (
     started,
 )
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.faults import Began, Crash, Over
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.state import lengths
 from desim.simulation.run import Result
@@ -34,12 +34,12 @@ PART = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class Timeline:
     """Successive pieces of a run, each of positive length, as far as they are about one evader."""
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
-    active: Truths
+    active: Bools
     """(k, N) who chases the evader."""
     phi: Floats
     """(k, N) times of capture in the middle of the piece, s; inf for a robot that is broken and so captures nobody, and
@@ -53,7 +53,7 @@ class Course:
         return np.diff(self.times) / SECOND
 
 
-def course(result: Result, evader: int = 1) -> Iterator[Course]:
+def course(result: Result, evader: int = 1) -> Iterator[Timeline]:
     """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
 
     Args:
@@ -66,7 +66,7 @@ def course(result: Result, evader: int = 1) -> Iterator[Course]:
     if not positions_known(result):
         raise ValueError(NO_POSITIONS)
     start, end, scenario = started(result), ended(result).t, result.scenario
-    speed, hunt = scenario.evaders[evader - 1].speed, hunts(result)[evader - 1]
+    speed, hunt = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
     radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
     horizon, frozen = nanoseconds(scenario.horizon), scenario.motion.frozen
     path, size = _Path(result, evader), len(start.active)
@@ -82,14 +82,18 @@ def course(result: Result, evader: int = 1) -> Iterator[Course]:
         phi[broken.during(own)] = np.inf
         phi[own[:-1] >= hunt.end] = np.inf
         left = (horizon - (np.zeros_like(middle) if frozen else middle)) / SECOND
-        yield Course(own, active.during(own), phi, left)
+        yield Timeline(own, active.during(own), phi, left)
 
 
 def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
     """Yield when a robot broke down (1) or was repaired (-1): time (ns), pursuer, which."""
     for event in result.trace:
-        if isinstance(event, Began | Over) and isinstance(event.fault, Crash) and event.fault.scope == "robot":
-            yield event.t, event.fault.node, 1 if isinstance(event, Began) else -1
+        if (
+            isinstance(event, FaultStarted | FaultEnded)
+            and isinstance(event.fault, Crash)
+            and event.fault.scope == "robot"
+        ):
+            yield event.t, event.fault.node, 1 if isinstance(event, FaultStarted) else -1
 
 
 class _Counts:
@@ -99,13 +103,13 @@ class _Counts:
         self._start = np.array(start, np.int32)
         self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
 
-    def during(self, times: Integers) -> Truths:
+    def during(self, times: Integers) -> Bools:
         """Return (k, N) whether it is positive in each piece between (k + 1,) times, ns."""
         piece = np.searchsorted(times, self.t)  # the first that begins then or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
         np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
-        found: Truths = np.cumsum(rows[:-1], axis=0) > 0  # the last row is of what comes after
+        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row is of what comes after
         return found
 
 

@@ -8,36 +8,36 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.events import MESSAGES, Tally
+from desim.kernel.events import MESSAGES, MessageCounts
 from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.simulation.run import Result
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Truths = NDArray[np.bool_]
+Bools = NDArray[np.bool_]
 Derived = TypeVar("Derived")
 NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
 """What is said of a run of which nobody knows where everyone was."""
 
 
 @dataclass(frozen=True)
-class Reading(Result):
+class TraceIndex(Result):
     """A result to whose trace nothing is added any more, with what has been derived from it."""
 
     derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
 
 
-def reading(result: Result) -> Reading:
+def reading(result: Result) -> TraceIndex:
     """Return a result as one that remembers what is derived from it."""
-    return Reading(result.scenario, result.seed, result.trace)
+    return TraceIndex(result.scenario, result.seed, result.trace)
 
 
 def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derived]:
-    """Let a function of a result be called once for each `Reading`; what it returns must not be changed."""
+    """Let a function of a result be called once for each `TraceIndex`; what it returns must not be changed."""
 
     @wraps(derive)
     def once(result: Result) -> Derived:
-        if not isinstance(result, Reading):
+        if not isinstance(result, TraceIndex):
             return derive(result)
         if derive not in result.derived:
             result.derived[derive] = derive(result)
@@ -119,6 +119,6 @@ def require_messages(result: Result) -> None:
 
 
 @remembered
-def messages(result: Result) -> Tally:
+def messages(result: Result) -> MessageCounts:
     """Return how many messages there were, each receiver of a broadcast counted as one."""
-    return result.trace.of(Tally)[0]
+    return result.trace.of(MessageCounts)[0]

@@ -32,7 +32,7 @@ from desim.config.trust import fresh
 if TYPE_CHECKING:
     from desim.study.result import SweepResult
     from desim.study.store import Store
-    from desim.study.sweep import Job, Plan
+    from desim.study.sweep import Job, SweepPlan
 
 
 class Shard(click.ParamType[tuple[int, int]]):
@@ -107,14 +107,14 @@ def sweep(
     from desim.study.history import note
     from desim.study.result import SHOWN
     from desim.study.store import Store
-    from desim.study.sweep import MOST_RUNS, Plan, carry_out
+    from desim.study.sweep import MOST_RUNS, SweepPlan, carry_out
 
     source, scenario = source_of(file, overrides)
     shown = _known(metrics) or SHOWN
     if until and shard:
         refuse("--until needs all runs, and --shard does a part of them: they exclude each other")
     try:
-        plan = Plan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
+        plan = SweepPlan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
         refuse(str(error))
     folder = folder_for(scenario, out)
@@ -215,7 +215,7 @@ def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
     return metrics
 
 
-def _plan_text(plan: "Plan", jobs: "list[Job]", store: "Store", until: tuple[str, float] | None) -> str:
+def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tuple[str, float] | None) -> str:
     """Return what would be run, and how much of it a store has."""
     from desim.analysis.tables import aligned
 

@@ -84,7 +84,7 @@ Period = Annotated[Duration, Recurring]
 """A time between two of many events, s."""
 Rate = Annotated[float, Field(ge=1 / LONGEST, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""
-Truth = Annotated[bool, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
 
 
 class Value(BaseModel):

@@ -111,7 +111,7 @@ MESSAGES = (Queued, Broadcast, Sent, Lost)
 """What can happen to messages."""
 
 
-class Tally(NamedTuple):
+class MessageCounts(NamedTuple):
     """What the network carried until the run ended, each receiver of a transmission counted as one message."""
 
     t: Nanoseconds

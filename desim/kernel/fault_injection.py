@@ -8,7 +8,7 @@ import simpy
 from desim.config.model import LONGEST
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.events import Trace
-from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
@@ -29,7 +29,7 @@ def inject(
         faults: what happens.
         env: the clock of the simulation.
         network: what it happens to.
-        trace: where `Began` and `Over` go.
+        trace: where `FaultStarted` and `FaultEnded` go.
         crashed: called when a node breaks down.
         recovered: called when a crash is over.
 
@@ -43,14 +43,14 @@ def inject(
 
     def begin(fault: Fault, _: simpy.Event) -> None:
         if trace is not None:
-            trace.append(Began(env.now, fault))
+            trace.append(FaultStarted(env.now, fault))
         end = _open(fault, network, crashed, recovered)
         if fault.until <= LONGEST:  # no run is longer
             Instant(env, nanoseconds(fault.until), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
         if trace is not None:
-            trace.append(Over(env.now, fault))
+            trace.append(FaultEnded(env.now, fault))
         end()
 
     for fault in faults:
@@ -68,7 +68,7 @@ def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Cal
     """Let a fault begin; return what lets it be over."""
     conditions = network.conditions
     if isinstance(fault, Crash):
-        network.break_down(fault.node)
+        network.crash(fault.node)
         crashed(fault)
 
         def recover() -> None:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from desim.kernel.positions import Locator, as_positions
+from desim.kernel.positions import PositionSource, as_position_source
 
 Cut = Mapping[int, int]
 """The group of each node that is named; all others form one more."""
@@ -13,11 +13,11 @@ Disc = tuple[tuple[float, float], float]
 """Centre [x, y] and radius, m."""
 
 
-class Conditions:
+class FaultState:
     """The faults that are open; each is opened and closed by the one who knows it."""
 
-    def __init__(self, positions: Locator | None = None):
-        self._positions = None if positions is None else as_positions(positions)
+    def __init__(self, positions: PositionSource | None = None):
+        self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
         self._cuts: list[Cut] = []
         self._jams: list[Disc] = []
@@ -37,7 +37,7 @@ class Conditions:
         ((x, y),) = self._positions.of(np.array([node]))
         return any((x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams)
 
-    def break_down(self, node: int) -> None:
+    def crash(self, node: int) -> None:
         """Let the radio of a node be down, once more if it is already."""
         self._down[node] += 1
 

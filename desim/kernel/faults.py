@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Box, Coordinate, Duration, Extent, Length, Rate, Time, Truth, Value
+from desim.config.model import Box, Coordinate, Duration, Extent, Flag, Length, Rate, Time, Value
 from desim.kernel.events import Nanoseconds
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
@@ -43,7 +43,7 @@ class Crash(_Window):
     """Which node: in a pursuit, the number of the pursuer."""
     scope: Literal["radio", "robot"] = "robot"
     """radio: it neither sends nor receives; robot: it does not move or decide either."""
-    memory: Truth = True
+    memory: Flag = True
     """Whether it recovers with what it knew; if not, it has heard of nobody, and a robot starts anew."""
 
 
@@ -90,21 +90,21 @@ Fault = Crash | Partition | Jamming
 """Something that is broken for a while."""
 
 
-class Began(NamedTuple):
+class FaultStarted(NamedTuple):
     """A fault began."""
 
     t: Nanoseconds
     fault: Annotated[Fault, Field(discriminator="kind")]
 
 
-class Over(NamedTuple):
+class FaultEnded(NamedTuple):
     """A fault was over."""
 
     t: Nanoseconds
     fault: Annotated[Fault, Field(discriminator="kind")]
 
 
-class Plan(Protocol):
+class FaultPlan(Protocol):
     """What draws faults: `plan(size, horizon, rng)`."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
@@ -122,7 +122,7 @@ class RandomCrashes(Value):
     """Mean time until it recovers, s."""
     scope: Literal["radio", "robot"] = "robot"
     """radio: it neither sends nor receives; robot: it does not move or decide either."""
-    memory: Truth = True
+    memory: Flag = True
     """Whether it recovers with what it knew."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
@@ -135,7 +135,7 @@ class RandomCrashes(Value):
                 t = until + each.exponential(1.0 / self.rate)
 
 
-class RandomPlan(Value):
+class RandomFaults(Value):
     """Crashes, partitions and jamming of all sorts, at random: for soak runs."""
 
     kind: Literal["random"] = "random"
@@ -176,7 +176,7 @@ class RandomPlan(Value):
 
 SHORTEST_FAULT = 1e-6
 """No drawn fault is shorter, s."""
-FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomPlan, ClockSkew)
+FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew)
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
@@ -195,7 +195,7 @@ SLOWEST_CLOCK = -0.99
 """A clock that ran backwards would be none."""
 
 
-def drawn(given: Sequence[Fault | Plan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
+def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
     """Return faults with every plan replaced by what it draws; the k-th plan has a stream of its own."""
     faults: list[Fault] = []
     number = count()

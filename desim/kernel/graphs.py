@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Truth, Value
+from desim.config.model import Flag, Value
 from desim.config.trust import beside
 from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.latency import LATENCIES, Constant, Latency
@@ -107,7 +107,7 @@ class Edge(Value):
 class Link(Edge):
     """One link of the graph that is not like the rest: what is given replaces what the network has."""
 
-    both_ways: Truth = False
+    both_ways: Flag = False
     """Whether it is the same from `dst` to `src`."""
 
     @model_validator(mode="after")
@@ -131,7 +131,7 @@ class Edges(Value):
     """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read at once."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
-    directed: Truth = False
+    directed: Flag = False
     """Whether an edge is one-way."""
 
     @model_validator(mode="before")

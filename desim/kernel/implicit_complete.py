@@ -61,7 +61,7 @@ def complete_graph(size: int) -> "nx.Graph[int]":
     import networkx as nx
 
     graph: nx.Graph[int] = nx.Graph()
-    _work_out(graph, size)
+    _materialise(graph, size)
     return graph
 
 
@@ -70,11 +70,11 @@ def complete_digraph(size: int) -> "nx.DiGraph[int]":
     import networkx as nx
 
     graph: nx.DiGraph[int] = nx.DiGraph()
-    _work_out(graph, size)
+    _materialise(graph, size)
     return graph
 
 
-def _work_out(graph: Any, size: int) -> None:
+def _materialise(graph: Any, size: int) -> None:
     """Let a graph have nodes and edges as the views of networkx have theirs: worked out, and not to be changed."""
     import networkx as nx
 
@@ -84,7 +84,7 @@ def _work_out(graph: Any, size: int) -> None:
     nx.freeze(graph)
 
 
-def is_worked_out(graph: "nx.Graph[int]") -> bool:
+def is_implicit(graph: "nx.Graph[int]") -> bool:
     """Return whether a graph is made here, so that no edge has attributes."""
     return isinstance(getattr(graph, "_adj", None), _Everybody)
 
@@ -93,4 +93,4 @@ def is_complete(graph: "nx.Graph[int]") -> bool:
     """Return whether a graph links all of its nodes to each other; O(nodes) if it is not made here."""
     size = len(graph)
     pairs = size * (size - 1) // (1 if graph.is_directed() else 2)
-    return is_worked_out(graph) or (graph.number_of_edges() == pairs and not graph.is_multigraph())
+    return is_implicit(graph) or (graph.number_of_edges() == pairs and not graph.is_multigraph())

@@ -8,8 +8,8 @@ What must hold in every pursuit is in `desim.analysis.invariants`.
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, Queued, Sent, Tally
-from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.events import LOST, Broadcast, Cause, Event, Lost, MessageCounts, Queued, Sent
+from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -50,9 +50,9 @@ class Conservation:
             Sent: self._depart,
             Queued: self._queue,
             Lost: self._lose,
-            Began: self._begin,
-            Over: self._end,
-            Tally: self._count,
+            FaultStarted: self._begin,
+            FaultEnded: self._end,
+            MessageCounts: self._count,
         }
 
     def __call__(self, event: Event) -> None:
@@ -113,16 +113,16 @@ class Conservation:
             _require(due is not None and due >= event.t, "only what is on its way is lost, and once", event)
             _require(due == event.t, "a message is lost as it leaves or as it arrives", event)
 
-    def _begin(self, event: Began) -> None:
+    def _begin(self, event: FaultStarted) -> None:
         self._settle(event.t)
         self._faults.append(event.fault)
 
-    def _end(self, event: Over) -> None:
+    def _end(self, event: FaultEnded) -> None:
         self._settle(event.t)
         _require(event.fault in self._faults, "only what began is over", event)
         self._faults.remove(event.fault)
 
-    def _count(self, event: Tally) -> None:
+    def _count(self, event: MessageCounts) -> None:
         self._settle(event.t + 1)
         in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
         found = (self._sent, self._delivered, self._lost.total(), in_flight)

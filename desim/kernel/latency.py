@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
-from desim.config.model import Speed, Time, Truth, Value
+from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import beside
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
 
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 class Latency(Protocol):
     """A model of the one-way latency: `latency(hops, rng)` is a number or (k,) numbers >= 0, s."""
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
 
 
 @runtime_checkable
@@ -47,7 +47,7 @@ class Constant(Value):
     value: Time = 0.0
     """One-way latency, s."""
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> float:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> float:
         """Return the latency, s."""
         return self.value
 
@@ -67,7 +67,7 @@ class _Drawn(Value):
         """Return the latency that is exceeded with probability 1 - u, s."""
         raise NotImplementedError
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) draws, s."""
         return self.draw(len(hops.dst), rng)
 
@@ -226,7 +226,7 @@ class Propagation(Value):
     fixed: Time = 0.0
     """Fixed part, s."""
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
         """Return fixed + d / c, s."""
         return self.fixed + hops.distances / self.speed
 
@@ -239,7 +239,7 @@ class PerPair(Value):
     """What the pairs' own latencies are drawn from."""
     jitter: Annotated[Latency, OneOf(ShiftedExponential, Constant, Uniform, Gamma, Lognormal, Empirical)] = Constant()
     """What each message adds."""
-    symmetric: Truth = True
+    symmetric: Flag = True
     """Whether both ways between two nodes have the same latency."""
 
     @model_validator(mode="after")
@@ -252,13 +252,13 @@ class PerPair(Value):
         """Return the pairs of one run between `size` nodes; they remember their own latencies."""
         return _Pairs(self, size)
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
         return self.own(hops) + self.jitter(hops, rng)
 
-    def own(self, hops: Hops) -> Floats:
+    def own(self, hops: LinkContext) -> Floats:
         """Return the (k,) latencies that belong to the pairs, s."""
-        return np.asarray(self.base.quantile(hops.luck("pair latency", symmetric=self.symmetric)))
+        return np.asarray(self.base.quantile(hops.uniform("pair latency", symmetric=self.symmetric)))
 
 
 class _Pairs:
@@ -268,7 +268,7 @@ class _Pairs:
         self._model, self._all = model, np.arange(size)
         self._own: dict[int, Floats] = {}
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Floats:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
         if hops.src not in self._own and (len(self._own) + 1) * len(self._all) <= ROOM:
             self._own[hops.src] = self._model.own(replace(hops, dst=self._all))

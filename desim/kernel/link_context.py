@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.positions import Locator, as_positions, distances
-from desim.kernel.seeds import pair_luck
+from desim.kernel.positions import PositionSource, as_position_source, distances
+from desim.kernel.seeds import pair_uniform
 
 
 @dataclass(slots=True)
-class Hops:
+class LinkContext:
     """From `src` to each of the (k,) nodes `dst`, at a time, with a message of a size."""
 
     src: int
@@ -21,7 +21,7 @@ class Hops:
     """Bytes."""
     seed: int = 0
     """Of the run."""
-    positions: Locator | None = None
+    positions: PositionSource | None = None
 
     @property
     def distances(self) -> NDArray[np.float64]:
@@ -33,8 +33,8 @@ class Hops:
         if self.positions is None:
             raise ValueError("a model that asks for distances needs a network whose nodes have positions")
         nodes = np.concatenate((self.dst, [self.src]))
-        return distances(as_positions(self.positions).of(nodes), -1)[:-1]
+        return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 
-    def luck(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
+    def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
         """Return (k,) uniform numbers in (0, 1) that belong to the pairs of nodes and never change."""
-        return pair_luck(self.seed, name, self.src, self.dst, symmetric=symmetric)
+        return pair_uniform(self.seed, name, self.src, self.dst, symmetric=symmetric)

@@ -11,7 +11,7 @@ from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
 from desim.kernel.presets import PRESETS
-from desim.kernel.reception import REACHES, Disk, Reach
+from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 
 
 class Processing(Value):
@@ -54,7 +54,7 @@ class Links(Value):
     """Who is linked to whom, before range."""
     range: Extent = inf
     """Distance up to which two nodes hear each other, m; inf = any distance."""
-    reach: Annotated[Reach, REACHES] = Disk()
+    reach: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
     """How reception depends on distance and range."""
     fading: Literal["frozen", "message"] = "frozen"
     """Whether chance in the reach is drawn once per pair of nodes, or for every message."""

@@ -12,16 +12,16 @@ from pydantic import Field, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Length, Positive, Probability, Value
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp, power
 
-Truths = NDArray[np.bool_]
+Bools = NDArray[np.bool_]
 
 
 class Loss(Protocol):
     """A model of the loss: `loss(hops, rng)` is one truth or (k,) truths, True where the message is lost."""
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | Truths: ...  # noqa: D102
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
 
 
 class Bernoulli(Value):
@@ -31,11 +31,11 @@ class Bernoulli(Value):
     p: Probability = 0.0
     """Probability that a message is lost, in [0, 1]."""
 
-    def draw(self, count: int, rng: np.random.Generator) -> Truths:
+    def draw(self, count: int, rng: np.random.Generator) -> Bools:
         """Return (count,) draws."""
         return rng.random(count) < self.p
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> bool | Truths:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Return which of the hops lose the message."""
         return self.draw(len(hops.dst), rng) if self.p else False
 
@@ -72,7 +72,7 @@ class GilbertElliott(Value):
         """Return the links of one run between `size` nodes; they remember how they were."""
         return _Bursts(self)
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose a message if nothing is remembered: the stationary law."""
         return rng.random(len(hops.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
@@ -87,7 +87,7 @@ class _Bursts:
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
         self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose the message, after each link has advanced."""
         row = self._rows[hops.src]
         links = row.links(hops.dst)
@@ -98,11 +98,11 @@ class _Bursts:
             chance = self._share + (was_bad - self._share) * memory
         else:
             chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
-        bad: Truths = rng.random(len(hops.dst)) < np.where(since > -np.inf, chance, self._share)
+        bad: Bools = rng.random(len(hops.dst)) < np.where(since > -np.inf, chance, self._share)
         row.was_bad[links], row.since[links] = bad, hops.now
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
             return bad
-        lost: Truths = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
+        lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
         return lost
 
 
@@ -150,7 +150,7 @@ class ByDistance(Value):
         """Return the probability of loss at (k,) distances, m."""
         return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
 
-    def __call__(self, hops: Hops, rng: np.random.Generator) -> Truths:
+    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose the message."""
         return rng.random(len(hops.dst)) < self.probability(hops.distances)
 

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Protocol
 from pydantic import Field
 
 from desim.config.choice import OneOf
-from desim.config.model import Limit, Truth, Value
+from desim.config.model import Flag, Limit, Value
 
 MOST_BYTES = 255
 """The payload of a LoRa frame: its length is one byte."""
@@ -37,9 +37,9 @@ class Medium(Protocol):
 class _Radio(Value):
     """What all media share."""
 
-    shared: Truth = False
+    shared: Flag = False
     """Whether all nodes share one channel, on which one message is on the air at a time."""
-    half_duplex: Truth = False
+    half_duplex: Flag = False
     """Whether a node is deaf while it transmits; on a shared channel nobody else transmits then."""
     queue_limit: Limit = inf
     """How many messages of a node may wait; one more, and the oldest of them is dropped. inf = any number."""
@@ -89,9 +89,9 @@ class LoRa(_Radio):
     """CR: 1 is 4/5, 4 is 4/8."""
     preamble: Count = 8
     """Symbols of the preamble."""
-    crc: Truth = True
+    crc: Flag = True
     """Whether the payload has a checksum."""
-    implicit_header: Truth = False
+    implicit_header: Flag = False
     """Whether the header is left out."""
 
     def __call__(self, size: int) -> float:

@@ -17,17 +17,17 @@ from itertools import compress, count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Cause, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.fault_state import Conditions
+from desim.kernel.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, Message, deliver
 from desim.kernel.links import Links
 from desim.kernel.medium import Unlimited
 from desim.kernel.message_size import as_sent, size_of
-from desim.kernel.positions import Locator
-from desim.kernel.propagation import Travel
+from desim.kernel.positions import PositionSource
+from desim.kernel.propagation import LinkSampler
 from desim.kernel.records import Arrival, Mark, Record, Records, Table, per_receiver
 from desim.kernel.topology import Topology
-from desim.kernel.transmitter import Air
+from desim.kernel.transmitter import Transmitter
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -74,9 +74,9 @@ class Network:
         links: Links | None = None,
         *,
         seed: int = 0,
-        positions: Locator | None = None,
+        positions: PositionSource | None = None,
         trace: Trace | None = None,
-        conditions: Conditions | None = None,
+        conditions: FaultState | None = None,
         mark: Mark | None = None,
     ):
         self._env = env
@@ -91,29 +91,31 @@ class Network:
             now=lambda: env.now / SECOND,
         )
         size = self.topology.size
-        self._travel = Travel(links, graph, seed, positions)
+        self._sampler = LinkSampler(links, graph, seed, positions)
         self._conditions = conditions
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
         self._medium = links.medium
-        self._air: Air[Flight] | None = None
+        self._air: Transmitter[Flight] | None = None
         if not isinstance(links.medium, Unlimited):
-            self._air = Air(env, links.medium, size, self._leave, self._wait, self._overflow, self._travel.processing)
-        self._may_lose = conditions is not None or not self._travel.lossless or self._air is not None
+            self._air = Transmitter(
+                env, links.medium, size, self._leave, self._wait, self._overflow, self._sampler.processing
+            )
+        self._may_lose = conditions is not None or not self._sampler.lossless or self._air is not None
         self._records = Records(env, size, mark)
         self._ports: dict[str, list[Inbox]] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
         self._flights = count()
-        self._breakdowns: dict[int, list[int]] = {}
+        self._crashes: dict[int, list[int]] = {}
         self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
 
     # What nodes do.
 
-    def presume(self, src: int, body: Any, sent: int | None = None) -> None:
+    def set_initial_belief(self, src: int, body: Any, sent: int | None = None) -> None:
         """Let everyone know a record of `src` from the start, without a message; `sent` as in `publish`."""
-        self._records.presume(Record(src, 0, self._env.now if sent is None else sent, as_sent(body)))
+        self._records.set_initial_belief(Record(src, 0, self._env.now if sent is None else sent, as_sent(body)))
 
     def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
         """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
@@ -198,19 +200,19 @@ class Network:
     @cached_property
     def typical_latency(self) -> float:
         """The mean one-way latency over the links of the first senders, with processing but no airtime or queues, s."""
-        return self._travel.typical_latency()
+        return self._sampler.typical_latency()
 
     # What happens to them.
 
-    def break_down(self, node: int) -> None:
+    def crash(self, node: int) -> None:
         """Let the radio of a node be down: it neither sends nor receives; what waits or is half transmitted is lost.
 
         Raises:
             ValueError: if the network was made without conditions.
         """
-        self.conditions.break_down(node)
-        self._breakdowns.setdefault(node, []).append(self._env.now)
-        for flight in self._air.silence(node) if self._air is not None else ():
+        self.conditions.crash(node)
+        self._crashes.setdefault(node, []).append(self._env.now)
+        for flight in self._air.flush(node) if self._air is not None else ():
             self._lose(flight, flight.receivers, "crash")
 
     def repair(self, node: int, *, memory: bool = True) -> None:
@@ -222,13 +224,13 @@ class Network:
                 boxes[node].drain()
 
     @property
-    def conditions(self) -> Conditions:
+    def conditions(self) -> FaultState:
         """What is broken."""
         if self._conditions is None:
             raise ValueError("a network whose nodes break down or are cut off should be made with conditions")
         return self._conditions
 
-    def tally(self) -> Tally:
+    def message_counts(self) -> MessageCounts:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
         now, lost = self._env.now, self._lost.total()
         in_flight = self._arriving + self._records.in_flight()
@@ -239,7 +241,9 @@ class Network:
             busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # not what was lost to nobody
-        return Tally(now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy)
+        return MessageCounts(
+            now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy
+        )
 
     # How a transmission goes.
 
@@ -262,7 +266,7 @@ class Network:
         if self._air is None:
             self._leave(flight, 0)
         else:
-            self._air.give(flight)
+            self._air.enqueue(flight)
 
     def _is_too_far(self, src: int, dst: int, number: int) -> bool:
         """Return whether a message that leaves now does not reach a node."""
@@ -281,15 +285,15 @@ class Network:
         now, receivers = self._env.now, flight.receivers
         self._transmissions += 1
         self._bytes_sent += flight.size
-        arrival = self._travel.arrivals(flight.src, receivers, now, airtime, flight.size)
+        arrival = self._sampler.arrivals(flight.src, receivers, now, airtime, flight.size)
         causes = self._losses(flight) if self._may_lose or not flight.reachable else {}
         reached = receivers
         if causes:
             reached = [node for node in receivers if node not in causes]
             if not isinstance(arrival, int):
                 arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
-        if self._travel.keeps_order:
-            arrival = self._travel.in_order(flight.src, reached, arrival)
+        if self._sampler.keeps_order:
+            arrival = self._sampler.in_order(flight.src, reached, arrival)
         if self._trace is not None:
             self._record(flight, causes, arrival)
         for node, cause in causes.items():
@@ -304,7 +308,7 @@ class Network:
     def _losses(self, flight: Flight) -> dict[int, Cause]:
         """Return the receivers that a transmission is lost to as it leaves, and why."""
         src, receivers, causes = flight.src, flight.receivers, dict[int, Cause]()
-        lost = self._travel.losses(src, receivers, self._env.now, flight.size)
+        lost = self._sampler.losses(src, receivers, self._env.now, flight.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         if self._conditions is not None:
@@ -343,7 +347,7 @@ class Network:
         """Return why a message cannot be received that arrives now, if so."""
         broken, (begin, end) = self._conditions, spell
         if broken is not None:
-            if broken.down(node) or any(begin <= t < end for t in self._breakdowns.get(flight.src, ())):
+            if broken.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
                 return "crash"
             if broken.cut(flight.src, node):
                 return "partition"
@@ -351,7 +355,7 @@ class Network:
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
-        left = self._env.now - self._travel.processing
+        left = self._env.now - self._sampler.processing
         deaf = self._air is not None and self._air.transmitted(node, left, end - begin)
         return "half_duplex" if deaf else None
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.intp]
-Locator = Callable[[], Floats]
+PositionSource = Callable[[], Floats]
 """Returns everybody's position now, (n, 2) m; what more `Positions` can tell makes large networks fast."""
 
 
@@ -35,7 +35,7 @@ class _Told:
 
     fastest = inf
 
-    def __init__(self, everybody: Locator):
+    def __init__(self, everybody: PositionSource):
         self._everybody = everybody
 
     def __call__(self) -> Floats:
@@ -45,7 +45,7 @@ class _Told:
         return self().take(nodes, axis=0)
 
 
-def as_positions(locator: Locator) -> Positions:
+def as_position_source(locator: PositionSource) -> Positions:
     """Return what a function tells of positions as `Positions`, unless it is that already."""
     return cast("Positions", locator) if hasattr(locator, "of") else _Told(locator)
 

@@ -12,12 +12,12 @@ import numpy as np
 from desim.config.model import LONGEST
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.graphs import as_model
-from desim.kernel.implicit_complete import is_worked_out
+from desim.kernel.implicit_complete import is_implicit
 from desim.kernel.latency import Constant, Independent
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.positions import Locator
+from desim.kernel.positions import PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import stream
 
@@ -32,11 +32,11 @@ TYPICAL_SIZE = 48
 BLOCK = 4096
 """Draws at a time; part of the definition of what a seed gives."""
 Each = TypeVar("Each")
-Own = dict[int, dict[int, Any]]
+Overrides = dict[int, dict[int, Any]]
 """The models of links that are not like the rest, by sender and receiver."""
 
 
-class Travel:
+class LinkSampler:
     """Latencies and losses of one run.
 
     Args:
@@ -50,7 +50,9 @@ class Travel:
         ValueError: if a link that is not like the rest is not in the graph.
     """
 
-    def __init__(self, links: Links, graph: "nx.Graph[int]", seed: int, positions: Locator | None, purpose: str = ""):
+    def __init__(
+        self, links: Links, graph: "nx.Graph[int]", seed: int, positions: PositionSource | None, purpose: str = ""
+    ):
         size = len(graph)
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
@@ -60,9 +62,9 @@ class Travel:
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
         self._latency_rng, self._loss_rng, self._own_latency_rng, self._own_loss_rng = streams
-        self._delays = _stock(self._latency, self._latency_rng, _checked)
-        self._lots = _stock(self._loss, self._loss_rng, np.ndarray.tolist)
-        own = _own(links, graph)
+        self._delays = _buffered(self._latency, self._latency_rng, _checked)
+        self._buffers = _buffered(self._loss, self._loss_rng, np.ndarray.tolist)
+        own = _overrides(links, graph)
         self._own_latency, self._own_loss = own["latency"], own["loss"]
         self._order, self._own_order = links.order, own["order"]
         self._last: dict[tuple[int, int], int] = {}  # when the last message of each link that keeps its order arrives
@@ -82,8 +84,8 @@ class Travel:
         own = self._own_loss.get(src, {})
         if self._lossless:
             lost = None
-        elif self._lots is not None:
-            lost = self._lots.take(len(dst))
+        elif self._buffers is not None:
+            lost = self._buffers.take(len(dst))
         else:
             lost = _truths(self._loss(self._hops(src, dst, now, size), self._loss_rng), len(dst))
         for k, node in enumerate(dst if own else ()):
@@ -121,7 +123,7 @@ class Travel:
         It is measured on at least a thousand draws, if there are links, that the messages of the run do not share.
         """
         free = self._links.model_copy(update={"order": "overtaking"})
-        like_this = Travel(free, self._graph, self._seed, self._positions, "typical ")
+        like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
         size, rounds = len(self._graph), 1 + 1000 // max(self._graph.number_of_edges(), 1)
         found: list[int] = []
         for src in list(range(size)) * rounds:
@@ -142,11 +144,11 @@ class Travel:
                 arrivals[k] = last[src, node] = max(arrivals[k], last.get((src, node), 0))
         return arrivals
 
-    def _hops(self, src: int, dst: list[int], now: int, size: int) -> Hops:
-        return Hops(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)
+    def _hops(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
+        return LinkContext(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)
 
 
-class _Stock(Generic[Each]):
+class _Buffer(Generic[Each]):
     """Draws that are independent of the hop, taken from a block."""
 
     def __init__(self, model: Independent, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"):
@@ -166,10 +168,10 @@ class _Stock(Generic[Each]):
         return taken
 
 
-def _stock(
+def _buffered(
     model: object, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"
-) -> "_Stock[Each] | None":
-    return _Stock(model, rng, plain) if isinstance(model, Independent) else None
+) -> "_Buffer[Each] | None":
+    return _Buffer(model, rng, plain) if isinstance(model, Independent) else None
 
 
 def _begun(model: Any, size: int) -> Any:
@@ -181,10 +183,10 @@ def _never_loses(model: object) -> bool:
     return isinstance(model, Bernoulli) and model.p == 0.0
 
 
-def _own(links: Links, graph: "nx.Graph[int]") -> dict[str, Own]:
+def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
     """Return the models of links that are not like the rest: of the edges of the graph, then of `links.link`."""
-    found: dict[str, Own] = {"latency": {}, "loss": {}, "order": {}}
-    for src, dst, attributes in () if is_worked_out(graph) else graph.edges(data=True):
+    found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
+    for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):
         for name in found if attributes else ():
             value = attributes.get(name)
             if value is not None:

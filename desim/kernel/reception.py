@@ -16,7 +16,7 @@ from desim.config.model import Positive, Probability, Value
 Floats = NDArray[np.float64]
 
 
-class Reach(Protocol):
+class ReceptionModel(Protocol):
     """A model of the reach: `reach(distances, range)` is the (k,) probability of reception at (k,) distances, m.
 
     It may have a method `bound(range)`: the distance beyond which nothing is ever received, m.
@@ -83,10 +83,10 @@ class LogDistance(Value):
         return ranges * range
 
 
-def bound(reach: Reach, range: float) -> float:  # noqa: A002
+def bound(reach: ReceptionModel, range: float) -> float:  # noqa: A002
     """Return the distance beyond which nothing is ever received, m; inf if a model does not say."""
     ends = getattr(reach, "bound", None)
     return inf if ends is None else float(ends(range))
 
 
-REACHES = OneOf(Disk, QuasiUnitDisk, LogDistance)
+RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance)

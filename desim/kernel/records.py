@@ -49,16 +49,16 @@ class Common:
         self.waiting: list[Heard] = []
         self.table: Table = {}
         self.marked: Table = {}
-        self.presumed_only = True
+        self.only_initial = True
 
-    def presume(self, heard: Heard) -> None:
+    def set_initial_belief(self, heard: Heard) -> None:
         """Enter a record that is known from the start, unless something is known of its source."""
         if heard[1].src not in self.table:
             _put(heard, self.table, self.marked, self._mark)
 
     def note(self, heard: Heard) -> None:
         """Let a record arrive."""
-        self.presumed_only = False
+        self.only_initial = False
         if self.waiting and heard < self.waiting[-1]:
             insort(self.waiting, heard)
         else:
@@ -101,9 +101,9 @@ class Records:
         self._entered: set[int] = set()  # readers that records reach out of order
         self._forgetful: set[int] = set()  # readers that have forgotten what was presumed
 
-    def presume(self, record: Record) -> None:
+    def set_initial_belief(self, record: Record) -> None:
         """Let all nodes know a record from now on, unless they know another of its source."""
-        self._common.presume((self._env.now, record))
+        self._common.set_initial_belief((self._env.now, record))
 
     def note(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
         """Let a record reach its receivers; O(1) if it reaches everyone at one instant, else O(receivers).
@@ -143,7 +143,7 @@ class Records:
         known = common.table.copy()
         known.pop(node, None)
         if own:
-            known |= own if common.presumed_only else self._still_new(own)
+            known |= own if common.only_initial else self._still_new(own)
         return known
 
     def marked(self, node: int) -> Table:
@@ -165,7 +165,7 @@ class Records:
         Raises:
             ValueError: if there is something that all nodes heard together, which is kept for all.
         """
-        if not self._common.presumed_only:
+        if not self._common.only_initial:
             raise ValueError("what all nodes have heard together cannot be forgotten by one")
         self._fold(node)
         self._tables[node].clear()

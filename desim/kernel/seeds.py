@@ -19,7 +19,7 @@ def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
     return np.random.default_rng(_sequence(seed, name, index))
 
 
-def pair_luck(
+def pair_uniform(
     seed: int, name: str, src: int, dst: NDArray[np.intp], number: int = 0, *, symmetric: bool = True
 ) -> NDArray[np.float64]:
     """Return a uniform number in (0, 1) for each pair (src, dst[k]) that is the same whenever it is asked for.

@@ -12,16 +12,16 @@ import numpy as np
 from desim.config.model import FARTHEST
 from desim.kernel.positions import Floats, Nodes, Positions
 
-SKIN = 0.25
+VERLET_SKIN = 0.25
 """How much nearer two nodes may come to each other before all are looked at again, in radii."""
 FINEST = FARTHEST / 2**40
 """No cell is smaller, m: any coordinate is rounded by less than a thousandth of a cell, which `ROUNDING` allows for."""
 ROUNDING = 1.001
 
-Cell = tuple[int, ...]
+CellIndex = tuple[int, ...]
 
 
-class Cells:
+class CellList:
     """The nodes in each cell; only who has changed its cell is hashed again.
 
     Args:
@@ -33,10 +33,10 @@ class Cells:
     def __init__(self, positions: Positions, radius: float, now: Callable[[], float] | None = None):
         self._positions = positions
         self._now, self._fastest = (now, positions.fastest) if now is not None else (lambda: 0.0, inf)
-        self._side = max(ROUNDING * (1.0 + SKIN) * radius, FINEST)
+        self._side = max(ROUNDING * (1.0 + VERLET_SKIN) * radius, FINEST)
         self._slack = self._side / ROUNDING - radius
-        self._members: dict[Cell, list[int]] = {}
-        self._blocks: dict[Cell, Nodes] = {}
+        self._members: dict[CellIndex, list[int]] = {}
+        self._blocks: dict[CellIndex, Nodes] = {}
         """Who is in a cell or around it, where somebody has asked and nobody has come or gone since."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
@@ -90,13 +90,13 @@ class Cells:
                 del self._members[cell]
             self._forget(cell)
 
-    def _forget(self, cell: Cell) -> None:
+    def _forget(self, cell: CellIndex) -> None:
         """Let what was found around a cell be found anew."""
         for near in _around(cell):
             self._blocks.pop(near, None)
 
 
-def _around(cell: Cell) -> list[Cell]:
+def _around(cell: CellIndex) -> list[CellIndex]:
     """Return a cell and the eight around it."""
     x, y = cell
     return [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]

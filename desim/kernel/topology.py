@@ -9,13 +9,13 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.implicit_complete import complete_digraph, is_complete, is_worked_out
-from desim.kernel.positions import Floats, Locator, Nodes, as_positions, distances
-from desim.kernel.reception import Disk, Reach, bound
-from desim.kernel.seeds import ROOM, pair_luck
-from desim.kernel.spatial_hash import Cells
+from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
+from desim.kernel.positions import Floats, Nodes, PositionSource, as_position_source, distances
+from desim.kernel.reception import Disk, ReceptionModel, bound
+from desim.kernel.seeds import ROOM, pair_uniform
+from desim.kernel.spatial_hash import CellList
 
-Truths = NDArray[np.bool_]
+Bools = NDArray[np.bool_]
 SMALL_NETWORK = 400
 """Up to so many nodes it is faster to take the distances to all than to find those that may be near."""
 
@@ -44,8 +44,8 @@ class Topology:
         self,
         graph: "nx.Graph[int]",
         range: float = inf,  # noqa: A002
-        positions: Locator | None = None,
-        reach: Reach | None = None,
+        positions: PositionSource | None = None,
+        reach: ReceptionModel | None = None,
         *,
         frozen: bool = True,
         seed: int = 0,
@@ -64,14 +64,16 @@ class Topology:
         self._range, self._reach = range, reach or Disk()
         self._certain = isinstance(self._reach, Disk)
         self._frozen, self._seed = frozen, seed
-        self._luck: dict[int, Floats] = {}  # by sender, that of its pairs with all; not of more than there is room for
-        self._positions = as_positions(positions) if positions is not None and range < inf else None
-        self._cells: Cells | None = None
+        self._uniform: dict[
+            int, Floats
+        ] = {}  # by sender, that of its pairs with all; not of more than there is room for
+        self._positions = as_position_source(positions) if positions is not None and range < inf else None
+        self._cells: CellList | None = None
         self._circles: list[Nodes] = []
         if self._positions is not None and not self._complete:
             self._circles = [_circle(node, self._lists[node]) for node in nodes.tolist()]
         elif self._positions is not None and size > SMALL_NETWORK and bound(self._reach, range) < inf:
-            self._cells = Cells(self._positions, bound(self._reach, range), now)
+            self._cells = CellList(self._positions, bound(self._reach, range), now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
@@ -163,24 +165,24 @@ class Topology:
         received[own] = False
         return circle[received]
 
-    def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Truths:
+    def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
         """Return which of the nodes `dst` are within reach of a message, or with even chance or more of any."""
         if self._certain:
             return apart <= self._range
         probability = self._reach(apart, self._range)
-        received: Truths = self._lucks(src, dst, message) <= probability
+        received: Bools = self._uniforms(src, dst, message) <= probability
         return received
 
-    def _lucks(self, src: int, dst: Nodes, message: int | None) -> Floats:
+    def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
         """Return the (k,) luck that pairs of nodes have, in (0, 1)."""
         if not self._frozen:
             if message is None:
                 return np.full(len(dst), 0.5)
-            return pair_luck(self._seed, "fading", src, dst, message, symmetric=False)
-        if src not in self._luck and (len(self._luck) + 1) * self.size <= ROOM:
-            self._luck[src] = pair_luck(self._seed, "fading", src, self._all)
-        kept = self._luck.get(src)
-        return pair_luck(self._seed, "fading", src, dst) if kept is None else kept[dst]
+            return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)
+        if src not in self._uniform and (len(self._uniform) + 1) * self.size <= ROOM:
+            self._uniform[src] = pair_uniform(self._seed, "fading", src, self._all)
+        kept = self._uniform.get(src)
+        return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
 
 
 class _Others(dict[int, list[int]]):
@@ -201,7 +203,7 @@ class _Others(dict[int, list[int]]):
 
 def _check(graph: "nx.Graph[int]") -> None:
     """Raise ValueError if the nodes are not 0 .. n - 1, or one is linked to itself."""
-    if is_worked_out(graph):
+    if is_implicit(graph):
         return
     if set(graph) != set(range(len(graph))):
         raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {sorted(graph, key=str)}")

@@ -29,7 +29,7 @@ class Transmission(Protocol):
 Item = TypeVar("Item", bound=Transmission)
 
 
-class Air(Generic[Item]):
+class Transmitter(Generic[Item]):
     """The transmitters of all nodes, or the one they share.
 
     Args:
@@ -62,7 +62,7 @@ class Air(Generic[Item]):
         self._spells: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
         self._lag, self._longest = lag, 0
 
-    def give(self, item: Item) -> None:
+    def enqueue(self, item: Item) -> None:
         """Transmit something now, or as soon as the transmitter is free."""
         channel = 0 if self._medium.shared else item.src
         waiting = self._waiting[channel]
@@ -78,7 +78,7 @@ class Air(Generic[Item]):
             waiting.remove(own[0])
             self._drop(own[0])
 
-    def silence(self, src: int) -> list[Item]:
+    def flush(self, src: int) -> list[Item]:
         """Take back everything of a node that waits, and return it."""
         taken = [item for waiting in self._waiting for item in waiting if item.src == src]
         for channel, waiting in enumerate(self._waiting):

@@ -20,9 +20,9 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.kernel.seeds import stream
 from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
-from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, Whereabouts
+from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
 from desim.pursuit.utility import Mean, Scope, Utility
-from desim.pursuit.views import Surroundings, Whole
+from desim.pursuit.views import GlobalState, PursuerView
 
 Process = Generator[simpy.Event, Any, None]
 """What a protocol is when it runs: it yields the events it waits for."""
@@ -33,7 +33,7 @@ NEVER = " (a protocol that waits for nothing more returns)"
 
 
 @dataclass(slots=True)
-class Said:
+class AnnouncementState:
     """What is remembered of a pursuer by all its processes."""
 
     news: Any
@@ -67,8 +67,8 @@ class Agent:
         self,
         pursuer: int,
         env: Clock,
-        world: Surroundings,
-        whole: Whole,
+        world: PursuerView,
+        whole: GlobalState,
         network: Network,
         seed: int,
         announcements: Announcements,
@@ -81,7 +81,7 @@ class Agent:
         self._announcements = announcements
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._clock = clock
-        self._said = Said((self.action,) if self._announcements.warm_start else None)
+        self._said = AnnouncementState((self.action,) if self._announcements.warm_start else None)
         self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.announcement)
         self._streams: dict[str, np.random.Generator] = {}
 
@@ -128,7 +128,7 @@ class Agent:
         """Return the actions that it may choose: 0, and each evader that it may chase (`Scenario.prune`)."""
         return self._world.options(self.id)
 
-    def may_choose(self) -> bool:
+    def has_choice(self) -> bool:
         """Return whether it has a choice at all."""
         return len(self._world.options(self.id)) > 1
 
@@ -172,10 +172,10 @@ class Agent:
         """Return the newest announcement that has arrived from each teammate."""
         return self._beliefs.heard()
 
-    def believed(self, evader: int = 1) -> dict[int, float]:
+    def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the teammates that it believes to chase an evader, and the times of capture it believes them to have.
 
-        Whose last word arrived longer ago than `forget_after` is not believed active. Times in s; nan if not told.
+        Whose last word arrived longer ago than `belief_timeout` is not believed active. Times in s; nan if not told.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -185,7 +185,7 @@ class Agent:
         return self._beliefs.rivals(evader)[1]
 
     def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return what it believes of each teammate whose last word arrived no longer ago than `forget_after`.
+        """Return what it believes of each teammate whose last word arrived no longer ago than `belief_timeout`.
 
         Args:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
@@ -196,16 +196,16 @@ class Agent:
         return self._beliefs.all(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`."""
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `belief_timeout`."""
         return self._beliefs.trusted()
 
-    def whereabouts(self, evader: int = 1) -> Whereabouts:
+    def team_estimate(self, evader: int = 1) -> TeamEstimate:
         """Return where it believes itself and its teammates to be: as it senses them, or as far as they have told it.
 
         Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`. Times of capture are of
         the evader that is asked for.
         """
-        return self._beliefs.whereabouts(evader)
+        return self._beliefs.team_estimate(evader)
 
     @property
     def senses_others(self) -> bool:
@@ -277,7 +277,7 @@ class Agent:
     def tell(self) -> None:
         """Tell the others its action, whether or not it has changed."""
         self._said.news = self._news()
-        self._announcements.spread.tell(self, self.announcement())
+        self._announcements.dissemination.tell(self, self.announcement())
 
     def claim(self, body: Any) -> None:
         """From now on announce this in place of the payload.
@@ -286,9 +286,9 @@ class Agent:
         """
         self._said.claim = body
 
-    def presume(self) -> None:
+    def set_initial_belief(self) -> None:
         """Let everyone know its action from the start."""
-        self._network.presume(self.id, self.announcement(), self._clock.stamp)
+        self._network.set_initial_belief(self.id, self.announcement(), self._clock.stamp)
 
     def announcement(self) -> Any:
         """Return what it would announce now."""

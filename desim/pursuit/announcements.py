@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 from pydantic import Discriminator, Field, Tag
 
 from desim.config.choice import OneOf
-from desim.config.model import Period, Timeout, Truth, Value
+from desim.config.model import Flag, Period, Timeout, Value
 from desim.kernel.events import Broadcast, Sent
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
-from desim.pursuit.views import Surroundings
+from desim.pursuit.views import PursuerView
 
 
 class Assignment(NamedTuple):
@@ -20,7 +20,7 @@ class Assignment(NamedTuple):
     """Which evader it chases, 1 .. M, or 0."""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return what a pursuer says now, by what it senses."""
         return cls(world.action(pursuer))
 
@@ -33,7 +33,7 @@ class TimedAssignment(NamedTuple):
     """Of the evader it chases or, if it stays, of the one it would capture first, s."""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return what a pursuer says now, by what it senses."""
         action = world.action(pursuer)
         phi = [world.capture_times_of([pursuer], evader)[0] for evader in ([action] if action else world.evaders())]
@@ -52,7 +52,7 @@ class LocatedAssignment(NamedTuple):
     """m/s"""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: Surroundings) -> Self:
+    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return what a pursuer says now, by what it senses."""
         place = world.place(pursuer)
         return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
@@ -66,7 +66,7 @@ PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
 """What can be announced (`Announcements.payload`)."""
 
 
-class Relayed(NamedTuple):
+class Forwarded(NamedTuple):
     """Word of others, or of oneself, that is passed on."""
 
     records: tuple[Record, ...]
@@ -113,14 +113,14 @@ class Announcements(Value):
     """When an action is announced: as it changes, every heartbeat, both, at every revision, or never."""
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
-    forget_after: Annotated[
+    belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
     ] = "auto"
     """How long after its last word arrived a teammate is believed active, s; "auto" is 3 heartbeats and twice the
     typical latency and airtime of an announcement, or inf without heartbeats."""
-    warm_start: Truth = True
+    warm_start: Flag = True
     """Whether everyone knows at first who is active; if not, nobody has heard of anybody."""
-    spread: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
+    dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
     """How word spreads beyond those who hear it first."""
 
     @property

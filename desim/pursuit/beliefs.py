@@ -15,7 +15,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
 from desim.pursuit.state import Floats, Points
-from desim.pursuit.views import Surroundings
+from desim.pursuit.views import PursuerView
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
 """Of teammates: [(t, action)], ascending: by order each takes up an action at a time t (ns, by the reader's clock)."""
@@ -32,7 +32,7 @@ class Belief(NamedTuple):
     """s; nan if it has not told it."""
 
 
-class Whereabouts(NamedTuple):
+class TeamEstimate(NamedTuple):
     """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
 
     ids: list[int]
@@ -61,7 +61,7 @@ class Beliefs:
         self,
         pursuer: int,
         clock: NodeClock,
-        world: Surroundings,
+        world: PursuerView,
         network: Network,
         announcements: Announcements,
         announcement: Callable[[], Any],
@@ -75,7 +75,7 @@ class Beliefs:
         return self._network.heard(self._id)
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `forget_after`.
+        """Return the newest announcement of each teammate, if it arrived no longer ago than `belief_timeout`.
 
         Args:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
@@ -98,14 +98,14 @@ class Beliefs:
         words = self.trusted(period).items()
         return {j: Belief(word.body.active, self._time(word, evader, orders)) for j, word in words}
 
-    def whereabouts(self, evader: int) -> Whereabouts:
+    def team_estimate(self, evader: int) -> TeamEstimate:
         """Return where everyone is believed to be, and how soon it would capture an evader.
 
         Places are as they are sensed, or as far as they have been told.
         """
         world = self._world
         if self.senses_others:
-            return Whereabouts(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
+            return TeamEstimate(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
         words = self.trusted()
         ids = sorted({*words, self._id})
         places = [self._place(words[j]) if j in words else world.place(j) for j in ids]
@@ -115,7 +115,7 @@ class Beliefs:
             else world.capture_time_from(j, place, evader)
             for j, place in zip(ids, places, strict=True)
         ]
-        return Whereabouts(ids, np.array(places), self._speeds[ids], np.array(phi))
+        return TeamEstimate(ids, np.array(places), self._speeds[ids], np.array(phi))
 
     @cached_property
     def _everyone(self) -> list[int]:
@@ -134,7 +134,7 @@ class Beliefs:
 
     def _remembers(self, period: float) -> float:
         """Return how long it is believed what is heard every period (s), true ns."""
-        limit = self._announcements.forget_after
+        limit = self._announcements.belief_timeout
         if limit == "auto":
             flight = self._network.typical_latency + self._network.airtime(self._announcement())
             limit = 3.0 * period + 2.0 * flight if period < inf else inf

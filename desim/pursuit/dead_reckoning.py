@@ -16,7 +16,7 @@ MOST_RETRACINGS = 10_000
 """How many teammates' paths are remembered between two times that somebody asks for them."""
 
 
-class Leg(NamedTuple):
+class TrackSegment(NamedTuple):
     """What pursuers see of the evader during a motion step."""
 
     begun: int
@@ -33,7 +33,7 @@ class Leg(NamedTuple):
         return self.evader + self.flight * seconds(t - self.begun)
 
 
-class Path:
+class EvaderTrack:
     """What was seen of the path of the evader: the present motion step and, if it remembers, all before it.
 
     Steps are seen, and places asked for, in the order of time.
@@ -42,16 +42,16 @@ class Path:
         last: what is seen during the present step.
     """
 
-    last: Leg
+    last: TrackSegment
 
     def __init__(self, law: Guidance, *, remembers: bool = True):
         self._law, self._remembers = law, remembers
-        self._legs: list[Leg] = []
+        self._legs: list[TrackSegment] = []
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
 
     def see(self, t: int, evader: complex, aim: complex, flight: complex) -> None:
-        """See the evader as a step begins; the arguments as in `Leg`."""
-        self.last = Leg(t, evader, aim, flight)
+        """See the evader as a step begins; the arguments as in `TrackSegment`."""
+        self.last = TrackSegment(t, evader, aim, flight)
         if self._remembers:
             self._legs.append(self.last)
 

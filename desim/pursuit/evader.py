@@ -14,15 +14,15 @@ from desim.kernel.events import Broadcast, Event, Sent
 from desim.kernel.records import Record
 from desim.pursuit.announcements import records_in
 from desim.pursuit.capture import RadialTime
-from desim.pursuit.dead_reckoning import Path
+from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evasion import PureEvasion, Strategy, away
 from desim.pursuit.events import Started
 from desim.pursuit.kinematics import Kinematics, first_contact, within
-from desim.pursuit.observation import Outlook
+from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import Floats, Points, State
 
 
-class Mind:
+class EvaderController:
     """One evader's perception and choice in one run.
 
     Args:
@@ -44,12 +44,12 @@ class Mind:
         speeds: Floats,
         radius: float,
         sight: float = inf,
-        reaction: float = 0.0,
+        reaction_delay: float = 0.0,
     ):
         self._strategy, self._rng = strategy, rng
         self._speed, self._speeds, self._radius, self._sight = speed, speeds, radius, sight
-        self._memory = Memory(nanoseconds(reaction)) if nanoseconds(reaction) else None
-        flees_all = isinstance(strategy, PureEvasion) and strategy.heeds == "all"
+        self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
+        flees_all = isinstance(strategy, PureEvasion) and strategy.flees_from == "all"
         self._plain = flees_all and sight == inf and self._memory is None
         self._heading = 0j
         self._since: int | None = None
@@ -66,7 +66,7 @@ class Mind:
         """
         if self._plain:  # the evader of the paper: the same, several times faster
             return away(state)
-        outlook = Outlook(
+        outlook = EvaderObservation(
             self._memory(state) if self._memory else state,
             self._speeds,
             self._speed,
@@ -116,7 +116,7 @@ class Eavesdropper:
             self._until = max([self._until, *(arrival for _, arrival in event.fates())])
 
 
-class Memory:
+class DelayedState:
     """What was seen lately: `memory(state)` is a state with the pursuers as they were some time (ns) before it.
 
     Between two states that it has been told of they moved straight, and chased as in the first of the two; before the
@@ -144,7 +144,7 @@ SINGLY = 16
 """Up to so many pursuers it is faster to ask for each by itself than for all at once."""
 
 
-class Target:
+class EvaderBody:
     """An evader that flees, what its speed makes of the pursuers, and what is known of it at this instant.
 
     Args:
@@ -166,8 +166,8 @@ class Target:
         self,
         number: int,
         speed: float,
-        mind: Mind,
-        path: Path,
+        mind: EvaderController,
+        path: EvaderTrack,
         *,
         players: Kinematics,
         speeds: Floats,

@@ -16,7 +16,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
 from desim.kernel.portable_math import power
 from desim.pursuit.capture import intercept_time
-from desim.pursuit.observation import Outlook
+from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import Floats, Points, State, coordinates
 
 
@@ -32,18 +32,18 @@ class Strategy(Protocol):
     One that reads `state.handover` has an attribute `listens` that is true.
     """
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex: ...  # noqa: D102
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex: ...  # noqa: D102
 
 
 class Fleeing(Value):
     """What strategies share that flee from pursuers: while there are none to flee from, the evader stands still."""
 
-    heeds: Literal["all", "active"] = "all"
+    flees_from: Literal["all", "active"] = "all"
     """Whom it flees: all pursuers that it sees, or only those of them that chase."""
 
-    def heeded(self, state: Outlook) -> Outlook:
+    def fled_from(self, state: EvaderObservation) -> EvaderObservation:
         """Return what is left of an outlook without those that do not matter."""
-        return state if self.heeds == "all" else state.only(state.active)
+        return state if self.flees_from == "all" else state.only(state.active)
 
 
 class PureEvasion(Fleeing):
@@ -51,9 +51,9 @@ class PureEvasion(Fleeing):
 
     kind: Literal["pure_evasion"] = "pure_evasion"
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; 0 if it is right here."""
-        return away(self.heeded(state))
+        return away(self.fled_from(state))
 
 
 ROUNDING = 1e-12
@@ -67,14 +67,14 @@ class WeightedFlee(Fleeing):
     power: Limit = 2.0
     """How much more the nearer count, p: as 1 / distance^p; inf: only the nearest."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the direction of sum_i xi_i / |xi_i|^(p + 1), xi_i = x_e - x_i; 0 if it cancels or one is here."""
-        heeded = self.heeded(state)
-        if not away(heeded):
+        fled_from = self.fled_from(state)
+        if not away(fled_from):
             return 0j
-        distances = heeded.distances
-        weights = power(distances[heeded.nearest] / distances, self.power)  # at most 1, so that nothing overflows
-        push = complex((heeded.offsets / distances * weights).sum())
+        distances = fled_from.distances
+        weights = power(distances[fled_from.nearest] / distances, self.power)  # at most 1, so that nothing overflows
+        push = complex((fled_from.offsets / distances * weights).sum())
         return unit(push) if abs(push) > ROUNDING * len(distances) else 0j
 
 
@@ -85,15 +85,15 @@ class MaxMin(Fleeing):
     candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 72
     """Number of headings that are compared, evenly spaced; one is that of pure evasion."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the u among the candidates with the greatest min_i phi_i(u), the first from pure evasion on."""
-        heeded = self.heeded(state)
-        straight = away(heeded)
+        fled_from = self.fled_from(state)
+        straight = away(fled_from)
         if not straight:
             return 0j
         turns = _turns(self.candidates)
         headings = straight.real * turns + straight.imag * (1j * turns)  # numpy rounds a complex product by processor
-        return complex(headings[first_captures(heeded, headings).argmax()])
+        return complex(headings[first_captures(fled_from, headings).argmax()])
 
 
 class Zigzag(Fleeing):
@@ -105,10 +105,10 @@ class Zigzag(Fleeing):
     amplitude: Annotated[float, Field(ge=0, le=pi, strict=True)] = 0.7
     """Angle from straight away, rad."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of pure evasion, turned."""
         halves = 2 * state.t // round(self.period * 1e9)  # ns
-        return away(self.heeded(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
+        return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
 
 
 class VoronoiVertex(Fleeing):
@@ -124,15 +124,15 @@ class VoronoiVertex(Fleeing):
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     """By which share another vertex must be farther than the one ahead for it to turn."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of the farthest vertex, or of the one ahead if that is almost as far."""
-        heeded = self.heeded(state)
-        if not len(heeded.pursuers):
+        fled_from = self.fled_from(state)
+        if not len(fled_from.pursuers):
             return 0j
         x, y = (min(max(each, self.arena[0]), self.arena[1]) for each in (state.evader.real, state.evader.imag))
         if complex(x, y) != state.evader:
             return unit(complex(x, y) - state.evader)
-        vertices = voronoi_cell(heeded, self.arena)
+        vertices = voronoi_cell(fled_from, self.arena)
         goal = max(vertices, key=abs)
         ahead = max(vertices, key=lambda vertex: (unit(vertex) * state.heading.conjugate()).real)
         near_enough = state.heading and abs(goal) <= (1.0 + self.hysteresis) * abs(ahead)
@@ -146,10 +146,10 @@ class Diffusion(Value):
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
     """After a time t the heading has turned by an angle of standard deviation sigma sqrt(t), rad/sqrt(s)."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the present heading, turned by a normal angle of variance sigma^2 times the time that has passed."""
         if not state.heading:
-            return anywhere(rng)
+            return random_heading(rng)
         return unit(state.heading * rect(1.0, rng.normal(0.0, self.sigma * sqrt(state.elapsed))))
 
 
@@ -160,9 +160,9 @@ class ConstantHeading(Value):
     angle: Annotated[float, Field(ge=-2 * pi, le=2 * pi, strict=True)] | None = None
     """Angle from the x axis, rad; if absent it is drawn as the evader sets off, anew for every seed."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading."""
-        return rect(1.0, self.angle) if self.angle is not None else unit(state.heading) or anywhere(rng)
+        return rect(1.0, self.angle) if self.angle is not None else unit(state.heading) or random_heading(rng)
 
 
 class Still(Value):
@@ -170,7 +170,7 @@ class Still(Value):
 
     kind: Literal["still"] = "still"
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return 0."""
         return 0j
 
@@ -192,7 +192,7 @@ class Listener(Value):
     otherwise: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = Still()
     """What it does else."""
 
-    def __call__(self, state: Outlook, rng: np.random.Generator) -> complex:
+    def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of the strategy whose turn it is."""
         return (self.then if state.handover else self.otherwise)(state, rng)
 
@@ -206,7 +206,7 @@ def unit(vector: complex) -> complex:
     return vector / abs(vector) if vector else 0j
 
 
-def anywhere(rng: np.random.Generator) -> complex:
+def random_heading(rng: np.random.Generator) -> complex:
     """Return a heading in any direction."""
     return rect(1.0, rng.uniform(0.0, 2.0 * pi))
 
@@ -222,7 +222,7 @@ def away(state: State) -> complex:
     return unit(complex(state.offsets[state.nearest])) if state.nearest >= 0 else 0j
 
 
-def first_captures(state: Outlook, headings: Points) -> Floats:
+def first_captures(state: EvaderObservation, headings: Points) -> Floats:
     """Return when the first pursuer could capture an evader that keeps to each of (K,) headings, s."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)

@@ -47,7 +47,7 @@ class Decided(NamedTuple):
     """Which evader it chases, 1 .. M, or 0."""
 
 
-class Halted(NamedTuple):
+class BrokeDown(NamedTuple):
     """A pursuer that was active broke down."""
 
     t: Nanoseconds

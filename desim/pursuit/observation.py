@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from desim.pursuit.state import Floats, State
 
 
-class Outlook(State):
+class EvaderObservation(State):
     """The state of the pursuit as an evader sees it, what it knows of itself, and what it did before.
 
     Those it does not see are in no array, so that pursuers keep their order but not their numbers.
@@ -40,11 +40,11 @@ class Outlook(State):
         self.elapsed = elapsed
         self.handover = handover
 
-    def only(self, who: NDArray[np.bool_]) -> "Outlook":
+    def only(self, who: NDArray[np.bool_]) -> "EvaderObservation":
         """Return the outlook of an evader that sees only (N,) some of the pursuers."""
         if who.all():
             return self
-        return Outlook(
+        return EvaderObservation(
             State(self.t, self.pursuers[who], self.evader, self.active[who]),
             self.speeds[who],
             self.speed,

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.model import Limit, Period, Timeout, Truth, Value
+from desim.config.model import Flag, Limit, Period, Timeout, Value
 from desim.kernel.clock import NodeClock, seconds
 from desim.kernel.network import Network
 from desim.pursuit.dead_reckoning import nearer
-from desim.pursuit.views import Whole
+from desim.pursuit.views import GlobalState
 
 if TYPE_CHECKING:
     from desim.pursuit.state import Points
@@ -41,13 +41,13 @@ class Sensing(Value):
     had then; or somewhere within v_e age of where it was, so that with equal clocks phi is a bound:
     (d + v_e age - eps) / (v_i - v_e)."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `lost_after` old
+    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `track_timeout` old
     or it hears of a newer one, again and again, for reports are lost as other messages are."""
-    pass_on: Truth = False
+    pass_on: Flag = False
     """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
-    lost_after: Timeout = 5.0
+    track_timeout: Timeout = 5.0
     """Age T_lost of a sighting from which on the evader is lost, s."""
-    when_lost: Literal["stay", "search"] = "search"
+    on_lost: Literal["stay", "search"] = "search"
     """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
     be, with turns 2 R_s apart, each pursuer in a direction of its own. The spiral begins as the evader is lost,
     wherever the pursuer is by then. Who has never heard of it stays."""
@@ -85,31 +85,31 @@ class Sighting(NamedTuple):
         return complex(self.velocity_x, self.velocity_y)
 
 
-class Guess(NamedTuple):
+class EvaderEstimate(NamedTuple):
     """Where an evader is believed to be."""
 
     place: complex
     """m"""
     velocity: complex = 0j
     """m/s"""
-    slack: float = 0.0
+    uncertainty: float = 0.0
     """How much farther it may be from anywhere, m."""
 
 
-class Watch:
+class TeamSensor:
     """What the whole team sees; looked at once every motion step, for all pursuers and evaders at a time.
 
     Attributes:
         sights: (N,) what each pursuer makes of it.
     """
 
-    def __init__(self, sensing: Sensing, world: Whole, network: Network, clocks: Iterable[NodeClock]):
+    def __init__(self, sensing: Sensing, world: GlobalState, network: Network, clocks: Iterable[NodeClock]):
         self.sensing, self._world = sensing, world
         shape = world.evader_count, world.size
         self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
         self._places: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
-        self.sights = [Sight(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.sights = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
 
     def look(self, now: int) -> None:
         """Let everybody that is not broken remember the evaders that it sees at an instant, ns."""
@@ -139,8 +139,8 @@ class Watch:
         self._seen[:, pursuer] = NEVER
 
 
-class Sight:
-    """The world as one pursuer sees it: the `Surroundings` of its agent.
+class SensedView:
+    """The world as one pursuer sees it: the `PursuerView` of its agent.
 
     Args:
         pursuer: whose it is.
@@ -150,7 +150,7 @@ class Sight:
         clock: its own.
     """
 
-    def __init__(self, pursuer: int, watch: Watch, world: Whole, network: Network, clock: NodeClock):
+    def __init__(self, pursuer: int, watch: TeamSensor, world: GlobalState, network: Network, clock: NodeClock):
         self._id, self._watch, self._sensing = pursuer, watch, watch.sensing
         self._world, self._network, self._clock = world, network, clock
         self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
@@ -177,29 +177,31 @@ class Sight:
         own = self._clock.at(when)
         return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
 
-    def estimate(self, evader: int) -> Guess | None:
+    def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return where it believes an evader to be; None if it has never heard of it, or has lost it and stays."""
         if self.sees(evader):
-            return Guess(self._world.evader(evader), self._world.velocity(evader))
+            return EvaderEstimate(self._world.evader(evader), self._world.velocity(evader))
         sighting, sensing = self.newest(evader), self._sensing
         if sighting is None:
             return None
         age = max(self._clock.now - sighting.seen, 0.0)
         worst = sensing.estimate == "worst_case"
-        slack = self._world.evader_speed(evader) * age if worst else 0.0
+        uncertainty = self._world.evader_speed(evader) * age if worst else 0.0
         velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
-        if age <= sensing.lost_after:
-            return Guess(sighting.place + velocity * age, velocity, slack)
-        if sensing.when_lost == "stay":
+        if age <= sensing.track_timeout:
+            return EvaderEstimate(sighting.place + velocity * age, velocity, uncertainty)
+        if sensing.on_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
         arm = rect(1.0, 2.0 * pi * self._id / self.size)  # so that who is equally fast goes another way
-        off = arm * spiral(self.speed(self._id) * (age - sensing.lost_after), apart)
-        return Guess(sighting.place + velocity * sensing.lost_after + off, 0j, slack + abs(off) if worst else 0.0)
+        off = arm * spiral(self.speed(self._id) * (age - sensing.track_timeout), apart)
+        return EvaderEstimate(
+            sighting.place + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
+        )
 
     def report(self) -> None:
         """Tell the neighbours the newest sightings that are not too old."""
-        oldest = self._clock.now - self._sensing.lost_after
+        oldest = self._clock.now - self._sensing.track_timeout
         news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
         told = tuple(each for each in news if self._sensing.pass_on or each is not self._heard.get(each.evader))
         if told:
@@ -234,7 +236,7 @@ class Sight:
         estimate = self.estimate(evader)
         if estimate is None:
             return (inf,) * self.size
-        return self._world.capture_times_at(estimate.place, estimate.slack, evader)
+        return self._world.capture_times_at(estimate.place, estimate.uncertainty, evader)
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the times of capture of some pursuers, s; as `capture_times`."""
@@ -246,7 +248,7 @@ class Sight:
         estimate = self.estimate(evader)
         if estimate is None:
             return inf
-        return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.slack, evader)
+        return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.uncertainty, evader)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.clock import seconds
-from desim.pursuit.evader import SINGLY, Target
+from desim.pursuit.evader import SINGLY, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import Floats, Points
 
 if TYPE_CHECKING:
-    from desim.pursuit.sensing import Watch
+    from desim.pursuit.sensing import TeamSensor
 
 Actions = NDArray[np.int64]
 """(N,) which evader each pursuer chases, 1 .. M, or 0."""
@@ -34,19 +34,19 @@ class Steering:
     """
 
     def __init__(
-        self, players: Kinematics, targets: Sequence[Target], law: Guidance, speeds: Floats, *, evader_first: bool
+        self, players: Kinematics, targets: Sequence[EvaderBody], law: Guidance, speeds: Floats, *, evader_first: bool
     ):
         self._players, self._targets, self._law = players, targets, law
         self._speeds, self._speed = speeds, speeds.tolist()
         self._evader_first = evader_first
         self._stillness: Points = np.zeros(len(speeds) + len(targets), dtype=complex)
-        self.watch: Watch | None = None
+        self.watch: TeamSensor | None = None
 
-    def let_act(self, actions: Actions) -> None:
+    def set_actions(self, actions: Actions) -> None:
         """Take note of what everybody does from now on."""
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
-        self._chases: list[tuple[int, Target]] | None = None  # who chases whom, if they are few
+        self._chases: list[tuple[int, EvaderBody]] | None = None  # who chases whom, if they are few
         if len(moving) <= SINGLY:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from desim.pursuit.state import Floats, Points
 
 
-class Surroundings(Protocol):
+class PursuerView(Protocol):
     """The part of the world that agents sense and act on."""
 
     @property
@@ -89,7 +89,7 @@ class Surroundings(Protocol):
         ...
 
 
-class Whole(Surroundings, Protocol):
+class GlobalState(PursuerView, Protocol):
     """The world as it is, for what makes of it what one pursuer senses."""
 
     @property
@@ -117,7 +117,7 @@ class Whole(Surroundings, Protocol):
         """Return how fast an evader can move, m/s."""
         ...
 
-    def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
+    def capture_times_at(self, place: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
         """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
         ...
 
@@ -125,6 +125,6 @@ class Whole(Surroundings, Protocol):
         """Return the time of capture of a pursuer over a distance (m), s."""
         ...
 
-    def may_chase(self, pursuer: int, evader: int, view: Surroundings | None = None) -> bool:
+    def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader, by the times of capture of a view if given."""
         ...

@@ -12,17 +12,17 @@ from pydantic import BeforeValidator, Field
 from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import OF_A_RUN, TRACE
 from desim.config.trust import fresh, regular
-from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.faults import Began, Crash, Fault, Over, Partition
+from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
 from desim.simulation.run import Result, run
 
-EVENTS = (Started, Decided, Halted, Sampled, Captured, Ended, *MESSAGES, Tally, Began, Over)
+EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, MessageCounts, FaultStarted, FaultEnded)
 """What may be in a trace."""
 
 
@@ -115,7 +115,7 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     """
     folder, trace = Path(folder), Trace()
     trace.events += events(folder)
-    if [type(event) for event in trace.events[-2:]] != [Tally, Ended]:
+    if [type(event) for event in trace.events[-2:]] != [MessageCounts, Ended]:
         raise ValueError(f"{folder / TRACE}: is not of a whole run: its last events should be Tally and Ended")
     for number, why in _misfits(trace.events):
         raise ValueError(f"{folder / TRACE}: line {number} {why}")
@@ -203,7 +203,7 @@ def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
         if event.t < t:
             yield number, "is earlier than the line before"
         t = event.t
-        if isinstance(event, Started | Tally | Ended):
+        if isinstance(event, Started | MessageCounts | Ended):
             if type(event) in once:
                 yield number, f"is a second {type(event).__name__}"
             once.add(type(event))
@@ -216,11 +216,11 @@ def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
         elif isinstance(event, Lost):
             if event.dst not in receivers.get(event.flight, ()):
                 yield number, f"is of a message that was not sent: {event.flight} to {event.dst}"
-        elif isinstance(event, Began):
+        elif isinstance(event, FaultStarted):
             if any(node >= size for node in _nodes(event.fault)):
                 yield number, f"is of a node that is not one of 0 to {size - 1}"
             broken.append(event.fault)
-        elif isinstance(event, Over):
+        elif isinstance(event, FaultEnded):
             if event.fault not in broken:
                 yield number, "ends a fault that did not begin"
             else:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import networkx as nx
 
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomCrashes, RandomFaults
 from desim.kernel.implicit_complete import is_complete
-from desim.kernel.propagation import Travel
+from desim.kernel.propagation import LinkSampler
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 
@@ -45,7 +45,7 @@ def everyone_heard(scenario: "Scenario") -> str | None:
         return connected(scenario) or _too_wide(scenario)
     graph, size = _who_hears_whom(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
-        return "as it begins not everybody hears everybody, and word is not passed on (`announce.spread`)"
+        return "as it begins not everybody hears everybody, and word is not passed on (`announce.dissemination`)"
     return undivided(scenario)
 
 
@@ -58,7 +58,9 @@ def component_heard(scenario: "Scenario") -> str | None:
         return None
     parts = nx.weakly_connected_components(graph)
     if any(graph.subgraph(part).size() < len(part) * (len(part) - 1) for part in parts):
-        return "as it begins some are linked over several hops only, and word is not passed on (`announce.spread`)"
+        return (
+            "as it begins some are linked over several hops only, and word is not passed on (`announce.dissemination`)"
+        )
     return None
 
 
@@ -73,7 +75,7 @@ def word_gets_through(scenario: "Scenario") -> str | None:
         return "who comes into range is never told what was said before (`announce.trigger`)"
     by_chance = network.range < inf and network.fading == "message" and network.reach != Disk()
     drops = network.medium.half_duplex or network.medium.queue_limit < inf
-    travel = Travel(network, network.graph(scenario.team.count), scenario.seed, None)
+    travel = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not travel.lossless:
         return "what is lost is never said again (`announce.trigger`)"
     return None
@@ -178,7 +180,8 @@ def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
 def _breaks(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
     """Return whether there are faults of a kind, or a random plan draws such."""
     return any(
-        isinstance(fault, faults) or (isinstance(fault, RandomPlan) and kind in fault.kinds) for fault in scenario.fault
+        isinstance(fault, faults) or (isinstance(fault, RandomFaults) and kind in fault.kinds)
+        for fault in scenario.fault
     )
 
 
@@ -189,13 +192,13 @@ def _spread_by_schedule(scenario: "Scenario") -> str | None:
 
 def _is_passed_on(scenario: "Scenario") -> bool:
     """Return whether word travels over several hops."""
-    one_hop = getattr(scenario.announce.spread, "kind", "one_hop") == "one_hop"
+    one_hop = getattr(scenario.announce.dissemination, "kind", "one_hop") == "one_hop"
     return not one_hop or _spread_by_schedule(scenario) == "all"
 
 
 def _too_wide(scenario: "Scenario") -> str | None:
     """Return why word does not travel far enough, if so."""
-    hops = getattr(scenario.announce.spread, "hops", inf)
+    hops = getattr(scenario.announce.dissemination, "hops", inf)
     if hops == inf or _spread_by_schedule(scenario) == "all":
         return None
     graph = _who_hears_whom(scenario)

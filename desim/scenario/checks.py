@@ -104,8 +104,8 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
                 yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
     if network.range == inf and network.reach != Disk():
         yield "network.reach", "it has no effect while the range is inf"
-    if announce.trigger == "never" and getattr(announce.spread, "kind", "one_hop") != "one_hop":
-        yield "announce.spread", "it has no effect, for nothing is ever announced"
+    if announce.trigger == "never" and getattr(announce.dissemination, "kind", "one_hop") != "one_hop":
+        yield "announce.dissemination", "it has no effect, for nothing is ever announced"
     for k, fault in enumerate(scenario.fault):
         if getattr(fault, "at", 0.0) >= scenario.horizon:
             yield f"fault.{k}.at", "it would begin after the horizon"

@@ -137,10 +137,10 @@ class Source:
         """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
         parts = name.split(".")
         within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
-        spread = [*within, *key.split(".")]
+        dissemination = [*within, *key.split(".")]
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts
-        return spread if _has(self.tables, spread) else [*within, key]
+        return dissemination if _has(self.tables, dissemination) else [*within, key]
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:

@@ -23,6 +23,7 @@ from desim.config.model import (
     SHORTEST,
     Box,
     Coordinate,
+    Flag,
     Horizon,
     Length,
     Limit,
@@ -31,7 +32,6 @@ from desim.config.model import (
     Recurring,
     Speed,
     Time,
-    Truth,
     Value,
 )
 from desim.kernel.faults import FAULTS
@@ -40,7 +40,7 @@ from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
 from desim.pursuit.agent import Behaviour
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import Mind
+from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.sensing import Sensing
@@ -148,7 +148,7 @@ class Evader(Value):
     """How it flees."""
     sight: Limit = inf
     """Distance up to which it sees pursuers, m."""
-    reaction: Time = 0.0
+    reaction_delay: Time = 0.0
     """Time by which it is late, s: it sees where pursuers were, and who chased, that long ago."""
 
     def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
@@ -162,7 +162,7 @@ class Evader(Value):
         """Whether it hears the pursuers' radio."""
         return bool(getattr(self.strategy, "listens", False))
 
-    def mind(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> Mind:
+    def mind(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
         """Return what one such evader perceives and chooses in a run.
 
         Args:
@@ -170,14 +170,14 @@ class Evader(Value):
             speeds: (N,) of the pursuers, m/s.
             radius: distance at which it is captured, m.
         """
-        return Mind(
+        return EvaderController(
             self.strategy,
             rng,
             speed=self.speed,
             speeds=speeds,
             radius=radius,
             sight=self.sight,
-            reaction=self.reaction,
+            reaction_delay=self.reaction_delay,
         )
 
 
@@ -210,7 +210,7 @@ class Motion(Value):
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it was
     at its beginning."""
-    frozen: Truth = False
+    frozen: Flag = False
     """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
 
 

@@ -11,15 +11,15 @@ import simpy
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import Conditions
-from desim.kernel.faults import Crash, clock_errors, drawn
+from desim.kernel.fault_state import FaultState
+from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes
 from desim.pursuit.agent import Agent, Behaviour, Process
 from desim.pursuit.announcements import tells_of_chase
 from desim.pursuit.evader import Eavesdropper
 from desim.pursuit.events import Captured, Ended
-from desim.pursuit.sensing import Watch
+from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import Floats, coordinates
 from desim.scenario.scenario import Scenario
 from desim.simulation.watchdog import TimedOut, stuck
@@ -28,7 +28,7 @@ from desim.simulation.world import World
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from desim.pursuit.views import Surroundings
+    from desim.pursuit.views import PursuerView
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     watchers = watchers if radio is None else (radio, *watchers)
     trace = Trace(watchers, messages=scenario.record.messages is True, stop=lambda: world.stop())
     world = World(env, scenario, seed, trace, radio)
-    faults = drawn(scenario.fault, world.size, scenario.horizon, seed)
+    faults = draw_faults(scenario.fault, world.size, scenario.horizon, seed)
 
     positions = _Places(world, 0.0 if scenario.motion.frozen else max(scenario.team.all_speeds()))
     network = Network(
@@ -91,7 +91,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         seed=seed,
         positions=positions,
         trace=trace,
-        conditions=Conditions(positions) if faults else None,
+        conditions=FaultState(positions) if faults else None,
         mark=tells_of_chase,
     )
     crew = _Crew(env, scenario, world, network, seed)
@@ -107,7 +107,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         who = "the protocol" if notes else "code of the scenario"
         raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
     world.sample()
-    trace.append(network.tally())
+    trace.append(network.message_counts())
     assert world.end is not None
     trace.append(world.end)
     return Result(scenario, seed, trace)
@@ -135,10 +135,10 @@ class _Crew:
             NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
         ]
         blind = scenario.sensing.limited and not getattr(scenario.protocol, "omniscient", False)
-        self._watch = Watch(scenario.sensing, world, network, clocks) if blind else None
+        self._watch = TeamSensor(scenario.sensing, world, network, clocks) if blind else None
         if self._watch is not None:
-            world.look_through(self._watch)
-        views: Sequence[Surroundings] = [world] * world.size if self._watch is None else self._watch.sights
+            world.attach_sensing(self._watch)
+        views: Sequence[PursuerView] = [world] * world.size if self._watch is None else self._watch.sights
         self._agents = [
             Agent(pursuer, env, view, world, network, seed, scenario.announce, clock)
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
@@ -155,8 +155,8 @@ class _Crew:
         for pursuer in range(self._world.size):
             agent = self._agents[pursuer]
             if announce.warm_start:
-                agent.presume()
-            relay = _Life(env, agent.in_phase(Phase.RELAY), announce.spread)
+                agent.set_initial_belief()
+            relay = _Life(env, agent.in_phase(Phase.RELAY), announce.dissemination)
             self.lives[pursuer] = relay, _Life(env, agent, protocol)
             beating = agent.in_phase(Phase.HEARTBEAT)
             if self._scenario.speaks and announce.beats:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Trace
 from desim.kernel.seeds import stream
-from desim.pursuit.dead_reckoning import Path, nearer
-from desim.pursuit.evader import Eavesdropper, Target
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.dead_reckoning import EvaderTrack, nearer
+from desim.pursuit.evader import Eavesdropper, EvaderBody
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.sensing import Watch
+from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import Floats, Points, State, complex_points, coordinates, lengths
 from desim.pursuit.steering import Actions, Steering
-from desim.pursuit.views import Surroundings
+from desim.pursuit.views import PursuerView
 from desim.scenario.scenario import Scenario
 
 
@@ -59,11 +59,11 @@ class World:
         self._speeds = np.array(scenario.team.all_speeds())
         radius = scenario.capture.radius
         self._targets = [
-            Target(
+            EvaderBody(
                 number,
                 evader.speed,
                 evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, radius),
-                Path(scenario.team.guidance, remembers=_reckons(scenario)),
+                EvaderTrack(scenario.team.guidance, remembers=_reckons(scenario)),
                 players=self.players,
                 speeds=self._speeds,
                 radius=radius,
@@ -81,14 +81,14 @@ class World:
         self._step, self._step_end = nanoseconds(scenario.motion.step), 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._watch: Watch | None = None
+        self._watch: TeamSensor | None = None
         chased: Actions = scenario.team.start_profile(seed).astype(np.int64)
         if not self._lone:
             chased = chased * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
         self._act(chased)
         self._prune_actions()
 
-    def look_through(self, watch: Watch) -> None:
+    def attach_sensing(self, watch: TeamSensor) -> None:
         """Let pursuers see no more than they do, and chase the evaders where they believe them to be."""
         self._watch = self._steering.watch = watch
         watch.look(self._env.now)
@@ -131,7 +131,7 @@ class World:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
         return (self._horizon if self._motion.frozen else self._horizon - now) / SECOND
 
-    def may_chase(self, pursuer: int, evader: int, view: Surroundings | None = None) -> bool:
+    def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
 
         By the true times of capture, or by those of a view.
@@ -274,7 +274,7 @@ class World:
         """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
         self._broken[pursuer] = True
         if self._profile[pursuer]:
-            self._trace.append(Halted(self._env.now, pursuer))
+            self._trace.append(BrokeDown(self._env.now, pursuer))
             self._set(pursuer, 0)
         self._foresee_capture()
 
@@ -299,7 +299,7 @@ class World:
         """Let everybody do something, as far as others ask for it."""
         self._actions = actions
         self._profile: list[int] = actions.tolist()
-        self._steering.let_act(actions)
+        self._steering.set_actions(actions)
         for target in self._targets:
             target.let_chase(np.equal(actions, target.number))
 
@@ -348,10 +348,10 @@ class World:
             self._capture_ahead = self._at(
                 min(now + nanoseconds(after), end),
                 Phase.CAPTURE,
-                lambda event: self._seize(event, captured, capturer),
+                lambda event: self._capture_evader(event, captured, capturer),
             )
 
-    def _seize(self, foreseen: simpy.Event, target: Target, capturer: int) -> None:
+    def _capture_evader(self, foreseen: simpy.Event, target: EvaderBody, capturer: int) -> None:
         if foreseen is not self._capture_ahead:
             return
         if not self._lone:
@@ -360,7 +360,7 @@ class World:
         if self._lone or len(self._targets) - len(self._at_large) >= self._needed:
             self.finish("captured", capturer)
 
-    def _remove(self, target: Target) -> None:
+    def _remove(self, target: EvaderBody) -> None:
         """Let an evader be captured: it is still, and who chased it stays until it decides anew."""
         target.captured = self._env.now
         self._at_large.remove(target)

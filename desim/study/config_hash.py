@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from desim.config.choice import import_name
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.study.fingerprint import Fingerprint, UntoldError, is_strange, strangers
+from desim.study.fingerprint import Fingerprint, UnstableHashError, is_user_code, user_code
 
 UNSWEPT = MappingProxyType(
     {
@@ -49,7 +49,7 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 def code(scenario: Scenario) -> dict[str, str]:
     """Return a hash of the source of each class and function in a scenario that is not desim's, by its name."""
     sources: dict[str, set[str]] = {}  # several lambdas have one name
-    for home in strangers(scenario):
+    for home in user_code(scenario):
         sources.setdefault(import_name(home), set()).add(_source(home))
     return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
 
@@ -60,14 +60,14 @@ def _held(scenario: Scenario) -> Iterator[tuple[str, str]]:
     for key, each in _own(scenario, ""):
         try:
             yield key, fingerprint(each)
-        except UntoldError as error:
+        except UnstableHashError as error:
             raise ScenarioError(f"{key}: {error}; {ADVICE}") from error
 
 
 def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Yield what is called in a value, or in what it is made of, and its tables do not tell, with its dotted key."""
     inner: Any = ()
-    if isinstance(value, BaseModel) and not is_strange(value):
+    if isinstance(value, BaseModel) and not is_user_code(value):
         inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]
     elif isinstance(value, tuple | list):
         inner = enumerate(value)

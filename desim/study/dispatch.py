@@ -24,9 +24,9 @@ Measure = Callable[[Result], Any]
 """What to keep of a result; it runs in the worker."""
 Simulate = Callable[[Scenario, int], Result]
 """What makes a run of a scenario and a seed; it runs in the worker, too."""
-LOT_TIME = 0.25
+BATCH_TIME = 0.25
 """How long a worker is to be busy with what it is handed at once, s: to hand over costs about a millisecond."""
-LOT_SIZE = 64
+BATCH_SIZE = 64
 """How many runs it is handed at most."""
 INNERMOST = 30
 """How many calls of a traceback are kept, those where it happened: a recursion without end has a thousand."""
@@ -81,7 +81,7 @@ def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary, s
 
     try:
         while waiting:
-            suspects = yield from _in_lots(waiting, hand_out, workers)
+            suspects = yield from _in_batches(waiting, hand_out, workers)
             for k in suspects:
                 yield k, _alone(k, hand_out, workers)
     except BaseException:  # nobody waits for the rest any more
@@ -89,18 +89,18 @@ def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary, s
         raise
 
 
-def _in_lots(
+def _in_batches(
     waiting: deque[int], hand_out: HandOut, workers: Workers
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
     """Yield outcomes until all are known or a worker dies; return the runs that were begun and are not known."""
     out: dict[Future[Any], list[int]] = {}
     suspects: list[int] = []
-    broken, run_time = False, LOT_TIME
+    broken, run_time = False, BATCH_TIME
     try:
         while out or (waiting and not broken):
-            while waiting and not broken and len(out) < workers.room:
+            while waiting and not broken and len(out) < workers.max_pending:
                 fair = len(waiting) // (2 * workers.count)
-                lot = [waiting.popleft() for _ in range(max(1, min(int(LOT_TIME / run_time), fair, LOT_SIZE)))]
+                lot = [waiting.popleft() for _ in range(max(1, min(int(BATCH_TIME / run_time), fair, BATCH_SIZE)))]
                 try:
                     out[hand_out(lot)] = lot
                 except BrokenExecutor:

@@ -19,7 +19,7 @@ from desim.study.configurations import Cell
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.store import Row, Store
-from desim.study.sweep import Plan, RunError, carry_out
+from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
@@ -52,7 +52,7 @@ def explain(
 class Variants:
     """A scenario as it is, without each imperfection, and without all, and how often each is to be run."""
 
-    plan: Plan
+    plan: SweepPlan
     cells: Mapping[str, Cell]
     """By what they are called; what is without something that is not there is the scenario as it is."""
 
@@ -73,7 +73,7 @@ class Variants:
         for cell in cells.values():
             distinct.setdefault(cell.key, cell)
         return cls(
-            Plan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)), cells
+            SweepPlan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)), cells
         )
 
     def carry_out(self, store: Store, workers: Workers) -> Explanation:

@@ -32,7 +32,7 @@ WRAPPERS = {staticmethod: "__func__", classmethod: "__func__", cached_property: 
 """Where what is put around a method has it."""
 
 
-class UntoldError(ValueError):
+class UnstableHashError(ValueError):
     """There is no telling an object from others of its kind."""
 
 
@@ -54,7 +54,7 @@ class Fingerprint:
         try:
             return self._of(value).hex()[:16]
         except RecursionError as error:
-            raise UntoldError(f"{type(value).__qualname__!r} objects lie too deep in each other") from error
+            raise UnstableHashError(f"{type(value).__qualname__!r} objects lie too deep in each other") from error
 
     def _of(self, value: Any) -> bytes:
         kind = type(value)
@@ -135,7 +135,7 @@ class Fingerprint:
         try:
             made: Any = value.__reduce_ex__(4) if reduce is None else reduce(value)
         except Exception as error:  # whatever the object's own code raises
-            raise UntoldError(f"{kind.__qualname__!r} objects cannot be told apart ({error})") from error
+            raise UnstableHashError(f"{kind.__qualname__!r} objects cannot be told apart ({error})") from error
         if isinstance(made, str):
             return self._global(value, made)
         make, args, state, *rest = (*made, None)[:5]
@@ -147,7 +147,9 @@ class Fingerprint:
             return self._all("wrapped", [wrapped])
         module: str = pickle.whichmodule(value, name)  # type: ignore[attr-defined]
         if _found(module, name) is not value:
-            raise UntoldError(f"{type(value).__qualname__!r} objects cannot be told apart ({name!r} is in no module)")
+            raise UnstableHashError(
+                f"{type(value).__qualname__!r} objects cannot be told apart ({name!r} is in no module)"
+            )
         return _hash("global", module, name, self._text(module))
 
 
@@ -230,13 +232,13 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
         yield from parts(each, seen)
 
 
-def strangers(value: Any) -> Iterator[Any]:
+def user_code(value: Any) -> Iterator[Any]:
     """Yield the functions, and the classes of models, that are called in a value and do not belong to desim."""
     for each in parts(value):
-        if is_strange(each):
+        if is_user_code(each):
             yield home_of(each)
 
 
-def is_strange(value: Any) -> bool:
+def is_user_code(value: Any) -> bool:
     """Return whether a function, or the class of an object, does not belong to desim."""
     return str(home_of(value).__module__).partition(".")[0] not in OURS

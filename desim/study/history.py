@@ -11,12 +11,12 @@ from desim.results.provenance import Document
 
 if TYPE_CHECKING:
     from desim.study.store import Store
-    from desim.study.sweep import Plan
+    from desim.study.sweep import SweepPlan
 
 
 def note(
     folder: Path,
-    plan: "Plan",
+    plan: "SweepPlan",
     home: Path,
     until: tuple[str, float] | None,
     shard: tuple[int, int] | None,

@@ -79,7 +79,7 @@ def without_staleness(scenario: Scenario) -> Scenario:
     Announcements are repeated, and who is silent for long is forgotten. A rule that goes by announced positions only
     senses them, and is in no need of messages any more.
     """
-    ideal = {"payload": "action", "trigger": "both", "forget_after": "auto", "warm_start": True}
+    ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
 
 

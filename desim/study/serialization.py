@@ -13,7 +13,7 @@ from typing import Any
 
 import cloudpickle
 
-from desim.study.fingerprint import OURS, strangers
+from desim.study.fingerprint import OURS, user_code
 
 Call = partial[Any]
 """A function and its arguments."""
@@ -38,7 +38,7 @@ def called(call: bytes) -> bytes:
 
 def _own_modules(call: Call) -> set[str]:
     """Return the names of the modules that are not installed and lie where a call's own classes and functions do."""
-    homes = {_home(each.__module__) for each in strangers(call)} - {None}
+    homes = {_home(each.__module__) for each in user_code(call)} - {None}
     if not homes:
         return set()
     return {

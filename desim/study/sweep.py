@@ -38,7 +38,7 @@ class RunError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """What is to be run: configurations, and the seeds of their runs."""
 
     base: Scenario
@@ -165,14 +165,14 @@ def sweep(
     """
     if until is not None:
         check_target(*until)
-    plan = Plan.of(scenario, grid, MOST_RUNS if until and reps is None else reps, seed)
+    plan = SweepPlan.of(scenario, grid, MOST_RUNS if until and reps is None else reps, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.enter(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 
 
 def carry_out(
-    plan: Plan,
+    plan: SweepPlan,
     store: Store,
     workers: Workers,
     *,
@@ -200,7 +200,7 @@ def carry_out(
 
 
 def _run(
-    jobs: Sequence[Job], plan: Plan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
+    jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
 ) -> None:
     """Do some runs, and write down each as it ends."""
     seeds = [plan.seed(cell, k) for cell, k in jobs]
@@ -227,7 +227,7 @@ def check_target(metric: str, half_width: float) -> None:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
 
-def _wanted(plan: Plan, store: Store, metric: str, half_width: float) -> list[Job]:
+def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
     """Return the runs that a precision takes as far as can be told, those that are there included."""
     jobs: list[Job] = []
     for cell in plan.cells:

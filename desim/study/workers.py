@@ -35,7 +35,7 @@ class Workers:
         self._name = name or repr(executor)
         self.count: int = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
         """How many work at the same time."""
-        self.room = 2 * self.count
+        self.max_pending = 2 * self.count
         """How many calls to hand out at once, so that nobody waits for the next."""
 
     def submit(self, call: Call) -> Future[Any]:
@@ -89,11 +89,11 @@ class Workers:
         return None
 
 
-class Here(Workers):
+class InProcess(Workers):
     """No workers: everything is done at once, in this process, where a debugger sees it."""
 
     def __init__(self) -> None:
-        self.count = self.room = 1
+        self.count = self.max_pending = 1
 
     def submit(self, call: Call) -> Future[Any]:
         """Make a call; a Ctrl-C ends it."""
@@ -121,7 +121,7 @@ class Processes(Workers):
 
     def submit(self, call: Call) -> Future[Any]:
         """Let a worker make a call; workers are started by the first calls."""
-        with _deaf():
+        with _block_signals():
             return super().submit(call)
 
     def stop(self) -> None:
@@ -191,7 +191,7 @@ def workers_for(executor: Executor | int | str) -> Workers:
     if executor < 0:
         raise ValueError(f"the number of workers should be at least 0, got {executor}")
     count = executor or os.cpu_count() or 1
-    return Here() if count == 1 else Processes(count)
+    return InProcess() if count == 1 else Processes(count)
 
 
 def _pool(count: int) -> Executor:
@@ -199,11 +199,11 @@ def _pool(count: int) -> Executor:
     from loky import get_reusable_executor
 
     if os.name == "posix":
-        with _deaf():
-            resource_tracker.ensure_running()  # or a later `_deaf` would start it, which makes us hear again
-    with _deaf():  # the executor starts a process that looks after its semaphores
+        with _block_signals():
+            resource_tracker.ensure_running()  # or a later `_block_signals` would start it, which makes us hear again
+    with _block_signals():  # the executor starts a process that looks after its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
-            max_workers=count, initializer=_serve, initargs=(os.getpid(),), env=SHELTER
+            max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=SHELTER
         )
 
 
@@ -222,7 +222,7 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
+def _block_signals() -> Iterator[None]:
     """Let processes that are started here inherit that interrupts are not for them; those wait for us meanwhile.
 
     Python lets its handler run in the main thread whichever thread hears the signal, and another may not have blocked
@@ -247,7 +247,7 @@ def _deaf() -> Iterator[None]:
             signal.raise_signal(number)
 
 
-def _serve(driver: int) -> None:
+def _init_worker(driver: int) -> None:
     """Prepare a worker process: deaf to interrupts, and gone when its driver is."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)

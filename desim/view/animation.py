@@ -19,12 +19,12 @@ from PIL import Image
 from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
-from desim.analysis.trace_index import Floats, Integers, Truths, captures, ended, messages_recorded, started
+from desim.analysis.trace_index import Bools, Floats, Integers, captures, ended, messages_recorded, started
 from desim.config.trust import fresh
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result
-from desim.view.deliveries import passages
-from desim.view.paths import HUES, Look, Paths, stints
+from desim.view.deliveries import deliveries
+from desim.view.paths import HUES, Look, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4
 """Of a frame, in."""
@@ -159,7 +159,7 @@ class _Stage:
     """What moves on a figure; all else is drawn as it is made."""
 
     def __init__(self, figure: Figure, result: Result):
-        self._result, self._paths, self._stints = result, Paths(result), stints(result)
+        self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
         self._captured = {each.evader: each for each in captures(result)}
         axes = figure.add_subplot()
         self._set(axes)
@@ -223,13 +223,13 @@ class _Stage:
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
             each.pursuer: each.evader
-            for each in self._stints
+            for each in self._active_periods
             if each.begin <= t
             and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
         }
 
     def _set_quarry(self, evader: int, quarry: _Quarry, t: int, chasers: Floats) -> None:
-        begun = [each for each in self._stints if each.begin <= t and each.evader == evader]
+        begun = [each for each in self._active_periods if each.begin <= t and each.evader == evader]
         for line, alone in ((quarry.trails, False), (quarry.relay, True)):
             own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
             line.set_data(_joined(own))
@@ -275,7 +275,7 @@ class _Flights:
         short: how far before its receiver a message is lost, m.
     """
 
-    def __init__(self, left: Integers, until: Integers, lost: Truths, source: Floats, target: Floats, short: float):
+    def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
         self.left, self._until, self.lost, self._source, self._target = left, until, lost, source, target
         self._short = short
 
@@ -298,7 +298,7 @@ class _Flights:
 
 def _flights(result: Result, paths: Paths, short: float) -> _Flights:
     """Return the messages of a run, none if they were not recorded; for `short` see `_Flights`."""
-    own = passages(result) if messages_recorded(result) else []
+    own = deliveries(result) if messages_recorded(result) else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
     source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
     for pursuer in range(paths.pursuers.shape[1]):

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 from desim.analysis.activity import action, moves, relays
 from desim.analysis.trace_index import ended, require_messages, started
 from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
-from desim.kernel.faults import Began, Fault, Over
+from desim.kernel.faults import Fault, FaultEnded, FaultStarted
 from desim.simulation.run import Result
 
 
-class Passage(NamedTuple):
+class Delivery(NamedTuple):
     """One message on its way to one receiver."""
 
     flight: int
@@ -37,14 +37,14 @@ class Passage(NamedTuple):
     """What it said; None if it never left."""
 
 
-def passages(result: Result) -> list[Passage]:
+def deliveries(result: Result) -> list[Delivery]:
     """Return how every message fared, in the order of what they left as; a broadcast is one for each receiver.
 
     Raises:
         ValueError: if messages were sent and not recorded.
     """
     require_messages(result)
-    found: dict[tuple[int, int], Passage] = {}
+    found: dict[tuple[int, int], Delivery] = {}
     never = ended(result).t + 1
     for event in result.trace:
         if isinstance(event, Broadcast | Sent | Queued):
@@ -57,14 +57,14 @@ def passages(result: Result) -> list[Passage]:
     return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
 
 
-def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Passage]:
+def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
     """Yield what left or began to wait; if it is lost, when and why follows."""
     if isinstance(event, Queued):
         for dst in event.dst:
-            yield Passage(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
+            yield Delivery(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
         return
     for dst, arrival in event.fates():
-        yield Passage(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
+        yield Delivery(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
 
 
 def news(body: Any) -> int | None:
@@ -73,7 +73,7 @@ def news(body: Any) -> int | None:
     return said if isinstance(said, int) else None
 
 
-class Spell(NamedTuple):
+class Interval(NamedTuple):
     """A time for which something was so, ns."""
 
     begin: int
@@ -104,7 +104,7 @@ def chasing(result: Result) -> list[list[Chase]]:
     return found
 
 
-class Takeover(NamedTuple):
+class Handover(NamedTuple):
     """Somebody came to be the only one that chases an evader, and was not the last that was so."""
 
     t: int
@@ -114,22 +114,22 @@ class Takeover(NamedTuple):
     """1 .. M"""
 
 
-def takeovers(result: Result) -> list[Takeover]:
+def handover_events(result: Result) -> list[Handover]:
     """Return who came to chase an evader alone, in order of time; each but the first of an evader is a hand-over."""
     count = len(started(result).evaders)
-    return sorted(Takeover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
+    return sorted(Handover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
 
-def outages(result: Result) -> list[tuple[Fault, Spell]]:
+def outages(result: Result) -> list[tuple[Fault, Interval]]:
     """Return what was broken and when, in order of its beginning; what is never over ends with the run."""
-    end, open_faults = ended(result).t, list[Began]()
-    found: list[tuple[Fault, Spell]] = []
+    end, open_faults = ended(result).t, list[FaultStarted]()
+    found: list[tuple[Fault, Interval]] = []
     for event in result.trace:
-        if isinstance(event, Began):
+        if isinstance(event, FaultStarted):
             open_faults.append(event)
-        elif isinstance(event, Over):
+        elif isinstance(event, FaultEnded):
             began = next(each for each in open_faults if each.fault == event.fault)
             open_faults.remove(began)
-            found.append((event.fault, Spell(began.t, event.t)))
-    found += [(began.fault, Spell(began.t, end)) for began in open_faults]
+            found.append((event.fault, Interval(began.t, event.t)))
+    found += [(began.fault, Interval(began.t, end)) for began in open_faults]
     return sorted(found, key=lambda each: each[1])

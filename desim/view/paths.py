@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.patheffects import withStroke
 
-from desim.analysis.activity import Hunt, hunts
+from desim.analysis.activity import EvaderPursuit, evader_pursuits
 from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, place
 from desim.analysis.trace_index import Floats, Integers, captures, sampled
 from desim.simulation.run import Result
-from desim.view.deliveries import Takeover, takeovers
+from desim.view.deliveries import Handover, handover_events
 from desim.view.labels import label_points
 
 HUES = (BLUE, GREEN, PURPLE)
@@ -44,7 +44,7 @@ class Look(NamedTuple):
         return cls(MARKS[(evader - 1) % len(MARKS)], hue, hue, hue)
 
 
-class Stint(NamedTuple):
+class ActivePeriod(NamedTuple):
     """A time for which a pursuer chased an evader, alone or beside others."""
 
     pursuer: int
@@ -58,12 +58,14 @@ class Stint(NamedTuple):
     """1 .. M"""
 
 
-def stints(result: Result) -> list[Stint]:
+def active_periods(result: Result) -> list[ActivePeriod]:
     """Return who chased which evader when, and whether alone, in order of the evaders and then of their ends."""
-    return [stint for evader, hunt in enumerate(hunts(result), start=1) for stint in _stints(evader, hunt)]
+    return [
+        stint for evader, hunt in enumerate(evader_pursuits(result), start=1) for stint in _active_periods(evader, hunt)
+    ]
 
 
-def _stints(evader: int, hunt: Hunt) -> list[Stint]:
+def _active_periods(evader: int, hunt: EvaderPursuit) -> list[ActivePeriod]:
     active = {pursuer: 0 for pursuer, chasing in enumerate(hunt.start) if chasing}
     times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
     found, alone = [], len(active) == 1
@@ -71,13 +73,15 @@ def _stints(evader: int, hunt: Hunt) -> list[Stint]:
         if step is not None:
             _, pursuer, by = step
             if by < 0:
-                found.append(Stint(pursuer, active.pop(pursuer), begin, alone, evader))
+                found.append(ActivePeriod(pursuer, active.pop(pursuer), begin, alone, evader))
             else:
                 active[pursuer] = begin
         if (len(active) == 1) != alone and begin < end:
-            found += [Stint(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin]
+            found += [
+                ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin
+            ]
             active, alone = dict.fromkeys(active, begin), not alone
-    found += [Stint(pursuer, since, hunt.end, alone, evader) for pursuer, since in active.items()]
+    found += [ActivePeriod(pursuer, since, hunt.end, alone, evader) for pursuer, since in active.items()]
     return [each for each in found if each.begin < each.end]
 
 
@@ -113,7 +117,7 @@ class Paths:
         """Return the (k, 2) places of a pursuer at (k,) times, ns."""
         return self._along(self.pursuers[:, pursuer], times)
 
-    def takes_over(self, takeover: Takeover) -> tuple[float, float]:
+    def hands_over_at(self, takeover: Handover) -> tuple[float, float]:
         """Return where somebody took over, m."""
         x, y = self.at(takeover.pursuer, np.array([takeover.t]))[0].tolist()
         return x, y
@@ -157,7 +161,7 @@ def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look
         for alone, label in labels.items():
             axes.plot([], [], color=GREY, label=label, **wide[alone])
         labels = {}
-    for stint in stints(result):
+    for stint in active_periods(result):
         path, look = paths.of(stint.pursuer, stint.begin, stint.end), looks[stint.evader]
         colour = look.alone if stint.alone else look.beside
         label = labels.pop(stint.alone, None)
@@ -167,7 +171,7 @@ def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look
 def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look]) -> None:
     label = "takes over"
     for evader, look in looks.items():
-        places = [paths.takes_over(each) for each in takeovers(result) if each.evader == evader]
+        places = [paths.hands_over_at(each) for each in handover_events(result) if each.evader == evader]
         if places:
             style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
             axes.plot(*np.transpose(places), "D", ls="", label=label, **style)
@@ -179,10 +183,10 @@ def label_takeovers(axes: Axes, result: Result) -> None:
 
     See `label_points` for the axes.
     """
-    paths, chain = Paths(result), takeovers(result)
+    paths, chain = Paths(result), handover_events(result)
     everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
     ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
-    named = [(paths.takes_over(each), str(each.pursuer), each.evader, "normal") for each in chain]
+    named = [(paths.hands_over_at(each), str(each.pursuer), each.evader, "normal") for each in chain]
     if paths.count > 1:
         named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
     places, names = [each[0] for each in named], [each[1] for each in named]

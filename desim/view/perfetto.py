@@ -23,7 +23,7 @@ from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
-from desim.view.deliveries import chasing, outages, passages, takeovers
+from desim.view.deliveries import chasing, deliveries, handover_events, outages
 
 PURSUERS = 1
 """The process whose threads are the pursuers."""
@@ -93,7 +93,7 @@ def _instants(result: Result) -> Iterator[Entry]:
         starts = f"turns to {action(each)}" if several else "starts"
         name = (starts if chases(each) else "stops") if id(each) in changed else "decides as before"
         yield _entry("i", name, FIRST + each.pursuer, each.t, cat="decision", s="t", args={"active": each.active})
-    for t, pursuer, evader in takeovers(result):
+    for t, pursuer, evader in handover_events(result):
         whom: dict[str, int] = {"evader": evader} if several else {}
         name = f"{pursuer} takes {evader} over" if several else f"{pursuer} takes over"
         yield _entry("i", name, TEAM, t, cat="relay", s="t", args={"pursuer": pursuer} | whom)
@@ -126,7 +126,7 @@ def _counts(result: Result) -> Iterator[Entry]:
 def _messages(result: Result) -> Iterator[Entry]:
     """Yield both ends of each message; what is in flight as the run ends goes on until it would arrive."""
     size, over = len(started(result).active), ended(result).t
-    for each in passages(result):
+    for each in deliveries(result):
         link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.flight}.{each.dst}"}
         name, tid = f"{each.src} to {each.dst}", FIRST + size + each.dst
         says = {"bytes": each.size, "says": each.body}

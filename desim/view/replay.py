@@ -36,9 +36,9 @@ from desim.kernel.implicit_complete import is_complete
 from desim.kernel.links import Links
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
-from desim.pursuit.events import Captured, Decided, Halted
+from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
-from desim.view.deliveries import outages, passages, takeovers
+from desim.view.deliveries import deliveries, handover_events, outages
 
 LATEST = 2**32 - 1
 """The last tick of a column."""
@@ -258,7 +258,7 @@ def _path(result: Result, ticks: _Ticks) -> Document:
 def _decisions(result: Result, ticks: _Ticks) -> Document:
     """Return who decided what when; who stays because it broke down, or what it chased was captured, is among them."""
     found = list(_acts(result))
-    why = {Decided: DECIDED, Halted: HALTED, Released: RELEASED}
+    why = {Decided: DECIDED, BrokeDown: HALTED, Released: RELEASED}
     return {
         "t": ticks([event.t for event in found]),
         "who": _column([event.pursuer for event in found], "<u2"),
@@ -274,7 +274,7 @@ def _acts(result: Result) -> Iterator[Change]:
         if isinstance(change, Released):
             released[before].append(change)
     for event in result.trace:
-        if isinstance(event, Decided | Halted):
+        if isinstance(event, Decided | BrokeDown):
             yield event
         elif isinstance(event, Captured):
             yield from released[event.evader]
@@ -287,7 +287,7 @@ def _kind(result: Result) -> str:
 
 def _relays(result: Result, ticks: _Ticks) -> Document:
     """Return who came to chase which evader alone, and when."""
-    found = takeovers(result)
+    found = handover_events(result)
     return {
         "t": ticks([each.t for each in found]),
         "who": _column([each.pursuer for each in found], "<u2"),
@@ -318,7 +318,7 @@ def _messages(result: Result, ticks: _Ticks) -> Document:
     A message is in flight from the instant at which it is sent, or begins to wait for its transmitter, until it arrives
     or is lost.
     """
-    own = sorted(passages(result), key=lambda each: (each.created, each.flight, each.dst))
+    own = sorted(deliveries(result), key=lambda each: (each.created, each.flight, each.dst))
     rows = [list(row) for _, row in groupby(own, key=lambda each: each.flight)]
     causes = sorted({each.cause for each in own if each.cause is not None})
     number = {None: 0} | {cause: k for k, cause in enumerate(causes, start=1)}

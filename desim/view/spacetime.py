@@ -20,7 +20,7 @@ from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
-from desim.view.deliveries import Passage, Spell, chasing, news, outages, passages
+from desim.view.deliveries import Delivery, Interval, chasing, deliveries, news, outages
 from desim.view.paths import HALO, Look
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
 
 def _window(
     result: Result, shown: Sequence[int], begin: float | None, end: float | None, most: int
-) -> tuple[Spell, list[Passage]]:
+) -> tuple[Interval, list[Delivery]]:
     """Return the window (ns) and the messages among those shown that are on their way in it.
 
     Without an end they are half as many as can be told apart, or those of one instant.
@@ -128,7 +128,7 @@ def _window(
     last = min(last, ended(result).t)
     own = [
         each
-        for each in passages(result)
+        for each in deliveries(result)
         if each.src in among and each.dst in among and each.left <= last and each.until >= first
     ]
     if end is None and len(own) > most // 2:
@@ -141,16 +141,16 @@ def _window(
             f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
             f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider picture"
         )
-    return Spell(first, last), own
+    return Interval(first, last), own
 
 
-def _mean_latency(own: Sequence[Passage]) -> float:
+def _mean_latency(own: Sequence[Delivery]) -> float:
     """Return the mean time from send to arrival, s; 0 if nothing arrives."""
     times = [each.until - each.left for each in own if each.cause is None]
     return float(np.mean(times)) / SECOND if times else 0.0
 
 
-def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw a thin line for each pursuer, thick while it is active; of several evaders, with the number of its own."""
     spells, several = chasing(result), has_several(result)
     for row in rows.values():
@@ -171,7 +171,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Spe
             axes.annotate(str(spell.evader), (x[0], row), **offset, color=colour, fontsize=6, zorder=6)
 
 
-def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Shade what was broken: the line of a pursuer, or the whole height."""
     inside = [each for each in outages(result) if each[1].begin < window.end and each[1].end > window.begin]
     level = 0
@@ -193,7 +193,7 @@ def _hue(evader: int, several: bool) -> str:
     return Look.of(evader, 2 if several else 1).alone
 
 
-def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw when several evaders were captured, which, and by whom."""
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
@@ -216,10 +216,10 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Spe
                 )
 
 
-def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], latency: float, evaders: int) -> None:
+def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
     """Draw the messages that arrive as arrows, those that do not as dotted lines to a cross."""
 
-    def kind(each: Passage) -> tuple[str, str]:
+    def kind(each: Delivery) -> tuple[str, str]:
         said = news(each.body)
         if said is None:
             return "#555555", "message"
@@ -248,13 +248,13 @@ def _draw_messages(axes: Axes, own: Sequence[Passage], rows: dict[int, int], lat
     axes.plot([], [], color=VERMILION, ls=":", marker="x", ms=4, lw=1.0, label="lost message")
 
 
-def _ends(own: Sequence[Passage], rows: dict[int, int]) -> tuple[Any, Any]:
+def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:
     """Return (2, k) times (s) and rows at which messages begin and end."""
     t = np.array([(each.left, each.until) for each in own], dtype=float).T / SECOND
     return t, np.array([(rows[each.src], rows[each.dst]) for each in own], dtype=float).T
 
 
-def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Spell) -> None:
+def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Mark the decisions: a tick for each, a triangle where the action changed."""
     inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
     changed = {id(each) for each in changes(result)}

@@ -34,7 +34,7 @@ class Desim:
 
     def outcome(self) -> Outcome:
         """Return what the run came to."""
-        return Outcome(self.network.tally().delivered, [self.table(node) for node in range(self.work.size)])
+        return Outcome(self.network.message_counts().delivered, [self.table(node) for node in range(self.work.size)])
 
     def read(self, node: int) -> object:
         """Let a node read what it has heard."""

@@ -9,7 +9,7 @@ import numpy as np
 import simpy
 
 from desim.kernel.latency import Constant
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.seeds import stream
 from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Workload, note
 
@@ -109,7 +109,7 @@ class PerMessageDrawnAtOnce(PerMessage):
 
     def hops(self, src: int) -> Iterable[tuple[int, float]]:
         dst = self.neighbours[src]
-        delay = self.work.latency(Hops(src, dst), self.rng)
+        delay = self.work.latency(LinkContext(src, dst), self.rng)
         self.sent += len(dst)
         delays = [delay] * len(dst) if isinstance(delay, float) else delay.tolist()
         return zip(dst.tolist(), delays, strict=True)

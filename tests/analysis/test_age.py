@@ -23,16 +23,16 @@ from desim.analysis.age import (
 from desim.analysis.knowledge import knowledge
 from desim.analysis.metrics import summary
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.faults import ClockSkew, Crash, Over, RandomCrashes
+from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.faults import ClockSkew, Crash, FaultEnded, RandomCrashes
 from desim.kernel.graphs import Ring
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.network import Network
 from desim.kernel.records import Record
-from desim.pursuit.announcements import Announcements, Assignment, Relayed
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
+from desim.pursuit.announcements import Announcements, Assignment, Forwarded
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.scenario.scenario import Motion, Recording, Scenario, Team
 from desim.simulation.run import Result, run
 from protocols.dissemination import Flooding, Gossip, OneHop
@@ -51,7 +51,7 @@ def ns(time):
 def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
     """Return a result with this start, these events and this end, s."""
     trace, places = Trace(), tuple((float(i), 0.0) for i in range(len(profile)))
-    tally = Tally(ns(end), sent, 0, 0, 0, {}, 0, 0, 0.0)
+    tally = MessageCounts(ns(end), sent, 0, 0, 0, {}, 0, 0, 0.0)
     start = Started(0, (9.0, 0.0), places, (1.0,) * len(profile), profile, ((9.0, 9.0),) * (evaders - 1))
     trace.events += [start, *events, tally, Ended(ns(end), "horizon", None)]
     return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
@@ -65,7 +65,7 @@ def told(src, seq, created, arrivals, body=ACTIVE, flight=0):
 
 def relayed(src, dst, sent, arrival, *records, flight=0):
     """Return a message that passes on records."""
-    return Sent(ns(sent), flight, src, dst, ns(arrival), ns(sent), 24, Relayed(records))
+    return Sent(ns(sent), flight, src, dst, ns(arrival), ns(sent), 24, Forwarded(records))
 
 
 def decided(time, pursuer, active=True):
@@ -180,7 +180,7 @@ def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
 
     What arrives as it recovers, at 2 s, is not forgotten, for faults come first: (1 x 1.5 + 2 x 3) / 3.
     """
-    words = told(0, 1, 0.0, {1: 1.0}), Over(ns(2.0), Crash(at=1.5, until=2.0, node=1, memory=False))
+    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(at=1.5, until=2.0, node=1, memory=False))
     result = by_hand((True, True), 4.0, *words, told(0, 2, 2.5, {1: 3.0}), decided(2.5, 1), decided(3.5, 1))
     mean, peak, at_decision = pair(result)
     assert (mean, at_decision) == (1.25, 1.0)
@@ -190,7 +190,7 @@ def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
 
 
 def test_who_keeps_its_memory_goes_on():
-    words = told(0, 1, 0.0, {1: 1.0}), Over(ns(2.0), Crash(at=1.5, until=2.0, node=1))
+    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(at=1.5, until=2.0, node=1))
     assert pair(by_hand((True, True), 4.0, *words))[0] == 2.5
 
 
@@ -216,7 +216,7 @@ def test_word_that_does_not_tell_the_action_leaves_the_belief():
 def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_nobody_else():
     """1 forgets at 1 s; at 2 s it hears record number 0 of pursuer 0 again, 2 s old then and 4 s at the end."""
     first = relayed(2, 1, 2.0, 2.0, Record(0, 0, 0, ACTIVE))
-    over = Over(ns(1.0), Crash(at=0.5, until=1.0, node=1, memory=False))
+    over = FaultEnded(ns(1.0), Crash(at=0.5, until=1.0, node=1, memory=False))
     result = by_hand((True, False, False), 4.0, over, first)
     assert (pair(result)[0], belief_error(result)) == (3.0, 1.0 / (6 * 4))
     result = by_hand((True, False, False), 4.0, first)
@@ -301,7 +301,7 @@ def histories(draw):
         others = tuple(i for i in range(size) if i != node)
         arrival = tuple(LOST if draw(truths) and draw(truths) else t + draw(st.integers(0, 12)) * TICK for _ in others)
         known = [draw(st.sampled_from(sorted(created))) for _ in range(draw(st.integers(0, 3)))] if created else []
-        passed_on = Relayed(tuple(Record(*which, *created[which]) for which in known))
+        passed_on = Forwarded(tuple(Record(*which, *created[which]) for which in known))
         if kind == "word":
             seqs[node] += 1
             body = draw(st.one_of(st.none(), actions.map(Assignment)))
@@ -314,9 +314,9 @@ def histories(draw):
         elif kind == "decided":
             events.append(Decided(t, node, draw(st.sampled_from([0, *large]))))
         elif kind == "halted":
-            events.append(Halted(t, node))
+            events.append(BrokeDown(t, node))
         elif kind == "forgets":
-            events.append(Over(t, Crash(at=0.0, until=1.0, node=node, memory=False)))
+            events.append(FaultEnded(t, Crash(at=0.0, until=1.0, node=node, memory=False)))
         elif kind == "captured" and len(large) > 1:
             events.append(Captured(t, large.pop(), node))
         if others and draw(truths):
@@ -331,9 +331,9 @@ def simulated(result):
     size, lost = len(start.active), {(e.flight, e.dst) for e in result.trace.of(Lost)}
     happenings = []
     for place, event in enumerate(events):
-        if isinstance(event, Over):
+        if isinstance(event, FaultEnded):
             happenings.append((event.t, -1, event.fault.node, None))
-        if isinstance(event, Decided | Halted):
+        if isinstance(event, Decided | BrokeDown):
             happenings.append((event.t, place, event.pursuer, event))
         if isinstance(event, Captured):
             happenings.append((event.t, place, None, event))
@@ -341,7 +341,7 @@ def simulated(result):
             to = [event.dst] if isinstance(event, Sent) else event.dst
             when = [event.arrival] if isinstance(event, Sent) else event.arrival
             own = [] if isinstance(event, Sent) else [Record(event.src, event.seq, event.created, event.body)]
-            records = event.body.records if isinstance(event.body, Relayed) else own
+            records = event.body.records if isinstance(event.body, Forwarded) else own
             for dst, arrival in zip(to, when, strict=True):
                 if arrival != LOST and (event.flight, dst) not in lost:
                     happenings += [(arrival, place, dst, record) for record in records]
@@ -418,7 +418,7 @@ def reporting(seed, p, updates=2000):
         report = Instant(clock, k * ns(PERIOD), Phase.DECISION)
         report.callbacks.append(lambda _: network.publish(0, ACTIVE))
     clock.run(until=end)
-    trace.append(network.tally())
+    trace.append(network.message_counts())
     trace.append(Ended(end, "horizon", None))
     return Result(Scenario(), seed, trace)
 
@@ -475,7 +475,7 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("warm", [True, False])
 @pytest.mark.parametrize(
-    ("spread", "faults"),
+    ("dissemination", "faults"),
     [
         (OneHop(), ()),
         (OneHop(), (FORGETTING,)),
@@ -485,7 +485,7 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
         (Flooding(), (CRASHES,)),
     ],
 )
-def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decided(spread, faults, warm):
+def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decided(dissemination, faults, warm):
     """In each run some hundred decisions. Word is late, lost, overtaken, passed on, and forgotten."""
     diary = Diary()
     scenario = Scenario(
@@ -493,7 +493,7 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
         team=Team(count=6, active_at_start=0.5),
         motion=Motion(frozen=True),
         network=Links(graph=Ring(), latency=Uniform(low=0.0, high=0.1), loss=Bernoulli(p=0.2)),
-        announce=Announcements(trigger="revision", spread=spread, warm_start=warm),
+        announce=Announcements(trigger="revision", dissemination=dissemination, warm_start=warm),
         record=Recording(messages=True),
         protocol=diary,
         fault=faults,
@@ -519,13 +519,13 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
 # Word that a protocol passes on.
 
 
-def negotiating(schedule, spread=None, **links):
+def negotiating(schedule, dissemination=None, **links):
     """Return a run in which pursuers toss coins by a schedule and announce them only if there is a way to spread it."""
 
     def protocol(me):
         yield from schedule(me, lambda: me.assign(me.rng.random() < 0.5))
 
-    trigger = {"trigger": "revision", "spread": spread} if spread else {"trigger": "never"}
+    trigger = {"trigger": "revision", "dissemination": dissemination} if dissemination else {"trigger": "never"}
     scenario = Scenario(
         horizon=6.0,
         team=Team(count=4),
@@ -563,7 +563,7 @@ def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
     def carries(each):
         return isinstance(each, Record) or (isinstance(each, tuple) and any(map(carries, each)))
 
-    told = {"Relayed": {"records"}}
+    told = {"Forwarded": {"records"}}
     for module in pkgutil.iter_modules(protocols.__path__, "protocols."):
         for each in vars(importlib.import_module(module.name)).values():
             if isinstance(each, type) and issubclass(each, tuple) and each.__module__ == module.name:
@@ -574,5 +574,5 @@ def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
             body = sent.body
             told[type(body).__name__] |= {name for name in body._fields if carries(getattr(body, name))}
     carriers = {name: fields for name, fields in told.items() if fields}
-    assert set(carriers) >= {"Relayed", "Reply", "Token"}
+    assert set(carriers) >= {"Forwarded", "Reply", "Token"}
     assert all(fields == {"records"} for fields in carriers.values())

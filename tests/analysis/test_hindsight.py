@@ -19,14 +19,14 @@ from desim.analysis.hindsight import (
 from desim.analysis.metrics import active_time, summary
 from desim.analysis.timeline import course
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import Tally, Trace
-from desim.kernel.faults import Began, Crash, Over, RandomCrashes
+from desim.kernel.events import MessageCounts, Trace
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
 from desim.kernel.graphs import Link, Ring
 from desim.kernel.latency import Constant, Lognormal, Propagation
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
-from desim.pursuit.events import Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import BrokeDown, Decided, Ended, Sampled, Started
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Scenario, Team
 from desim.simulation.run import Result, run
 from protocols.centralised import Centralised
@@ -58,7 +58,10 @@ def by_hand(phi, active, decisions, end, frozen=True, samples=(), more=(), speed
     events += [Sampled(nanoseconds(t), (0.0, 0.0), places(times)) for t, times in samples]
     trace = Trace()
     trace.events = [start, *sorted(events, key=lambda each: each.t)]
-    trace.events += [Tally(nanoseconds(end), 0, 0, 0, 0, {}, 0, 0, 0.0), Ended(nanoseconds(end), "stopped", None)]
+    trace.events += [
+        MessageCounts(nanoseconds(end), 0, 0, 0, 0, {}, 0, 0, 0.0),
+        Ended(nanoseconds(end), "stopped", None),
+    ]
     scenario = Scenario(
         horizon=HORIZON,
         team=Team(count=len(phi)),
@@ -220,13 +223,18 @@ def test_a_robot_that_is_broken_is_not_the_relay_pursuer():
     """0 is broken from 1 to 3 s, twice from 2 s on; 1 chases from 1 s to 3.5 s; a broken radio does not matter."""
     first, second = Crash(at=1.0, until=2.5, node=0), Crash(at=2.0, until=3.0, node=0)
     radio = Crash(at=0.0, until=5.0, node=0, scope="radio")
-    events = [Began(0, radio), Began(SECOND, first), Halted(SECOND, 0), Began(2 * SECOND, second)]
-    events += [Over(5 * SECOND // 2, first), Over(3 * SECOND, second), Over(5 * SECOND, radio)]
+    events = [
+        FaultStarted(0, radio),
+        FaultStarted(SECOND, first),
+        BrokeDown(SECOND, 0),
+        FaultStarted(2 * SECOND, second),
+    ]
+    events += [FaultEnded(5 * SECOND // 2, first), FaultEnded(3 * SECOND, second), FaultEnded(5 * SECOND, radio)]
     acts = [(1.0, 1, True), (3.5, 1, False), (4.0, 0, True)]
     result = by_hand((1.0, 2.0), (True, False), acts, 5.0, more=events)
     assert misassigned_time(result) == 1.0
     assert potential_gap(result) == 0.5 * 1.0 + 0.5 * 7.0
-    sound = by_hand((1.0, 2.0), (True, False), acts, 5.0, more=[Halted(SECOND, 0)])
+    sound = by_hand((1.0, 2.0), (True, False), acts, 5.0, more=[BrokeDown(SECOND, 0)])
     assert misassigned_time(sound) == 3.0
 
 

@@ -14,8 +14,8 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import Target
-from desim.pursuit.events import Captured, Decided, Halted, Sampled, Started
+from desim.pursuit.evader import EvaderBody
+from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.steering import Steering
 from desim.pursuit.utility import EdgePenalty
@@ -55,7 +55,7 @@ def show(watcher, *events):
         ([started(True, False)], (3.0, 0.0)),
         ([started(1, 0), Decided(1 * S, 0, False), Decided(2 * S, 1, True)], (1.0, 1.0)),
         ([started(1, 0), Decided(1 * S, 0, True), Decided(2 * S, 0, False), Decided(2 * S, 0, False)], (2.0, 0.0)),
-        ([started(1, 0), Halted(1 * S, 0)], (1.0, 0.0)),
+        ([started(1, 0), BrokeDown(1 * S, 0)], (1.0, 0.0)),
         ([started(1, 2), Captured(1 * S, 2, 1)], (3.0, 1.0)),
         ([started(1, 2), Decided(1 * S, 0, 2), Captured(2 * S, 2, 1), Decided(2 * S, 1, 1)], (2.0, 3.0)),
     ],
@@ -84,7 +84,7 @@ def test_the_metrics_are_the_integrals_of_the_trace():
     assert watcher.until(watcher.end).sum() / S > 2.0
 
 
-@pytest.mark.parametrize(("kind", "words"), [(Halted, "active time"), (Decided, "active time"), (Started, "energy")])
+@pytest.mark.parametrize(("kind", "words"), [(BrokeDown, "active time"), (Decided, "active time"), (Started, "energy")])
 def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
     """Without the breakdown or the decisions, or with other speeds."""
     watcher = ActiveTime()
@@ -124,7 +124,7 @@ RIGHT = {
     "nobody moves": [started(0, 0), sampled(1.0, (0.0, 0.0), (4.0, 0.0))],
     "as fast as it can": [started(1, 1), sampled(0.5, (0.5, 0.0), (4.0, 1.0), evader=(2.25, 0.0))],
     "half of the time": [started(0, 0), Decided(S // 2, 0, True), sampled(1.0, (0.5, 0.0), (4.0, 0.0))],
-    "until it breaks down": [started(1, 0), Halted(S // 4, 0), sampled(1.0, (0.0, -0.25), (4.0, 0.0))],
+    "until it breaks down": [started(1, 0), BrokeDown(S // 4, 0), sampled(1.0, (0.0, -0.25), (4.0, 0.0))],
     "two samples at once": [started(0, 0), *[sampled(1.0, (0.0, 0.0), (4.0, 0.0))] * 2],
     "several evaders": [
         started(1, 2, others=[(3.0, 0.0)]),
@@ -140,7 +140,7 @@ WRONG = {
         "player 0",
         [started(0, 0), Decided(S // 2, 0, True), sampled(1.0, (0.51, 0.0), (4.0, 0.0))],
     ),
-    "broken and moving": ("player 0", [started(1, 0), Halted(S // 4, 0), sampled(1.0, (0.3, 0.0), (4.0, 0.0))]),
+    "broken and moving": ("player 0", [started(1, 0), BrokeDown(S // 4, 0), sampled(1.0, (0.3, 0.0), (4.0, 0.0))]),
     "a jump": ("player 1", [started(1, 1), sampled(0.0, (0.0, 0.0), (5.0, 0.0))]),
     "nowhere": ("player 0", [started(1, 1), sampled(1.0, (np.nan, 0.0), (4.0, 0.0))]),
     "an evader too fast": ("player 2", [started(0, 0), sampled(1.0, (0.0, 0.0), (4.0, 0.0), evader=(2.0, 0.501))]),
@@ -212,14 +212,14 @@ def inert(_):
     """A breakdown that is told, and does not stop anybody."""
 
     def halt(self, pursuer):
-        self._trace.append(Halted(self._env.now, pursuer))
+        self._trace.append(BrokeDown(self._env.now, pursuer))
 
     return halt
 
 
 @pytest.mark.parametrize(
     ("owner", "method", "break_it"),
-    [(Target, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "halt", inert)],
+    [(EvaderBody, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "halt", inert)],
 )
 def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, monkeypatch):
     """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""
@@ -327,7 +327,7 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
         {"network": Links(latency=Constant(value=0.3))},
         {"network": Links(loss=Bernoulli(p=0.5))},
         {"announce": Announcements(trigger="change", warm_start=False)},
-        {"announce": Announcements(trigger="change", forget_after=0.2)},
+        {"announce": Announcements(trigger="change", belief_timeout=0.2)},
         {"announce": Announcements(trigger="never")},
         {"fault": (Crash(node=0, at=0.1), Crash(node=1, at=0.1), Crash(node=2, at=0.1))},
     ],

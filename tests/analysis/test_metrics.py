@@ -31,10 +31,10 @@ from desim.analysis.metrics import (
 )
 from desim.analysis.trace_index import ended, reading, remembered
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import Tally, Trace
-from desim.kernel.faults import Began, Jamming
+from desim.kernel.events import MessageCounts, Trace
+from desim.kernel.faults import FaultStarted, Jamming
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Decided, Ended, Halted, Started
+from desim.pursuit.events import BrokeDown, Decided, Ended, Started
 from desim.scenario.scenario import Recording, Scenario, Team
 from desim.simulation.run import Result, run
 from tests.golden import golden
@@ -50,7 +50,7 @@ def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 
     trace.append(Started(0, (9.0, 0.0), places, (2.0,) * len(active), active))
     for time, pursuer, action in decisions:
         trace.append(Decided(nanoseconds(time), pursuer, action))
-    trace.append(Tally(nanoseconds(end), *tally))
+    trace.append(MessageCounts(nanoseconds(end), *tally))
     trace.append(Ended(nanoseconds(end), reason, capturer))
     return Result(Scenario(seed=1), 5, trace)
 
@@ -125,9 +125,9 @@ def test_a_decision_at_the_end_is_a_switch_that_costs_no_time():
 def test_a_pursuer_that_breaks_down_is_no_longer_active_and_that_is_no_switch():
     """Pursuer 0 chases for 1 s and breaks down, it is ordered to chase at 3 s: 1 + 1 s, and one switch."""
     result = by_hand((True,), [], 4.0)
-    result.trace.events[1:1] = [Halted(SECOND, 0), Decided(2 * SECOND, 0, False), Decided(3 * SECOND, 0, True)]
+    result.trace.events[1:1] = [BrokeDown(SECOND, 0), Decided(2 * SECOND, 0, False), Decided(3 * SECOND, 0, True)]
     assert (active_time(result), idle_time(result), switches(result)) == (2.0, 2.0, 1)
-    assert changes(result) == [Halted(SECOND, 0), Decided(3 * SECOND, 0, True)]
+    assert changes(result) == [BrokeDown(SECOND, 0), Decided(3 * SECOND, 0, True)]
 
 
 def test_energy_is_the_integral_of_the_squared_speeds_of_the_active():
@@ -135,7 +135,7 @@ def test_energy_is_the_integral_of_the_squared_speeds_of_the_active():
     result = by_hand((True, False, False), [(1.0, 1, True), (1.5, 1, True), (2.0, 0, False), (3.0, 2, True)], 4.0)
     result.trace.events[0] = result.trace.events[0]._replace(speeds=(2.0, 1.0, 3.0))
     assert energy(result) == 20.0
-    result.trace.events[-2:-2] = [Halted(3 * SECOND, 2)]
+    result.trace.events[-2:-2] = [BrokeDown(3 * SECOND, 2)]
     assert energy(result) == 11.0
 
 
@@ -223,7 +223,7 @@ def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
 
 def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     before = summary(relay)
-    relay.trace.append(Began(0, Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)))
+    relay.trace.append(FaultStarted(0, Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)))
     assert summary(relay) == before
 
 

@@ -13,14 +13,14 @@ from desim.analysis.metrics import active_time, activity, energy, handovers, pin
 from desim.analysis.timeline import course
 from desim.analysis.trace_index import reading
 from desim.kernel.clock import SECOND, nanoseconds
-from desim.kernel.events import Tally, Trace
-from desim.kernel.faults import Began, Crash, Over, RandomCrashes
+from desim.kernel.events import MessageCounts, Trace
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.scenario.scenario import Capture, Evader, Motion, Scenario, Team
 from desim.simulation.run import Result, run
 from protocols.sap import SpatialAdaptivePlay
@@ -38,7 +38,7 @@ def by_hand(start, *events, end=6.0, captured=False, far=(1.0, 2.0, 4.0)):
     places = tuple((each + 0.5, 0.0) for each in far)
     trace.events = [Started(0, (0.0, 0.0), places, (2.0,) * len(far), start, ((0.0, 3.0),))]
     trace.events += [each._replace(t=nanoseconds(each.t)) for each in events]
-    trace.events.append(Tally(nanoseconds(end), 0, 0, 0, 0, {}, 0, 0, 0.0))
+    trace.events.append(MessageCounts(nanoseconds(end), 0, 0, 0, 0, {}, 0, 0, 0.0))
     trace.events.append(Ended(nanoseconds(end), "captured" if captured else "stopped", 1 if captured else None))
     scenario = Scenario(
         horizon=8.0,
@@ -56,7 +56,7 @@ STORY = by_hand(
     Decided(1.5, 1, 2),
     Captured(2.0, 1, 0),
     Decided(3.0, 0, 2),
-    Halted(3.5, 1),
+    BrokeDown(3.5, 1),
     Decided(4.0, 2, 2),
     Decided(5.0, 0, 0),
     Captured(6.0, 2, 2),
@@ -70,7 +70,7 @@ def test_a_capture_releases_who_chased_the_evader_and_nobody_else():
     assert [(each.t / SECOND, each.pursuer, action(each)) for each in found] == [
         *((1.0, 1, 2), (2.0, 0, 0), (3.0, 0, 2), (3.5, 1, 0), (4.0, 2, 2), (5.0, 0, 0), (6.0, 2, 0)),
     ]
-    assert [type(each) for each in found if action(each) == 0] == [Released, Halted, Decided, Released]
+    assert [type(each) for each in found if action(each) == 0] == [Released, BrokeDown, Decided, Released]
 
 
 def test_what_is_done_about_each_evader_is_summed_over_those_at_large():
@@ -191,9 +191,9 @@ def replayed(result):
         pieces.append((since, until, tuple(map(int, actions)), set(large), phi, left))
 
     for event in result.trace:
-        crash = isinstance(event, Began | Over) and isinstance(event.fault, Crash)
+        crash = isinstance(event, FaultStarted | FaultEnded) and isinstance(event.fault, Crash)
         act = isinstance(event, Decided) and event.active  # 0 for all else
-        moved = isinstance(event, Decided | Halted) and act != actions[event.pursuer]
+        moved = isinstance(event, Decided | BrokeDown) and act != actions[event.pursuer]
         if event.t > since and (crash or moved or isinstance(event, Captured | Sampled | Ended)):
             close(event.t)
             since = event.t
@@ -203,7 +203,7 @@ def replayed(result):
             large.remove(event.evader)
             actions[:] = [0 if each == event.evader else each for each in actions]
         elif crash:
-            broken[event.fault.node] += 1 if isinstance(event, Began) else -1
+            broken[event.fault.node] += 1 if isinstance(event, FaultStarted) else -1
     assert since == end.t
     return pieces
 
@@ -269,7 +269,7 @@ def decided_switches(result):
     for event in result.trace:
         if isinstance(event, Captured):
             actions = [0 if each == event.evader else each for each in actions]
-        elif isinstance(event, Decided | Halted):
+        elif isinstance(event, Decided | BrokeDown):
             new = event.active if isinstance(event, Decided) else 0
             count += isinstance(event, Decided) and new != actions[event.pursuer]
             actions[event.pursuer] = new
@@ -308,7 +308,7 @@ def test_brute_force_has_something_to_find():
     runs = [negotiated(case, evaders, seed) for case, evaders in ALL if evaders > 1 for seed in (0, 1)]
     assert sum(len(result.trace.of(Captured)) for result in runs) > 4
     every = [each for result in runs for each in changes(result)]
-    assert {type(each) for each in every} == {Decided, Halted, Released}
+    assert {type(each) for each in every} == {Decided, BrokeDown, Released}
     settled = [time_to_relay(negotiated(case, 1, seed)) for case in CASES for seed in (0, 1)]
     assert None in settled
     assert sum(each is not None and each > 0.0 for each in settled) > 2

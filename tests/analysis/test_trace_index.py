@@ -10,7 +10,7 @@ from desim.analysis.trace_index import (
     sampled,
     samples,
 )
-from desim.kernel.events import Tally, Trace
+from desim.kernel.events import MessageCounts, Trace
 from desim.pursuit.events import Sampled, Started
 from desim.scenario.scenario import Motion, Recording, Scenario, Team
 from desim.simulation.run import Result, run
@@ -59,7 +59,7 @@ def test_a_run_whose_messages_went_to_a_file_has_them_if_its_trace_was_read_from
     """In memory it has none; `messages` is all that tells of them."""
     result, there = ran(messages="file"), ran(messages=True)
     assert not messages_recorded(result)
-    assert result.trace.of(Tally)[0].sent
+    assert result.trace.of(MessageCounts)[0].sent
     read = Trace()
     read.events += there.trace
     assert messages_recorded(Result(result.scenario, result.seed, read))

@@ -61,5 +61,5 @@ def test_publish_under_each_model(benchmark, lap, way):
     ready = WAYS["publish"](work)
     gc.collect()
     benchmark.pedantic(ready.run)
-    assert ready.network.tally().sent == 39 * work.turns
+    assert ready.network.message_counts().sent == 39 * work.turns
     benchmark.extra_info["deliveries"] = 39 * work.turns

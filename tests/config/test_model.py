@@ -16,6 +16,7 @@ from desim.config.model import (
     Box,
     Coordinate,
     Extent,
+    Flag,
     Horizon,
     Length,
     Period,
@@ -24,7 +25,6 @@ from desim.config.model import (
     Rate,
     Speed,
     Time,
-    Truth,
     Value,
     fields_of,
     plain_number,
@@ -93,7 +93,7 @@ NO_TIMES = [inf, -inf, nan, *NO_NUMBERS]
         (Rate, [1e-9, 1e6], [0, 0.9e-9, 1.1e6, *NO_TIMES]),
         (Probability, [0, 1, 0.5], [-1e-300, 1.0000001, inf, nan, *NO_NUMBERS]),
         (Extent, [1e-300, 3, inf], [0, -1, -inf, nan, *NO_NUMBERS]),
-        (Truth, [True, False], [0, 1, 1.0, "true", "yes", None]),
+        (Flag, [True, False], [0, 1, 1.0, "true", "yes", None]),
     ],
     ids=[
         "Positive",
@@ -106,7 +106,7 @@ NO_TIMES = [inf, -inf, nan, *NO_NUMBERS]
         "Rate",
         "Probability",
         "Extent",
-        "Truth",
+        "Flag",
     ],
 )
 def test_a_type_takes_its_range_and_nothing_that_only_looks_like_it(kind, good, bad):

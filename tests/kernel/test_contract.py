@@ -39,7 +39,7 @@ from hypothesis import strategies as st
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, nanoseconds, seconds
 from desim.kernel.events import Lost, Trace
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import Conditions
+from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, Jamming, Partition
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -85,14 +85,14 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
 
     links = Links(latency=Constant(value=latency), range=2.0, range_check=check, medium=medium or Unlimited())
     network = Network(
-        clock, nx.complete_graph(2), links, positions=positions, trace=trace, conditions=Conditions(positions)
+        clock, nx.complete_graph(2), links, positions=positions, trace=trace, conditions=FaultState(positions)
     )
     inject(faults, clock, network, trace)
     for time in times:
         Instant(clock, nanoseconds(time), Phase.DECISION).callbacks.append(lambda _: say(network, way))
-    Instant(clock, nanoseconds(end), Phase.SAMPLE).callbacks.append(lambda _: trace.append(network.tally()))
+    Instant(clock, nanoseconds(end), Phase.SAMPLE).callbacks.append(lambda _: trace.append(network.message_counts()))
     clock.run(until=nanoseconds(end) + 1)
-    tally = network.tally()
+    tally = network.message_counts()
     read = 0 in network.heard(1) if way == "publish" else bool(network.inbox(1).drain())
     return Outcome(fate_of(tally, read), tally[1:6], [event.t for event in trace.of(Lost)])
 
@@ -265,7 +265,7 @@ def test_what_becomes_of_a_message(cases, way):
     for expected, faults, story in cases:
         outcome = tell(way, *faults, **story)
         wanted = expected[way] if isinstance(expected, dict) else expected
-        found = outcome.fate if isinstance(wanted, str) else outcome.tally if len(wanted) == 5 else outcome
+        found = outcome.fate if isinstance(wanted, str) else outcome.message_counts if len(wanted) == 5 else outcome
         assert found == wanted, (faults, story)
 
 
@@ -273,12 +273,12 @@ def test_what_becomes_of_a_message(cases, way):
 @pytest.mark.parametrize("memory", [True, False])
 def test_the_receiver_crashes_after_the_arrival(way, memory):
     """It has been delivered in any case; whether it is remembered is another matter."""
-    clock, conditions = Clock(), Conditions()
+    clock, conditions = Clock(), FaultState()
     network = Network(clock, nx.complete_graph(2), conditions=conditions)
     say(network, way)
     inject([crash(1, 1.0, 2.0, memory=memory)], clock, network)
     clock.run()
-    assert network.tally()[1:5] == (1, 1, 0, 0)
+    assert network.message_counts()[1:5] == (1, 1, 0, 0)
     assert (0 in network.heard(1) if way == "publish" else bool(network.inbox(1).drain())) == memory
 
 
@@ -290,7 +290,7 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
     assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "reach"]
 
 
-@pytest.mark.parametrize("conditions", [None, Conditions()])
+@pytest.mark.parametrize("conditions", [None, FaultState()])
 def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(conditions):
     """Node 1 speaks at 0 s and its mail takes 2 s; node 0 speaks at 1 s and its mail takes 1 s."""
     clock = Clock()
@@ -335,7 +335,7 @@ def observe(make, graph, links, acts, seed, **options):
     network = make(
         clock, graph, links, seed=seed, positions=lambda: places * np.cos(clock.now / 1e7), trace=trace, **options
     )
-    network.presume(0, "presumed")
+    network.set_initial_belief(0, "presumed")
     seen = []
 
     def act(node, other, what, number):
@@ -349,7 +349,7 @@ def observe(make, graph, links, acts, seed, **options):
         elif what == "drain":
             seen.append((clock.now, node, network.inbox(node).drain()))
         else:
-            seen.append(network.tally())
+            seen.append(network.message_counts())
 
     def listen(node):
         while True:
@@ -363,7 +363,7 @@ def observe(make, graph, links, acts, seed, **options):
         event.callbacks.append(lambda _, w=what, k=number: act(*w, k))
     Instant(clock, SECOND, Phase.SAMPLE)
     clock.run()
-    trace.append(network.tally())
+    trace.append(network.message_counts())
     left = [(network.heard(node), network.inbox(node).drain()) for node in graph]
     return seen, left, list(trace)
 
@@ -373,7 +373,7 @@ def observe(make, graph, links, acts, seed, **options):
 @given(histories())
 def test_landing_by_events_is_observationally_equal_to_arriving_without(history):
     """Conditions in which nothing is ever broken change nothing that can be read, counted or traced."""
-    assert observe(Network, *history) == observe(Network, *history, conditions=Conditions())
+    assert observe(Network, *history) == observe(Network, *history, conditions=FaultState())
 
 
 def test_the_comparison_notices_a_landing_that_is_a_nanosecond_late():
@@ -387,5 +387,5 @@ def test_the_comparison_notices_a_landing_that_is_a_nanosecond_late():
     for speak, read in [("publish", "read"), ("send", "drain"), ("send to all", "tally")]:
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]
         history = (nx.complete_graph(2), Links(), acts, 0)
-        assert observe(Network, *history) == observe(Network, *history, conditions=Conditions())
-        assert observe(Network, *history) != observe(Late, *history, conditions=Conditions())
+        assert observe(Network, *history) == observe(Network, *history, conditions=FaultState())
+        assert observe(Network, *history) != observe(Late, *history, conditions=FaultState())

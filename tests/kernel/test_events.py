@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.kernel.events import LOST, Broadcast, Sent, Tally, Trace
+from desim.kernel.events import LOST, Broadcast, MessageCounts, Sent, Trace
 
 pytestmark = pytest.mark.own_trace
 
@@ -33,7 +33,7 @@ def test_a_message_to_one_tells_when_it_reaches_that_one():
 def test_watchers_see_messages_that_are_not_kept():
     seen = []
     trace = Trace([seen.append], messages=False)
-    message, tally = Sent(0, 0, 0, 1, 5, 0, 24, None), Tally(9, 1, 1, 0, 0, {}, 1, 24, 0.0)
+    message, tally = Sent(0, 0, 0, 1, 5, 0, 24, None), MessageCounts(9, 1, 1, 0, 0, {}, 1, 24, 0.0)
     trace.append_message(message)
     trace.append(tally)
     assert seen == [message, tally]
@@ -44,7 +44,7 @@ def test_only_a_watcher_that_returns_true_stops_the_run():
     stops = []
     trace = Trace([lambda event: event.t, lambda event: event.t == 2], stop=lambda: stops.append(len(trace)))
     for t in (1, 2, 3):
-        trace.append(Tally(t, 0, 0, 0, 0, {}, 0, 0, 0.0))
+        trace.append(MessageCounts(t, 0, 0, 0, 0, {}, 0, 0, 0.0))
     assert stops == [2]
 
 

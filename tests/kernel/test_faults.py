@@ -13,8 +13,8 @@ from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import Conditions
-from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomCrashes, RandomPlan, drawn
+from desim.kernel.fault_state import FaultState
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomCrashes, RandomFaults, drawn
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.scenario.scenario import Team
@@ -26,7 +26,7 @@ def who_hears_whom(size, *faults, positions=None, until=1.0):
     """Return at which tenths of a second a word of src reaches dst, by (src, dst); everybody speaks at every tenth."""
     clock, trace = Clock(), Trace()
     at = None if positions is None else lambda: positions(clock.now / SECOND)
-    network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, conditions=Conditions(at))
+    network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, conditions=FaultState(at))
     inject(faults, clock, network, trace)
     heard = {(src, dst): set() for src in range(size) for dst in range(size) if src != dst}
 
@@ -43,7 +43,7 @@ def who_hears_whom(size, *faults, positions=None, until=1.0):
         Instant(clock, tenth * PERIOD, Phase.DECISION).callbacks.append(lambda _, k=tenth: speak(k))
         Instant(clock, tenth * PERIOD, Phase.SAMPLE).callbacks.append(lambda _, k=tenth: listen(k))
     clock.run()
-    trace.append(network.tally())
+    trace.append(network.message_counts())
     return heard
 
 
@@ -87,8 +87,8 @@ def test_to_the_network_every_crash_is_one_of_the_radio(scope):
 def test_a_node_recovers_with_or_without_what_it_knew(memory):
     """Node 1 knew of 0 and 2 and had mail on two ports; node 2 forgets nothing; what comes later is kept."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
-    network.presume(2, "presumed")
+    network = Network(clock, nx.complete_graph(3), conditions=FaultState())
+    network.set_initial_belief(2, "presumed")
     network.publish(0, "told")
     for port in ("", "other"):
         network.send(0, None, "mail", port=port)
@@ -107,10 +107,10 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
 def test_a_node_without_memory_learns_again_what_it_had_heard():
     """A record that is older than what was forgotten is news: it is the newest that is known."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    network = Network(clock, nx.complete_graph(2), conditions=FaultState())
     old, new = network.next_record(0, "old"), network.next_record(0, "new")
     network.enter(1, new)
-    network.break_down(1)
+    network.crash(1)
     network.repair(1, memory=False)
     network.enter(1, old)
     assert network.heard(1)[0][1] == old
@@ -183,7 +183,7 @@ def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
 
 def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
     clock, trace, calls = Clock(), Trace(), []
-    network = Network(clock, nx.complete_graph(3), conditions=Conditions())
+    network = Network(clock, nx.complete_graph(3), conditions=FaultState())
     crash = Crash(node=1, at=0.2, until=0.5)
     cut = Partition(groups=[(0,)], at=0.1, until=0.2)
     inject(
@@ -197,11 +197,11 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
     clock.run()
     tenth = SECOND // 10
     assert [(type(event), event.t // tenth, type(event.fault)) for event in trace] == [
-        (Began, 1, Partition),
-        (Began, 2, Crash),
-        (Over, 2, Partition),
-        (Began, 3, Crash),
-        (Over, 5, Crash),
+        (FaultStarted, 1, Partition),
+        (FaultStarted, 2, Crash),
+        (FaultEnded, 2, Partition),
+        (FaultStarted, 3, Crash),
+        (FaultEnded, 5, Crash),
     ]
     assert calls == [
         (2 * tenth, "crashed", 1, True),
@@ -212,10 +212,10 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
 
 def test_a_fault_too_short_for_the_clock_begins_and_is_over_at_one_instant():
     clock, trace = Clock(), Trace()
-    network = Network(clock, nx.complete_graph(2), conditions=Conditions())
+    network = Network(clock, nx.complete_graph(2), conditions=FaultState())
     inject([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
     clock.run()
-    assert [type(event) for event in trace] == [Began, Over]
+    assert [type(event) for event in trace] == [FaultStarted, FaultEnded]
     assert not network.conditions.down(0)
 
 
@@ -280,7 +280,7 @@ KINDS = ("crash", "partition", "jamming")
 @pytest.mark.parametrize("until", [inf, 8.0])
 @pytest.mark.parametrize("kinds", [KINDS, ("crash",), ("partition", "jamming")])
 def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
-    plan = RandomPlan(rate=20.0, mean_duration=2.0, until=until, kinds=kinds, box=(-3.0, 7.0))
+    plan = RandomFaults(rate=20.0, mean_duration=2.0, until=until, kinds=kinds, box=(-3.0, 7.0))
     faults = drawn([plan], 5, 10.0, 11)
     assert {fault.kind for fault in faults} == set(kinds)
     assert [fault.at for fault in faults] == sorted(fault.at for fault in faults)
@@ -298,20 +298,20 @@ def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
 
 def test_a_random_plan_has_faults_at_its_rate():
     """20 1/s over 100 s are 2000 faults with a standard deviation of 45; and a mean duration of 0.5 s."""
-    faults = drawn([RandomPlan(rate=20.0, mean_duration=0.5)], 5, 100.0, 2)
+    faults = drawn([RandomFaults(rate=20.0, mean_duration=0.5)], 5, 100.0, 2)
     durations = np.array([fault.until - fault.at for fault in faults])
     assert abs(len(faults) - 2000) < 5 * 45
     assert abs(durations.mean() - 0.5) < 5 * 0.5 / np.sqrt(len(faults))
 
 
-@pytest.mark.parametrize("plan", [RandomPlan(rate=5.0), RandomCrashes(rate=1.0)])
+@pytest.mark.parametrize("plan", [RandomFaults(rate=5.0), RandomCrashes(rate=1.0)])
 def test_equal_seeds_draw_equal_plans_and_others_do_not(plan):
     assert drawn([plan], 4, 10.0, 5) == drawn([plan], 4, 10.0, 5)
     assert drawn([plan], 4, 10.0, 5) != drawn([plan], 4, 10.0, 6)
 
 
 def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_given():
-    first, second, given = RandomPlan(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, at=1.0)
+    first, second, given = RandomFaults(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, at=1.0)
     alone = drawn([first], 4, 10.0, 5)
     assert drawn([given, first], 4, 10.0, 5) == [given, *alone]
     assert drawn([first, second], 4, 10.0, 5)[: len(alone)] == alone
@@ -322,8 +322,8 @@ def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_
 @pytest.mark.parametrize("size", [1, 2])
 def test_a_random_plan_is_possible_among_few(size):
     clock = Clock()
-    network = Network(clock, nx.complete_graph(size), conditions=Conditions(lambda: np.zeros((size, 2))))
-    inject(drawn([RandomPlan(rate=20.0)], size, 5.0, 0), clock, network)
+    network = Network(clock, nx.complete_graph(size), conditions=FaultState(lambda: np.zeros((size, 2))))
+    inject(drawn([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
     assert not any(network.conditions.down(node) or network.conditions.jammed(node) for node in range(size))
     assert not network.conditions.cut(0, size - 1)
@@ -337,8 +337,8 @@ def test_a_random_plan_is_possible_among_few(size):
         (Partition, {"groups": [(0, 1), (1, 2)], "at": 0.0}, "disjoint"),
         (Partition, {"groups": [(0, 0)], "at": 0.0}, "disjoint"),
         (Partition, {"groups": [], "at": 0.0}, "groups"),
-        (RandomPlan, {"kinds": ()}, "kinds"),
-        (RandomPlan, {"box": (1.0, 0.0)}, "box"),
+        (RandomFaults, {"kinds": ()}, "kinds"),
+        (RandomFaults, {"box": (1.0, 0.0)}, "box"),
     ],
 )
 def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
@@ -349,9 +349,9 @@ def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
 @pytest.mark.parametrize(
     ("fault", "conditions", "why"),
     [
-        (Crash(node=3, at=0.0), Conditions(), r"there is no node 3: the nodes are 0 \.\. 2"),
-        (Partition(groups=[(0,), (1, 3)], at=0.0), Conditions(), r"there is no node 3: the nodes are 0 \.\. 2"),
-        (Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0), Conditions(), "positions"),
+        (Crash(node=3, at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Partition(groups=[(0,), (1, 3)], at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0), FaultState(), "positions"),
         (Crash(node=0, at=1.0), None, "conditions"),
     ],
 )
@@ -367,8 +367,8 @@ def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, conditions, w
 
 
 def test_a_node_that_is_not_down_cannot_be_repaired():
-    conditions = Conditions()
-    conditions.break_down(0)
+    conditions = FaultState()
+    conditions.crash(0)
     conditions.repair(0)
     with pytest.raises(ValueError, match="node 0 is not down"):
         conditions.repair(0)
@@ -385,7 +385,7 @@ def test_a_function_is_a_plan():
     scenario = Scenario(horizon=2.0, team=Team(count=4), fault=(Crash(node=0, at=0.2), plan, RandomCrashes(), plan))
     result = run(scenario, 6)
     assert asked == [(4, 2.0, stream(6, "faults", k).random()) for k in (0, 2)]
-    began = Counter((began.t / SECOND, began.fault.kind) for began in result.trace.of(Began))
+    began = Counter((began.t / SECOND, began.fault.kind) for began in result.trace.of(FaultStarted))
     assert [began[each] for each in ((0.2, "crash"), (1.0, "crash"), (0.5, "partition"))] == [1, 2, 2]
 
 

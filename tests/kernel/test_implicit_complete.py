@@ -8,7 +8,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.implicit_complete import complete_digraph, complete_graph, is_complete, is_worked_out
+from desim.kernel.implicit_complete import complete_digraph, complete_graph, is_complete, is_implicit
 
 PAIRS = [(complete_graph, nx.Graph), (complete_digraph, nx.DiGraph)]
 SIZES = [0, 1, 2, 3, 7]
@@ -108,7 +108,7 @@ def test_a_copy_can_be_changed(make):
     copy.nodes[0]["x"] = 1.0
     copy.remove_edge(1, 2)
     assert copy.edges[0, 1] == {"latency": 0.1}
-    assert not is_worked_out(copy)
+    assert not is_implicit(copy)
     assert items(complete_graph(3)) == items(nx.complete_graph(3))
 
 
@@ -128,9 +128,9 @@ def test_it_takes_no_room():
 def test_whether_a_graph_is_complete(kind, size):
     graph = nx.complete_graph(size, kind)
     assert is_complete(graph)
-    assert not is_worked_out(graph)
+    assert not is_implicit(graph)
     assert is_complete(complete_graph(size))
-    assert is_worked_out(complete_graph(size))
+    assert is_implicit(complete_graph(size))
     if size > 1:
         graph.remove_edge(0, 1)
         assert not is_complete(graph)

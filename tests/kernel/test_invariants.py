@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
+from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_injection import inject
-from desim.kernel.fault_state import Conditions
-from desim.kernel.faults import Began, Crash, Jamming, Over, Partition, RandomPlan, drawn
+from desim.kernel.fault_state import FaultState
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, drawn
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
@@ -41,53 +41,53 @@ def queued(t, *, flight=0, dst=(1,)):
     return Queued(t, flight, 0, dst, 24)
 
 
-def tally(t, delivered=0, in_flight=0, **lost_by):
+def message_counts(t, delivered=0, in_flight=0, **lost_by):
     total = sum(lost_by.values())
-    return Tally(t, delivered + total + in_flight, delivered, total, in_flight, lost_by, 1, 24, 0.0)
+    return MessageCounts(t, delivered + total + in_flight, delivered, total, in_flight, lost_by, 1, 24, 0.0)
 
 
 CRASH, PARTITION = Crash(node=1, at=0.0), Partition(groups=((0,),), at=0.0)
 
 RIGHT = {
-    "delivered": [sent(1, 5), tally(5, 1)],
-    "delivered at once": [sent(5, 5), tally(5, 1)],
-    "in flight": [sent(1, 5), tally(4, 0, 1)],
-    "lost as it leaves": [sent(1, LOST), lost(1), tally(4, loss=1)],
-    "lost as it arrives": [sent(1, 5), lost(5, "reach"), tally(9, reach=1)],
-    "a broadcast to all alike": [told(1, (5,)), tally(5, 2)],
-    "a broadcast to each by itself": [told(1, (5, LOST)), lost(1, dst=2), tally(4, 0, 1, loss=1)],
-    "a broadcast to one": [told(1, (5,), dst=(2,)), tally(5, 1)],
-    "a broadcast to nobody": [told(1, (), dst=()), tally(5)],
-    "several tallies": [tally(0), sent(1, 5), tally(2, 0, 1), tally(5, 1)],
-    "waiting": [queued(1), tally(9, 0, 1)],
-    "waiting, then delivered": [queued(1, dst=(1, 2)), told(3, (5,), created=1), tally(5, 2)],
-    "lost while it waits": [queued(1), lost(2, "crash"), tally(9, crash=1)],
-    "a loss to nobody": [tally(0, queue=0)],
-    "down until it arrives": [Began(0, CRASH), sent(1, 5), Over(5, CRASH), tally(5, 1)],
-    "down after it arrived": [sent(1, 5), Began(6, CRASH), tally(9, 1)],
-    "down twice": [*[Began(0, CRASH)] * 2, sent(1, 5), *[Over(2, CRASH)] * 2, tally(5, 1)],
-    "sender down as it arrives": [sent(1, 5, src=1, dst=0), Began(2, CRASH), tally(9, 1)],
-    "lost to a crash": [sent(1, 5), Began(5, CRASH), lost(5, "crash"), tally(9, crash=1)],
-    "a partition while it flies": [sent(1, 5), Began(2, PARTITION), Over(5, PARTITION), tally(9, 1)],
-    "a partition healed as it leaves": [Began(0, PARTITION), Over(1, PARTITION), sent(1, 5), tally(9, 1)],
-    "one of all lost as it arrives": [told(1, (5,)), lost(5, "reach"), tally(9, 1, reach=1)],
-    "one of all waits no more": [queued(1, dst=(1, 2)), lost(2), told(3, (5,), dst=(2,)), tally(9, 1, loss=1)],
-    "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), tally(6, 1, 1)],
-    "a fault begins as it is lost": [sent(1, LOST, dst=2), Began(1, CRASH), lost(1, dst=2), tally(4, loss=1)],
-    "within a group": [Began(0, PARTITION), sent(1, 5, src=1, dst=2), tally(9, 1)],
-    "jamming": [Began(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), tally(9, 1)],
-    "overtaking": [sent(1, 9), sent(2, 5, flight=1), tally(9, 2)],
+    "delivered": [sent(1, 5), message_counts(5, 1)],
+    "delivered at once": [sent(5, 5), message_counts(5, 1)],
+    "in flight": [sent(1, 5), message_counts(4, 0, 1)],
+    "lost as it leaves": [sent(1, LOST), lost(1), message_counts(4, loss=1)],
+    "lost as it arrives": [sent(1, 5), lost(5, "reach"), message_counts(9, reach=1)],
+    "a broadcast to all alike": [told(1, (5,)), message_counts(5, 2)],
+    "a broadcast to each by itself": [told(1, (5, LOST)), lost(1, dst=2), message_counts(4, 0, 1, loss=1)],
+    "a broadcast to one": [told(1, (5,), dst=(2,)), message_counts(5, 1)],
+    "a broadcast to nobody": [told(1, (), dst=()), message_counts(5)],
+    "several tallies": [message_counts(0), sent(1, 5), tally(2, 0, 1), tally(5, 1)],
+    "waiting": [queued(1), message_counts(9, 0, 1)],
+    "waiting, then delivered": [queued(1, dst=(1, 2)), told(3, (5,), created=1), message_counts(5, 2)],
+    "lost while it waits": [queued(1), lost(2, "crash"), message_counts(9, crash=1)],
+    "a loss to nobody": [message_counts(0, queue=0)],
+    "down until it arrives": [FaultStarted(0, CRASH), sent(1, 5), FaultEnded(5, CRASH), message_counts(5, 1)],
+    "down after it arrived": [sent(1, 5), FaultStarted(6, CRASH), message_counts(9, 1)],
+    "down twice": [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), *[FaultEnded(2, CRASH)] * 2, message_counts(5, 1)],
+    "sender down as it arrives": [sent(1, 5, src=1, dst=0), FaultStarted(2, CRASH), message_counts(9, 1)],
+    "lost to a crash": [sent(1, 5), FaultStarted(5, CRASH), lost(5, "crash"), message_counts(9, crash=1)],
+    "a partition while it flies": [sent(1, 5), FaultStarted(2, PARTITION), FaultEnded(5, PARTITION), message_counts(9, 1)],
+    "a partition healed as it leaves": [FaultStarted(0, PARTITION), FaultEnded(1, PARTITION), sent(1, 5), message_counts(9, 1)],
+    "one of all lost as it arrives": [told(1, (5,)), lost(5, "reach"), message_counts(9, 1, reach=1)],
+    "one of all waits no more": [queued(1, dst=(1, 2)), lost(2), told(3, (5,), dst=(2,)), message_counts(9, 1, loss=1)],
+    "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), message_counts(6, 1, 1)],
+    "a fault begins as it is lost": [sent(1, LOST, dst=2), FaultStarted(1, CRASH), lost(1, dst=2), message_counts(4, loss=1)],
+    "within a group": [FaultStarted(0, PARTITION), sent(1, 5, src=1, dst=2), message_counts(9, 1)],
+    "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), message_counts(9, 1)],
+    "overtaking": [sent(1, 9), sent(2, 5, flight=1), message_counts(9, 2)],
 }
 
 WRONG = {
-    "delivered, not counted": ("delivered", [sent(1, 5), tally(5, 0, 1)]),
-    "counted before it arrives": ("in flight", [sent(1, 5), tally(4, 1)]),
-    "counted, never sent": ("sent", [tally(4, 1)]),
-    "sent, not counted": ("sent", [sent(1, 5), tally(4)]),
-    "lost, not counted": ("lost", [sent(1, 5), lost(5), tally(5, 1)]),
-    "lost by another cause": ("lost", [sent(1, 5), lost(5), tally(5, reach=1)]),
-    "waiting, not counted": ("in flight", [queued(1, dst=(1, 2)), tally(9, 0, 1)]),
-    "waiting counted once more as it leaves": ("sent", [queued(1), sent(3, 5, created=1), tally(5, 2)]),
+    "delivered, not counted": ("delivered", [sent(1, 5), message_counts(5, 0, 1)]),
+    "counted before it arrives": ("in flight", [sent(1, 5), message_counts(4, 1)]),
+    "counted, never sent": ("sent", [message_counts(4, 1)]),
+    "sent, not counted": ("sent", [sent(1, 5), message_counts(4)]),
+    "lost, not counted": ("lost", [sent(1, 5), lost(5), message_counts(5, 1)]),
+    "lost by another cause": ("lost", [sent(1, 5), lost(5), message_counts(5, reach=1)]),
+    "waiting, not counted": ("in flight", [queued(1, dst=(1, 2)), message_counts(9, 0, 1)]),
+    "waiting counted once more as it leaves": ("sent", [queued(1), sent(3, 5, created=1), message_counts(5, 2)]),
     "arrives before it left": ("before it left", [sent(5, 4)]),
     "one arrives before it left": ("before it left", [told(5, (6, 4))]),
     "leaves before it was created": ("before it was created", [sent(5, 6, created=7)]),
@@ -96,30 +96,30 @@ WRONG = {
     "leaves twice at once": ("once", [sent(1, 5), sent(1, 6)]),
     "leaves twice for one of all": ("once", [told(1, (5,), dst=(2, 2))]),
     "leaves now and then": ("once", [sent(1, 5), sent(2, 5, dst=2)]),
-    "lost later than it left": ("on its way|is lost", [sent(1, LOST), lost(2), tally(2, loss=1)]),
-    "never arrives, is not lost": ("is lost", [sent(1, LOST), tally(2, loss=1)]),
+    "lost later than it left": ("on its way|is lost", [sent(1, LOST), lost(2), message_counts(2, loss=1)]),
+    "never arrives, is not lost": ("is lost", [sent(1, LOST), message_counts(2, loss=1)]),
     "lost twice": ("once", [sent(1, 5), lost(5), lost(5)]),
     "lost twice while it waits": ("once", [queued(1), lost(2), lost(2)]),
     "lost, never sent": ("on its way", [lost(1)]),
     "lost to another": ("on its way", [sent(1, 5), lost(5, dst=2)]),
     "lost after it arrived": ("on its way", [sent(1, 5), lost(6)]),
     "lost while it flies": ("as it arrives", [sent(1, 5), lost(3)]),
-    "down as it arrives": ("reaches 1, whose radio is down", [sent(1, 5), Began(3, CRASH), tally(9, 1)]),
-    "down from when it arrives": ("reaches 1", [sent(1, 5), Began(5, CRASH), tally(5, 1)]),
-    "down until after it arrived": ("reaches 1", [Began(0, CRASH), sent(1, 5), Over(6, CRASH)]),
-    "down once more": ("reaches 1", [*[Began(0, CRASH)] * 2, sent(1, 5), Over(2, CRASH), tally(9, 1)]),
-    "one of all is down": ("reaches 1", [told(1, (5,)), Began(3, CRASH), tally(9, 2)]),
-    "sender is down": ("says nothing", [Began(0, CRASH), sent(1, 5, src=1, dst=0)]),
-    "down sender waits": ("says nothing", [Began(0, Crash(node=0, at=0.0)), queued(1)]),
-    "left across a partition": ("leaves across", [Began(0, PARTITION), sent(1, 5)]),
-    "arrives across a partition": ("across", [sent(1, 5), Began(2, PARTITION), tally(9, 1)]),
-    "arrives as a partition begins": ("across", [sent(1, 5), Began(5, PARTITION), tally(9, 1)]),
+    "down as it arrives": ("reaches 1, whose radio is down", [sent(1, 5), FaultStarted(3, CRASH), message_counts(9, 1)]),
+    "down from when it arrives": ("reaches 1", [sent(1, 5), FaultStarted(5, CRASH), message_counts(5, 1)]),
+    "down until after it arrived": ("reaches 1", [FaultStarted(0, CRASH), sent(1, 5), FaultEnded(6, CRASH)]),
+    "down once more": ("reaches 1", [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), FaultEnded(2, CRASH), message_counts(9, 1)]),
+    "one of all is down": ("reaches 1", [told(1, (5,)), FaultStarted(3, CRASH), message_counts(9, 2)]),
+    "sender is down": ("says nothing", [FaultStarted(0, CRASH), sent(1, 5, src=1, dst=0)]),
+    "down sender waits": ("says nothing", [FaultStarted(0, Crash(node=0, at=0.0)), queued(1)]),
+    "left across a partition": ("leaves across", [FaultStarted(0, PARTITION), sent(1, 5)]),
+    "arrives across a partition": ("across", [sent(1, 5), FaultStarted(2, PARTITION), message_counts(9, 1)]),
+    "arrives as a partition begins": ("across", [sent(1, 5), FaultStarted(5, PARTITION), message_counts(9, 1)]),
     "across a partition of named groups": (
         "across",
-        [Began(0, Partition(groups=((0, 2), (1,)), at=0.0)), sent(1, 5, src=2)],
+        [FaultStarted(0, Partition(groups=((0, 2), (1,)), at=0.0)), sent(1, 5, src=2)],
     ),
-    "over, never begun": ("began", [Over(1, CRASH)]),
-    "over twice": ("began", [Began(0, CRASH), Over(1, CRASH), Over(1, CRASH)]),
+    "over, never begun": ("began", [FaultEnded(1, CRASH)]),
+    "over twice": ("began", [FaultStarted(0, CRASH), FaultEnded(1, CRASH), FaultEnded(1, CRASH)]),
 }
 
 
@@ -148,7 +148,7 @@ def test_what_was_delivered_is_judged_soon_and_at_the_end_without_a_tally():
         watch([sent(0, LOST), *(sent(k, k, flight=k) for k in range(1, 65))])
     for last, wrong in [(5, False), (6, True)]:
         watcher = Conservation()
-        for event in [Began(0, CRASH), sent(1, 5), sent(last, last, flight=1, dst=2)]:
+        for event in [FaultStarted(0, CRASH), sent(1, 5), sent(last, last, flight=1, dst=2)]:
             watcher(event)
         with pytest.raises(AssertionError, match="reaches 1") if wrong else nullcontext():
             watcher.judge()
@@ -157,10 +157,10 @@ def test_what_was_delivered_is_judged_soon_and_at_the_end_without_a_tally():
 def test_what_is_long_in_flight_is_judged_when_it_arrives():
     """300 transmissions that take 1000 ns, sent one after the other."""
     events = [sent(k, k + 1000, flight=k) for k in range(300)]
-    watch([*events, tally(999, 0, 300)])
-    watch([*events, tally(1100, 101, 199)])
+    watch([*events, message_counts(999, 0, 300)])
+    watch([*events, message_counts(1100, 101, 199)])
     with pytest.raises(AssertionError, match="in flight"):
-        watch([*events, tally(1100, 100, 200)])
+        watch([*events, message_counts(1100, 100, 200)])
 
 
 def test_overtaking_is_noticed_on_links_that_are_first_in_first_out():
@@ -182,7 +182,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     def positions():
         return places * np.cos(clock.now / SECOND)
 
-    conditions = Conditions(positions) if faults else None
+    conditions = FaultState(positions) if faults else None
     links = links or Links()
     graph = nx.complete_graph(size)
     net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, conditions=conditions)
@@ -200,12 +200,12 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
         act.callbacks.append(lambda _, n=node, d=dst, k=number: speak(n, d, k))
     for tenth in range(11):
         count = Instant(clock, tenth * SECOND // 10, Phase.SAMPLE)
-        count.callbacks.append(lambda _: trace.append(net.tally()))
+        count.callbacks.append(lambda _: trace.append(net.message_counts()))
     clock.run(until=SECOND + 1)
     return trace
 
 
-PLANS = [(), (RandomPlan(rate=20.0, mean_duration=0.1),), (Crash(node=0, at=0.0, until=inf), RandomPlan(rate=5.0))]
+PLANS = [(), (RandomFaults(rate=20.0, mean_duration=0.1),), (Crash(node=0, at=0.0, until=inf), RandomFaults(rate=5.0))]
 
 
 @pytest.mark.slow
@@ -257,8 +257,8 @@ class Leaky(Network):
 class Vague(Network):
     """It takes every loss for one by chance, in its count."""
 
-    def tally(self):
-        true = super().tally()
+    def message_counts(self):
+        true = super().message_counts()
         return true._replace(lost_by={"loss": true.lost})
 
 
@@ -270,8 +270,8 @@ class Doubling(Network):
 
 
 SLOW = Links(latency=Constant(value=0.05))
-ALL_SORTS = (RandomPlan(rate=20.0, mean_duration=0.1),)
-CRASHES = (RandomPlan(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
+ALL_SORTS = (RandomFaults(rate=20.0, mean_duration=0.1),)
+CRASHES = (RandomFaults(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
 
 
 @pytest.mark.parametrize(
@@ -297,9 +297,9 @@ def test_the_watcher_sees_messages_that_are_not_kept():
     trace = Trace([Conservation()], messages=False)
     network = Network(clock, nx.complete_graph(3), SLOW, trace=trace)
     network.publish(0, "x")
-    trace.append(network.tally())
+    trace.append(network.message_counts())
     with pytest.raises(AssertionError, match="in flight"):
-        trace.append(network.tally()._replace(in_flight=1))
+        trace.append(network.message_counts()._replace(in_flight=1))
 
 
 # A token.

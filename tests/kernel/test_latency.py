@@ -19,11 +19,11 @@ from desim.kernel.latency import (
     ShiftedExponential,
     Uniform,
 )
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 
 SEEDS = range(5)
-MANY = Hops(0, np.arange(1, 100_001))
+MANY = LinkContext(0, np.arange(1, 100_001))
 LIST = (0.050, 0.010, 0.110, 0.010, 0.020)
 
 DRAWN = {
@@ -68,10 +68,10 @@ def errors(draws, mean, variance):
     The mean of n draws has standard error sqrt(var / n), their variance sqrt((m4 - var^2) / n).
     """
     about = draws - draws.mean()
-    spread = (about**2).mean()
+    dissemination = (about**2).mean()
     return (
-        (draws.mean() - mean) / sqrt(spread / draws.size),
-        (spread - variance) / sqrt(((about**4).mean() - spread**2) / draws.size),
+        (draws.mean() - mean) / sqrt(dissemination / draws.size),
+        (dissemination - variance) / sqrt(((about**4).mean() - dissemination**2) / draws.size),
     )
 
 
@@ -132,7 +132,11 @@ def test_a_call_is_a_draw_for_every_hop_and_a_draw_ahead_is_the_same(name):
     model = DRAWN[name][0]
     assert isinstance(model, Independent)
     rng, ahead = np.random.default_rng(7), np.random.default_rng(7)
-    piecemeal = [*model(Hops(0, np.arange(3)), rng), *model(Hops(1, np.arange(1)), rng), *model.draw(4096, rng)]
+    piecemeal = [
+        *model(LinkContext(0, np.arange(3)), rng),
+        *model(LinkContext(1, np.arange(1)), rng),
+        *model.draw(4096, rng),
+    ]
     assert piecemeal == model.draw(4100, ahead).tolist()
 
 
@@ -191,7 +195,7 @@ def test_propagation_needs_positions():
 
 
 def hops_at(at, src, dst):
-    return Hops(src, np.asarray(dst), positions=lambda: at)
+    return LinkContext(src, np.asarray(dst), positions=lambda: at)
 
 
 # A latency for every pair.
@@ -201,21 +205,21 @@ BASE = Gamma(offset=0.02, shape=2.5, scale=0.01)
 
 def test_a_pair_keeps_its_latency_whenever_it_is_asked_and_whoever_is_asked_with_it():
     model, rng = PerPair(base=BASE), np.random.default_rng(0)
-    together = model(Hops(3, np.array([5, 6, 7]), now=0.0, seed=11), rng)
-    alone = [model(Hops(3, np.array([node]), now=4.5, size=99, seed=11), rng)[0] for node in (5, 6, 7)]
+    together = model(LinkContext(3, np.array([5, 6, 7]), now=0.0, seed=11), rng)
+    alone = [model(LinkContext(3, np.array([node]), now=4.5, size=99, seed=11), rng)[0] for node in (5, 6, 7)]
     assert together.tolist() == alone
     assert len(set(alone)) == 3
 
 
 def test_both_ways_of_a_pair_are_alike_if_symmetric_and_only_then():
-    there, back = Hops(3, np.array([8]), seed=1), Hops(8, np.array([3]), seed=1)
+    there, back = LinkContext(3, np.array([8]), seed=1), LinkContext(8, np.array([3]), seed=1)
     for symmetric in (True, False):
         model = PerPair(base=BASE, symmetric=symmetric)
         assert bool(model(there, None) == model(back, None)) is symmetric
 
 
 def test_another_seed_gives_every_pair_another_latency():
-    first, second = (PerPair(base=BASE)(Hops(0, np.arange(1, 101), seed=seed), None) for seed in (1, 2))
+    first, second = (PerPair(base=BASE)(LinkContext(0, np.arange(1, 101), seed=seed), None) for seed in (1, 2))
     assert not (first == second).any()
 
 
@@ -225,7 +229,7 @@ def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
     law, others = DISTRIBUTIONS["gamma"], np.arange(1, 20_001)
 
     def worst(model, pick):
-        return pick(departure(model(Hops(0, others, seed=seed), None), law.cdf) for seed in SEEDS)
+        return pick(departure(model(LinkContext(0, others, seed=seed), None), law.cdf) for seed in SEEDS)
 
     assert worst(PerPair(base=BASE, symmetric=symmetric), max) < 2.2
     assert worst(PerPair(base=BASE.model_copy(update={"scale": 0.0105}), symmetric=symmetric), min) > 2.2
@@ -239,13 +243,13 @@ def test_the_jitter_is_added_to_every_message_anew():
     """
     models = [PerPair(base=BASE, jitter=ShiftedExponential(mean=mean)) for mean in (0.03, 0.0315)]
     pairs, off = (
-        np.array([model(Hops(0, MANY.dst, seed=seed), np.random.default_rng(seed)) for seed in SEEDS])
+        np.array([model(LinkContext(0, MANY.dst, seed=seed), np.random.default_rng(seed)) for seed in SEEDS])
         for model in models
     )
     theory = 0.045 + 0.03, 0.00025 + 0.03**2
     assert np.abs([errors(each, *theory) for each in pairs]).max() < 5
     assert np.abs(errors(off.ravel(), *theory)).min() > 5
-    hop = Hops(0, np.full(100_000, 7), seed=3)  # 10^5 messages to node 7
+    hop = LinkContext(0, np.full(100_000, 7), seed=3)  # 10^5 messages to node 7
     own = PerPair(base=BASE)(hop, None)[0]
     messages, off = (model(hop, np.random.default_rng(4)) - own for model in models)
     assert np.abs(errors(messages, 0.03, 0.03**2)).max() < 5
@@ -261,11 +265,14 @@ def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monke
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.begin(30), np.random.default_rng(2), np.random.default_rng(2)
     hops = [
-        Hops(src, np.array(dst), seed=9) for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
+        LinkContext(src, np.array(dst), seed=9)
+        for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
     ]
     assert [run(hop, ours).tolist() for hop in hops] == [model(hop, theirs).tolist() for hop in hops]
     assert len(run._own) == min(room // 30, 3)
-    assert model.begin(30)(Hops(4, np.array([7]), seed=8), ours) != model(Hops(4, np.array([7]), seed=9), ours)
+    assert model.begin(30)(LinkContext(4, np.array([7]), seed=8), ours) != model(
+        LinkContext(4, np.array([7]), seed=9), ours
+    )
 
 
 def test_a_base_without_quantiles_is_refused():
@@ -352,5 +359,5 @@ def test_a_list_needs_at_least_one_time(given):
 def test_a_model_of_one_s_own_may_be_a_base():
     """Anything with a call and quantiles."""
     own = type("Own", (SimpleNamespace,), {"__call__": lambda self, hops, rng: 0.0, "quantile": lambda self, u: u})()
-    latencies = PerPair(base=own)(Hops(0, np.arange(1, 5)), None)
+    latencies = PerPair(base=own)(LinkContext(0, np.arange(1, 5)), None)
     assert ((latencies > 0.0) & (latencies < 1.0)).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 
 SEEDS = range(5)
@@ -16,7 +16,7 @@ SHARE, BURST = 0.2, 5.0
 
 
 def hops(now=0.0, src=0, links=LINKS):
-    return Hops(src, np.arange(1, links + 1), now=now)
+    return LinkContext(src, np.arange(1, links + 1), now=now)
 
 
 def history(model, times, seed, links=LINKS):
@@ -209,8 +209,8 @@ def test_links_are_independent_of_each_other_also_the_two_ways(model):
     """
     run, rng = model.begin(8001), np.random.default_rng(4)
     for now in (0.0, 0.01):
-        out = run(Hops(0, np.arange(1, 8001), now=now), rng)
-        back = np.array([run(Hops(node, np.array([0]), now=now), rng)[0] for node in range(1, 1001)])
+        out = run(LinkContext(0, np.arange(1, 8001), now=now), rng)
+        back = np.array([run(LinkContext(node, np.array([0]), now=now), rng)[0] for node in range(1, 1001)])
     assert abs(errors((out[:4000] & out[4000:]).sum(), 4000, SHARE**2)) < 5
     assert abs(errors((out[:1000] & back).sum(), 1000, SHARE**2)) < 5
     assert errors((out[:1000] & out[:1000]).sum(), 1000, SHARE**2) > 5
@@ -221,18 +221,18 @@ def test_a_link_remembers_across_broadcasts_and_single_messages():
     run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
     first = run(hops(links=100), rng)
     assert 20 < first.sum() < 80
-    assert (run(Hops(0, np.arange(51, 101)), rng) == first[50:]).all()
-    assert [bool(run(Hops(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
+    assert (run(LinkContext(0, np.arange(51, 101)), rng) == first[50:]).all()
+    assert [bool(run(LinkContext(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
 
 
 def test_links_that_are_used_later_leave_those_before_as_they_were_and_are_links_of_their_own():
     """With a burst of 10^6 messages: first every third of 100 nodes, then from the far end all."""
     run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
-    first = run(Hops(0, np.arange(1, 101, 3)), rng)
+    first = run(LinkContext(0, np.arange(1, 101, 3)), rng)
     assert 5 < first.sum() < 29
-    then = run(Hops(0, np.arange(100, 0, -1)), rng)[::-1]
+    then = run(LinkContext(0, np.arange(100, 0, -1)), rng)[::-1]
     assert (then[::3] == first).all()
-    assert (run(Hops(0, np.arange(1, 101)), rng) == then).all()
+    assert (run(LinkContext(0, np.arange(1, 101)), rng) == then).all()
     assert 5 < (then[1::3] & ~then[2::3]).sum() < 15
 
 
@@ -241,7 +241,7 @@ def test_only_links_that_are_used_take_room():
     tracemalloc.start()
     run, rng = GilbertElliott().begin(10**6), np.random.default_rng(0)
     for node in range(100):
-        run(Hops(node, np.arange(200, 220)), rng)
+        run(LinkContext(node, np.arange(200, 220)), rng)
     assert tracemalloc.get_traced_memory()[1] < 500_000
     tracemalloc.stop()
 
@@ -294,7 +294,7 @@ def test_losses_by_distance_have_their_probability():
     radius = np.repeat([2.0, 4.0, 6.0, 8.0], 25_000)
     angle = np.random.default_rng(0).uniform(0.0, 7.0, radius.size)
     at = np.vstack([[0.0, 0.0], np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])])
-    rings = Hops(0, np.arange(1, radius.size + 1), positions=lambda: at)
+    rings = LinkContext(0, np.arange(1, radius.size + 1), positions=lambda: at)
     theory = [0.05 + 0.75 * (d / 10.0) ** 3 for d in (2.0, 4.0, 6.0, 8.0)]
 
     def off(model, seed):

@@ -59,7 +59,7 @@ def test_what_cannot_change_is_sent_without_a_copy(body):
     assert as_sent(body) is body
 
 
-@pytest.mark.parametrize("way", ["send", "publish", "presume"])
+@pytest.mark.parametrize("way", ["send", "publish", "set_initial_belief"])
 @pytest.mark.parametrize("body", [[1, [2]], {"who": [3]}, (4, [5])])
 def test_a_body_that_is_changed_later_arrives_as_it_was_sent(way, body):
     """Also if it is changed deep inside, and after it was read: what was heard does not change either."""

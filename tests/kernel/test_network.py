@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, Sent, Trace
-from desim.kernel.fault_state import Conditions
+from desim.kernel.fault_state import FaultState
 from desim.kernel.inbox import Inbox, deliver
 from desim.kernel.latency import Constant
-from desim.kernel.link_context import Hops
+from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
@@ -31,7 +31,7 @@ class Uniform:
     def __init__(self, longest, per_hop=1.0):
         self.longest, self.per_hop = longest, per_hop
 
-    def __call__(self, hops: Hops, rng):
+    def __call__(self, hops: LinkContext, rng):
         alike = self.per_hop < 1.0 and rng.random() >= self.per_hop
         return np.round(rng.uniform(0.0, self.longest, None if alike else len(hops.dst)), 3)
 
@@ -46,14 +46,14 @@ class EagerNetwork:
         self.seq = dict.fromkeys(graph, 0)
         self.tables = {node: {} for node in graph}
 
-    def presume(self, src, body):
+    def set_initial_belief(self, src, body):
         for node in self.tables:
             if node != src:
                 self.tables[node][src] = (0, Record(src, 0, 0, body))
 
     def publish(self, src, body):
         record = self.next_record(src, body)
-        hops = Hops(src, self.topology.neighbours(src))
+        hops = LinkContext(src, self.topology.neighbours(src))
         lost = np.broadcast_to(self.links.loss(hops, self.rng["loss"]), len(hops.dst))
         delay = np.broadcast_to(self.links.latency(hops, self.rng["latency"]), len(hops.dst))
         for node, gone, wait in zip(hops.dst.tolist(), lost, delay, strict=True):
@@ -136,7 +136,7 @@ def observe(make, graph, links, acts, seed):
     clock = Clock()
     places = np.random.default_rng(seed).random((len(graph), 2))
     network = make(clock, graph, links, seed=seed, positions=lambda: places * np.cos(clock.now / 1e7))
-    network.presume(0, "presumed")
+    network.set_initial_belief(0, "presumed")
     seen = []
 
     def act(node, what, number):
@@ -183,7 +183,7 @@ def test_the_comparison_notices_a_network_that_is_a_nanosecond_late():
 def test_a_presumed_record_gives_way_to_the_first_that_arrives():
     clock = Clock()
     network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1e-9)))
-    network.presume(0, "presumed")
+    network.set_initial_belief(0, "presumed")
     network.publish(0, "told")
     assert network.heard(1)[0][1].body == "presumed"
     assert 0 not in network.heard(0)
@@ -195,7 +195,7 @@ def test_a_presumed_record_gives_way_to_the_first_that_arrives():
 @pytest.mark.parametrize("latency", [Constant(), Uniform(0.0)], ids=["alike", "per receiver"])
 def test_reading_does_not_lend_out_the_networks_own_table(latency):
     network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), mark="a".__eq__)
-    network.presume(2, "presumed")
+    network.set_initial_belief(2, "presumed")
     network.publish(0, "a")
     network.heard(1).clear()
     network.marked(1).clear()
@@ -204,13 +204,13 @@ def test_reading_does_not_lend_out_the_networks_own_table(latency):
 
 
 def test_a_node_without_memory_has_forgotten_what_was_marked_and_presumed_and_may_hear_of_it_again():
-    network = Network(Clock(), nx.complete_graph(3), conditions=Conditions(), mark=bool)
-    network.presume(0, "presumed")
+    network = Network(Clock(), nx.complete_graph(3), conditions=FaultState(), mark=bool)
+    network.set_initial_belief(0, "presumed")
     network.enter(1, network.next_record(0, "told"))
     network.enter(1, network.next_record(2, "more"))
     assert network.marked(1).keys() == {0, 2}
     for again in (network.heard(2)[0][1], network.next_record(0, "again")):
-        network.break_down(1)
+        network.crash(1)
         network.repair(1, memory=False)
         assert network.heard(1) == network.marked(1) == {}
         network.enter(1, again)
@@ -241,7 +241,7 @@ def test_a_record_that_waits_for_its_transmitter_does_not_replace_what_was_whisp
     whispered = network.next_record(0, "whispered")
     network.enter(1, whispered)
     clock.run(until=3 * SECOND)
-    assert network.tally().delivered == 2
+    assert network.message_counts().delivered == 2
     assert network.heard(1) == {0: (0, whispered)}
 
 
@@ -321,7 +321,7 @@ def test_a_message_to_a_node_out_of_reach_is_lost_and_counted():
     clock.run()
     assert trace.of(Sent) == [Sent(0, 0, 0, 2, LOST, 0, 19, "far")]
     assert trace.of(Lost) == [Lost(0, 0, 0, 2, "reach")]
-    assert network.tally()[1:6] == (1, 0, 1, 0, {"reach": 1})
+    assert network.message_counts()[1:6] == (1, 0, 1, 0, {"reach": 1})
     assert network.inbox(2).drain() == []
 
 
@@ -345,7 +345,7 @@ def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
                 arrivals += e.arrival if len(e.arrival) == len(e.dst) else e.arrival * len(e.dst)
             lost = sum(a == LOST for a in arrivals)
             flying = sum(a > now for a in arrivals)
-            assert network.tally()[:5] == (now, len(arrivals), len(arrivals) - lost - flying, lost, flying)
+            assert network.message_counts()[:5] == (now, len(arrivals), len(arrivals) - lost - flying, lost, flying)
 
     run_process(clock, speak())
 
@@ -489,7 +489,7 @@ def test_a_broadcast_to_nobody_is_recorded_as_such():
     assert trace.of(Broadcast) == [Broadcast(0, 0, 0, 1, (), (), 0, 17, "x")]
 
 
-@pytest.mark.parametrize("conditions", [None, Conditions()], ids=["noted at sending", "settled on arrival"])
+@pytest.mark.parametrize("conditions", [None, FaultState()], ids=["noted at sending", "settled on arrival"])
 @pytest.mark.parametrize("count", [1, 2, 4])
 @pytest.mark.parametrize("speak", [lambda net: net.publish(0, "x"), lambda net: net.send(0, None, "x")])
 def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, conditions):

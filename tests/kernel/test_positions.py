@@ -6,9 +6,9 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from desim.kernel.fault_state import Conditions
-from desim.kernel.link_context import Hops
-from desim.kernel.positions import as_positions, distances
+from desim.kernel.fault_state import FaultState
+from desim.kernel.link_context import LinkContext
+from desim.kernel.positions import as_position_source, distances
 from desim.kernel.topology import Topology
 
 AT = np.array([[0.0, 0.0], [3.0, 4.0], [-6.0, 8.0], [0.0, 1.0]])
@@ -32,18 +32,18 @@ class OfSome:
 
 def test_what_knows_the_positions_of_some_is_taken_as_it_is():
     some = OfSome()
-    assert as_positions(some) is some
+    assert as_position_source(some) is some
 
 
 def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in_place_or_return_a_list():
     at = AT.copy()
-    positions = as_positions(lambda: at)
+    positions = as_position_source(lambda: at)
     assert positions.fastest == inf
     assert positions.of(np.array([2, 0])).tolist() == [[-6.0, 8.0], [0.0, 0.0]]
     at[2] = [7.0, 7.0]
     assert positions.of(np.array([2])).tolist() == [[7.0, 7.0]]
     assert positions().tolist() == at.tolist()
-    assert as_positions(AT.tolist).of(np.array([1])).tolist() == [[3.0, 4.0]]
+    assert as_position_source(AT.tolist).of(np.array([1])).tolist() == [[3.0, 4.0]]
 
 
 def test_distances_are_those_to_one_of_them():
@@ -54,13 +54,13 @@ def test_distances_are_those_to_one_of_them():
 
 def test_the_hops_of_a_transmission_ask_for_its_own_ends_only():
     some = OfSome()
-    assert Hops(0, np.array([1, 2]), positions=some).distances.tolist() == [5.0, 10.0]
+    assert LinkContext(0, np.array([1, 2]), positions=some).distances.tolist() == [5.0, 10.0]
     assert some.asked == [3]
 
 
 def test_a_jamming_disc_asks_for_the_one_it_may_be_about():
     some = OfSome()
-    conditions = Conditions(some)
+    conditions = FaultState(some)
     conditions.jam(((3.0, 3.0), 1.0))
     assert [conditions.jammed(node) for node in range(4)] == [False, True, False, False]
     assert some.asked == [1] * 4

@@ -24,7 +24,7 @@ from desim.kernel.latency import (
 from desim.kernel.links import Links, Processing
 from desim.kernel.loss import Bernoulli, ByDistance, GilbertElliott
 from desim.kernel.network import Network
-from desim.kernel.propagation import BLOCK, Travel
+from desim.kernel.propagation import BLOCK, LinkSampler
 from desim.kernel.seeds import stream
 
 DRAWN = [
@@ -40,7 +40,7 @@ COUNTS = [1, 3, 0, 9, 4000, 200, 1, 9000, 7]
 
 
 def travel(links, size=4, graph=None, seed=7, positions=None):
-    return Travel(links, nx.complete_graph(size) if graph is None else graph, seed, positions)
+    return LinkSampler(links, nx.complete_graph(size) if graph is None else graph, seed, positions)
 
 
 def arrivals_in_order(trip, src, dst, now, airtime=0):
@@ -188,7 +188,7 @@ def test_links_of_their_own_are_those_of_a_whole_network():
     clock.run(until=3 * SECOND)
     heard = [{src: arrival / SECOND for src, (arrival, _) in net.heard(node).items()} for node in range(3)]
     assert heard == [{2: 1.0}, {0: 2.0, 2: 1.0}, {0: 1.0, 1: 1.0}]
-    assert net.tally().lost_by == {"loss": 1}
+    assert net.message_counts().lost_by == {"loss": 1}
 
 
 # Order.

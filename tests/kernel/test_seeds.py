@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from desim.kernel.seeds import _key, pair_luck, stream
+from desim.kernel.seeds import _key, pair_uniform, stream
 
 
 def test_equal_names_give_equal_draws_and_different_ones_do_not():
@@ -53,24 +53,24 @@ def test_the_luck_of_pairs_is_uniform(symmetric):
     """Over 10^5 receivers of a sender, of 3 senders and 5 seeds; the control is luck to the power of 1.05."""
     for seed in range(5):
         for src in (0, 77, 2**31):
-            luck = pair_luck(seed, "fading", src, OTHERS, symmetric=symmetric)
-            assert departure(luck) < 2.2
-            assert departure(luck**1.05) > 2.2
+            uniform = pair_uniform(seed, "fading", src, OTHERS, symmetric=symmetric)
+            assert departure(uniform) < 2.2
+            assert departure(uniform**1.05) > 2.2
 
 
 def test_the_luck_of_a_pair_is_the_same_whenever_and_with_whomever_it_is_asked_for():
-    luck = pair_luck(7, "fading", 3, OTHERS)
-    assert (pair_luck(7, "fading", 3, OTHERS[::-1]) == luck[::-1]).all()
-    assert pair_luck(7, "fading", 3, np.array([99]))[0] == luck[98]
-    assert pair_luck(7, "fading", 3, np.array([], dtype=int)).shape == (0,)
+    uniform = pair_uniform(7, "fading", 3, OTHERS)
+    assert (pair_uniform(7, "fading", 3, OTHERS[::-1]) == uniform[::-1]).all()
+    assert pair_uniform(7, "fading", 3, np.array([99]))[0] == uniform[98]
+    assert pair_uniform(7, "fading", 3, np.array([], dtype=int)).shape == (0,)
 
 
 def test_the_luck_of_a_pair_is_symmetric_only_if_asked_to_be():
-    there = [pair_luck(7, "fading", 3, np.array([node])).item() for node in range(10)]
-    back = [pair_luck(7, "fading", node, np.array([3])).item() for node in range(10)]
+    there = [pair_uniform(7, "fading", 3, np.array([node])).item() for node in range(10)]
+    back = [pair_uniform(7, "fading", node, np.array([3])).item() for node in range(10)]
     assert there == back
-    there = pair_luck(7, "fading", 3, np.array([5]), symmetric=False)
-    back = pair_luck(7, "fading", 5, np.array([3]), symmetric=False)
+    there = pair_uniform(7, "fading", 3, np.array([5]), symmetric=False)
+    back = pair_uniform(7, "fading", 5, np.array([3]), symmetric=False)
     assert there != back
 
 
@@ -79,30 +79,30 @@ def test_no_two_pairs_share_their_luck(symmetric):
     """200 nodes: 19 900 pairs, or 39 800 with both ways; a chance collision of 2^-52 draws has probability 10^-7."""
     nodes, lucks = np.arange(200), set()
     for src in nodes.tolist():
-        lucks.update(pair_luck(7, "fading", src, nodes[nodes != src], symmetric=symmetric).tolist())
+        lucks.update(pair_uniform(7, "fading", src, nodes[nodes != src], symmetric=symmetric).tolist())
     assert len(lucks) == 19_900 * (1 if symmetric else 2)
 
 
 def test_luck_is_uncorrelated_between_neighbours_seeds_names_and_ways():
     """|r| of n = 10^5 independent pairs has standard error 1 / sqrt(n); the control is the same luck again."""
-    luck = pair_luck(7, "fading", 500_000, OTHERS)
+    uniform = pair_uniform(7, "fading", 500_000, OTHERS)
     shifted = {
-        "next receiver": pair_luck(7, "fading", 500_000, OTHERS + 1),
-        "far receiver": pair_luck(7, "fading", 500_000, OTHERS + 2**16),
-        "next sender": pair_luck(7, "fading", 500_001, OTHERS),
-        "next seed": pair_luck(8, "fading", 500_000, OTHERS),
-        "other name": pair_luck(7, "pair latency", 500_000, OTHERS),
-        "next number": pair_luck(7, "fading", 500_000, OTHERS, 1),
-        "asymmetric": pair_luck(7, "fading", 500_000, OTHERS, symmetric=False),
+        "next receiver": pair_uniform(7, "fading", 500_000, OTHERS + 1),
+        "far receiver": pair_uniform(7, "fading", 500_000, OTHERS + 2**16),
+        "next sender": pair_uniform(7, "fading", 500_001, OTHERS),
+        "next seed": pair_uniform(8, "fading", 500_000, OTHERS),
+        "other name": pair_uniform(7, "pair latency", 500_000, OTHERS),
+        "next number": pair_uniform(7, "fading", 500_000, OTHERS, 1),
+        "asymmetric": pair_uniform(7, "fading", 500_000, OTHERS, symmetric=False),
     }
     limit = 5 / np.sqrt(OTHERS.size)
-    assert {name for name, other in shifted.items() if abs(np.corrcoef(luck, other)[0, 1]) > limit} == set()
-    assert np.corrcoef(luck, pair_luck(7, "fading", 500_000, OTHERS))[0, 1] > limit
+    assert {name for name, other in shifted.items() if abs(np.corrcoef(uniform, other)[0, 1]) > limit} == set()
+    assert np.corrcoef(uniform, pair_uniform(7, "fading", 500_000, OTHERS))[0, 1] > limit
 
 
 def test_each_bit_of_the_luck_is_a_fair_coin():
     """The upper 40 bits of 10^5 draws: ones within 5 standard errors of one half; the last of 64, always 0, is not."""
-    bits = (pair_luck(7, "fading", 0, OTHERS) * 2.0**52).astype(np.uint64)
+    bits = (pair_uniform(7, "fading", 0, OTHERS) * 2.0**52).astype(np.uint64)
     ones = [((bits >> np.uint64(k)) & np.uint64(1)).mean() for k in range(12, 53)]
     off = np.abs(np.array(ones) - 0.5) / (0.5 / np.sqrt(OTHERS.size))
     assert off[:-1].max() < 5
@@ -114,9 +114,9 @@ def test_luck_is_less_than_1_even_for_the_luckiest_pair():
     for bits in (2**64 - 1, 0):
         pair = unmixed(unmixed(bits) - 0x9E3779B97F4A7C15) - int(_key(7, "fading"))
         src, dst = divmod(pair % 2**64, 2**32)
-        (luck,) = pair_luck(7, "fading", src, np.array([dst]), symmetric=False)
-        assert abs(luck - bits / 2**64) < 1e-15
-        assert 0.0 < luck < 1.0
+        (uniform,) = pair_uniform(7, "fading", src, np.array([dst]), symmetric=False)
+        assert abs(uniform - bits / 2**64) < 1e-15
+        assert 0.0 < uniform < 1.0
 
 
 def unmixed(z):
@@ -136,4 +136,4 @@ def undone(z, shift):
 
 def test_the_luck_of_a_pair_never_changes():
     """A golden value: seeds in papers must mean the same next year."""
-    assert np.round(pair_luck(7, "fading", 0, np.array([1, 2, 3])), 6).tolist() == [0.531123, 0.51988, 0.562028]
+    assert np.round(pair_uniform(7, "fading", 0, np.array([1, 2, 3])), 6).tolist() == [0.531123, 0.51988, 0.562028]

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.positions import as_positions
-from desim.kernel.spatial_hash import FINEST, SKIN, Cells
+from desim.kernel.positions import as_position_source
+from desim.kernel.spatial_hash import FINEST, VERLET_SKIN, CellList
 
 
 def near(at, node, radius):
@@ -35,13 +35,13 @@ class Flying:
 
 def test_who_is_far_is_not_found():
     """A hundred nodes 1 m apart: within 10 m there are 20, three cells of 12.5 m have at most 39."""
-    cells = Cells(as_positions(lambda: line(100, 1.0) - 50.0), 10.0)
+    cells = CellList(as_position_source(lambda: line(100, 1.0) - 50.0), 10.0)
     assert {len(cells.around(node)) for node in range(30, 70)} <= set(range(21, 40))
 
 
 def test_those_found_ascend_and_the_node_is_among_them():
     at = np.random.default_rng(1).uniform(-30.0, 30.0, (200, 2))
-    cells = Cells(as_positions(lambda: at), 5.0)
+    cells = CellList(as_position_source(lambda: at), 5.0)
     for node in range(200):
         found = cells.around(node).tolist()
         assert found == sorted(set(found))
@@ -51,7 +51,7 @@ def test_those_found_ascend_and_the_node_is_among_them():
 def test_only_around_those_who_changed_their_cell_is_looked_anew():
     """Node 0 flies over to node 50; what was found around node 99 is still there, the same array."""
     at = line(100, 10.0)
-    cells = Cells(as_positions(lambda: at), 10.0)
+    cells = CellList(as_position_source(lambda: at), 10.0)
     before = [cells.around(node) for node in range(100)]
     at[0] = at[50]
     assert 0 in cells.around(50)
@@ -62,11 +62,11 @@ def test_only_around_those_who_changed_their_cell_is_looked_anew():
 def test_nobody_is_looked_at_before_all_can_have_moved_by_half_the_skin():
     """At 2 m/s two nodes are 10 SKIN m nearer after 10 SKIN / 4 s; cells are by a thousandth larger."""
     flying = Flying(line(100, 1.0), np.tile([2.0, 0.0], (100, 1)), 2.0)
-    cells = Cells(flying, 10.0, lambda: flying.now)
-    for flying.now in (0.0, 1.0 * SKIN, 2.499 * SKIN):
+    cells = CellList(flying, 10.0, lambda: flying.now)
+    for flying.now in (0.0, 1.0 * VERLET_SKIN, 2.499 * VERLET_SKIN):
         cells.around(7)
         assert flying.looks == 1
-    flying.now = 2.51 * SKIN
+    flying.now = 2.51 * VERLET_SKIN
     cells.around(7)
     assert flying.looks == 2
     cells.around(8)
@@ -75,7 +75,7 @@ def test_nobody_is_looked_at_before_all_can_have_moved_by_half_the_skin():
 
 def test_without_the_time_all_are_looked_at():
     flying = Flying(line(100, 1.0), np.zeros((100, 2)), 2.0)
-    cells = Cells(flying, 10.0)
+    cells = CellList(flying, 10.0)
     flying.origins[99] = [0.0, 0.0]
     assert 99 in cells.around(0)
 
@@ -85,7 +85,7 @@ def test_an_array_is_taken_to_be_the_same_only_if_nobody_can_write_to_it(view):
     """The same array is handed out again; one that is a view of another may change although it is read-only itself."""
     at = line(100, 10.0)
     shown = at[:] if view else at
-    cells = Cells(as_positions(lambda: shown), 10.0)
+    cells = CellList(as_position_source(lambda: shown), 10.0)
     shown.setflags(write=False)
     assert 99 not in cells.around(0)
     at.setflags(write=True)
@@ -101,7 +101,7 @@ def test_a_new_array_that_cannot_be_written_to_is_looked_at():
     for at in history:
         at.setflags(write=False)
     turn = [0, 0, 1, 1, 0]
-    cells = Cells(as_positions(lambda: history[turn[0]]), 10.0)
+    cells = CellList(as_position_source(lambda: history[turn[0]]), 10.0)
     found = []
     while len(turn) > 1:
         turn.pop(0)
@@ -111,7 +111,7 @@ def test_a_new_array_that_cannot_be_written_to_is_looked_at():
 
 def test_the_smallest_of_cells_is_large_enough_for_the_farthest_of_coordinates():
     at = np.array([[1e9, -1e9], [1e9, -1e9], [np.nextafter(1e9, 0.0), -1e9], [-1e9, 1e9]])
-    cells = Cells(as_positions(lambda: at), 1e-12)
+    cells = CellList(as_position_source(lambda: at), 1e-12)
     assert set(cells.around(0).tolist()) >= {0, 1}
     assert 3 not in cells.around(0)
     assert FINEST < 1e-3
@@ -123,15 +123,15 @@ RADII = st.sampled_from([0.0, 5e-324, 1e-9, 1e-3, 1.0, 7.3, 1e6, 1e9, 1e300, 1.7
 @st.composite
 def crowds(draw, size, radius):
     """Return (size, 2) coordinates: anywhere, on the borders of cells, a radius apart, at one place."""
-    unit = draw(st.sampled_from([radius, 1.001 * (1.0 + SKIN) * radius, FINEST, 1.0, 1e8]))
+    unit = draw(st.sampled_from([radius, 1.001 * (1.0 + VERLET_SKIN) * radius, FINEST, 1.0, 1e8]))
     unit = unit if unit <= 1e8 else 1.0
-    anywhere = st.one_of(
+    random_heading = st.one_of(
         st.integers(-9, 9).map(lambda k: k * unit),
         st.integers(-3, 3).map(lambda k: float(np.nextafter(k * unit, 1e9))),
         st.floats(-9.0 * unit, 9.0 * unit),
         st.sampled_from([0.0, -0.0, 1e9, -1e9]),
     )
-    return np.array(draw(st.lists(anywhere, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
+    return np.array(draw(st.lists(random_heading, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
 
 
 @pytest.mark.slow
@@ -140,7 +140,7 @@ def crowds(draw, size, radius):
 def test_all_who_are_near_are_found_however_they_jump(data, size, radius, in_place):
     at = data.draw(crowds(size, radius))
     shown = [at]
-    cells = Cells(as_positions(lambda: shown[0]), radius)
+    cells = CellList(as_position_source(lambda: shown[0]), radius)
     for _ in range(3):
         for node in range(size):
             assert near(shown[0], node, radius) <= set(cells.around(node).tolist())
@@ -163,8 +163,8 @@ def test_all_who_are_near_are_found_however_they_fly(data, size, radius, fastest
     drawn = data.draw(st.lists(speed, min_size=size, max_size=size))
     velocities = pace * np.column_stack([drawn, np.zeros(size)])
     flying = Flying(data.draw(crowds(size, radius)), velocities, pace)
-    cells = Cells(flying, radius, lambda: flying.now)
-    step = st.sampled_from([0.0, 1e-9, 0.1, SKIN / 2.0, SKIN, 1.0, 50.0])
+    cells = CellList(flying, radius, lambda: flying.now)
+    step = st.sampled_from([0.0, 1e-9, 0.1, VERLET_SKIN / 2.0, VERLET_SKIN, 1.0, 50.0])
     for _ in range(6):
         for node in range(size):
             assert near(flying(), node, radius) <= set(cells.around(node).tolist())

@@ -177,13 +177,13 @@ def test_a_disk_holds_just_those_whose_distance_is_at_most_the_range(data, size,
     """On a grid of the range, on both sides of its lines, at one place, 1e9 m away; the graph is complete or not."""
     unit = reach if 0.0 < reach < 1e9 else 1.0
     near = st.integers(-3, 3).map(lambda k: k * unit)
-    anywhere = st.one_of(near, near.map(lambda x: np.nextafter(x, 9.0)), st.floats(-3.0, 3.0), st.just(-1e9))
+    random_heading = st.one_of(near, near.map(lambda x: np.nextafter(x, 9.0)), st.floats(-3.0, 3.0), st.just(-1e9))
     at = np.zeros((size, 2))
     graph = nx.gnp_random_graph(size, data.draw(st.sampled_from([0.5, 1.0])), seed=1)
     with many():
         topology = Topology(graph, reach, lambda: at)
     for _ in range(3):
-        at[:] = np.array(data.draw(st.lists(anywhere, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
+        at[:] = np.array(data.draw(st.lists(random_heading, min_size=2 * size, max_size=2 * size))).reshape(size, 2)
         for node in range(size):
             apart = np.hypot(*(at - at[node]).T)
             theory = [other for other in range(size) if other in graph.adj[node] and apart[other] <= reach]

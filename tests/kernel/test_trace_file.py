@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.faults import Began, Crash
+from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.faults import Crash, FaultStarted
 from desim.kernel.records import Record
 from desim.kernel.trace_file import TraceFile, events_of, line_of
 from desim.pursuit.events import Decided, Ended, Started
@@ -34,9 +34,9 @@ def test_times_are_written_in_seconds_and_never_is_null():
         "size": 24,
         "body": [True],
     }
-    tally = Tally(2_000_000_000, 2, 1, 1, 0, {"loss": 1}, 1, 24, 0.25)
+    tally = MessageCounts(2_000_000_000, 2, 1, 1, 0, {"loss": 1}, 1, 24, 0.25)
     assert json.loads(line_of(tally)) == {
-        "event": "Tally",
+        "event": "MessageCounts",
         "t": 2.0,
         "sent": 2,
         "delivered": 1,
@@ -58,7 +58,7 @@ class Words(NamedTuple):
     records: tuple[Record, ...]
 
 
-KINDS = (Queued, Broadcast, Sent, Lost, Tally)
+KINDS = (Queued, Broadcast, Sent, Lost, MessageCounts)
 TIMES = st.integers(0, 2**51)  # 26 days: half a nanosecond is more than what a float of seconds is off
 NODES = st.integers(0, 50)
 NUMBERS = st.floats(-1e30, 1e30)
@@ -73,7 +73,7 @@ EVENTS = st.one_of(
     st.builds(Broadcast, TIMES, NODES, NODES, NODES, st.lists(NODES).map(tuple), ARRIVALS, TIMES, NODES, BODIES),
     st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, BODIES),
     st.builds(Lost, TIMES, NODES, NODES, NODES, st.sampled_from(["loss", "reach"])),
-    st.builds(Tally, TIMES, *[NODES] * 4, st.just({"loss": 3}), NODES, NODES, NUMBERS),
+    st.builds(MessageCounts, TIMES, *[NODES] * 4, st.just({"loss": 3}), NODES, NODES, NUMBERS),
 )
 
 
@@ -125,7 +125,7 @@ NASTY = st.recursive(
 WRITTEN = st.one_of(
     EVENTS,
     st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, NASTY),
-    st.builds(Began, TIMES, st.just(Crash(node=1, at=2.0))),
+    st.builds(FaultStarted, TIMES, st.just(Crash(node=1, at=2.0))),
     st.builds(Started, TIMES, st.tuples(st.floats(), st.floats()), st.just(()), st.just((1.0,)), st.just((True, 2))),
     st.builds(Started, TIMES, st.just((0.0, 1.0)), st.just(()), st.just(()), st.just(()), st.just(((nan, 2.0),))),
     st.builds(Decided, TIMES, NODES, st.booleans() | NODES),
@@ -244,7 +244,7 @@ def test_a_table_with_a_key_that_is_no_name_stays_one(name):
 
 SENT = json.loads(line_of(Sent(0, 7, 1, 2, 5, 0, 24, None)))
 BROADCAST = json.loads(line_of(Broadcast(0, 7, 0, 1, (1, 2), (5, LOST), 0, 24, None)))
-TALLY = json.loads(line_of(Tally(0, 1, 1, 0, 0, {}, 1, 24, 0.0)))
+TALLY = json.loads(line_of(MessageCounts(0, 1, 1, 0, 0, {}, 1, 24, 0.0)))
 BAD = {
     "{": "Expecting property name",
     "7": "should be a table",

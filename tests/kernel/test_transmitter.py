@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import Broadcast, Lost, Queued, Sent, Trace
-from desim.kernel.fault_state import Conditions
+from desim.kernel.fault_state import FaultState
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links, Processing
 from desim.kernel.medium import Bitrate
 from desim.kernel.network import Network
-from desim.kernel.transmitter import Air
+from desim.kernel.transmitter import Transmitter
 
 SEEDS = range(6)
 BYTE = Bitrate(bitrate=8.0)
@@ -159,7 +159,7 @@ def test_of_a_full_queue_the_oldest_is_dropped(limit, dropped):
     assert [(each.flight, each.cause) for each in trace.of(Lost)] == [
         ("ABCDE".index(name), "queue") for name in dropped
     ]
-    tally = net.tally()
+    tally = net.message_counts()
     assert (tally.sent, tally.delivered, tally.lost, tally.in_flight) == (5, 5 - len(dropped), len(dropped), 0)
     assert tally.lost_by == ({"queue": len(dropped)} if dropped else {})
     assert (tally.transmissions, tally.bytes_sent) == (5 - len(dropped), 10 * (5 - len(dropped)))
@@ -170,7 +170,7 @@ def test_what_is_dropped_counts_for_each_of_its_receivers():
     net.publish(0, "on the air", size=5)
     net.publish(0, "dropped", size=5)
     run_until(clock, 10.0)
-    assert net.tally().lost_by == {"queue": 3}
+    assert net.message_counts().lost_by == {"queue": 3}
     assert [each.dst for each in trace.of(Lost)] == [1, 2, 3]
 
 
@@ -189,7 +189,7 @@ def test_nobody_is_deaf_on_a_shared_channel_however_long_messages_travel():
     for node in (0, 1, 2):
         later(clock, 0.0, net.publish, node, None, size=1)
     run_until(clock, 10.0)
-    assert net.tally()[1:4] == (6, 6, 0)
+    assert net.message_counts()[1:4] == (6, 6, 0)
 
 
 @pytest.mark.slow_but_one
@@ -203,7 +203,7 @@ def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):
     def theory(k, rho=0.8):
         return (1 - rho) * rho**k / (1 - rho ** (k + 1))
 
-    shares = [poisson_traffic(0.8, exponential, seed, limit=limit, count=1500)[1].tally() for seed in SEEDS]
+    shares = [poisson_traffic(0.8, exponential, seed, limit=limit, count=1500)[1].message_counts() for seed in SEEDS]
     shares = np.array([each.lost_by["queue"] / each.sent for each in shares])
     error = shares.std(ddof=1) / sqrt(shares.size)
     assert error < 0.02
@@ -241,7 +241,7 @@ def test_a_node_that_transmits_is_deaf_on_half_duplex(half_duplex):
     assert heard_by(net, clock) == ([[], [], [0, 1]] if half_duplex else [[1], [0], [0, 1]])
     lost = [(each.t // SECOND, each.src, each.dst, each.cause) for each in trace.of(Lost)]
     assert lost == ([(2, 0, 1, "half_duplex"), (3, 1, 0, "half_duplex")] if half_duplex else [])
-    assert net.tally().lost_by == ({"half_duplex": 2} if half_duplex else {})
+    assert net.message_counts().lost_by == ({"half_duplex": 2} if half_duplex else {})
 
 
 @pytest.mark.parametrize("reading", [0.0, 1.0])
@@ -311,13 +311,13 @@ def test_half_duplex_is_the_overlap_of_what_comes_in_with_what_goes_out(traffic,
 def test_utilisation_is_the_share_of_the_time_in_which_the_channels_are_busy(shared):
     """Node 0 speaks from 0 to 4 s, node 1 for 2 s, at once or after it; 2 nodes have 2 channels or share one."""
     clock, net, _ = network(2, medium(shared=shared))
-    assert net.tally().utilisation == 0.0
+    assert net.message_counts().utilisation == 0.0
     net.publish(0, None, size=4)
     net.publish(1, None, size=2)
     # Busy until 1, 3, 5, 10 s: of two channels 2, 5, 6, 6 s, of one 1, 3, 5, 6 s.
     for t, busy in ((1, 1), (3, 3), (5, 5), (10, 6)) if shared else ((1, 2), (3, 5), (5, 6), (10, 6)):
         run_until(clock, t)
-        assert net.tally().utilisation == pytest.approx(busy / (t * (1 if shared else 2)))
+        assert net.message_counts().utilisation == pytest.approx(busy / (t * (1 if shared else 2)))
 
 
 def test_octets_and_transmissions_count_what_left_and_messages_each_receiver():
@@ -326,11 +326,11 @@ def test_octets_and_transmissions_count_what_left_and_messages_each_receiver():
     net.publish(0, None, size=3)
     net.publish(0, None, size=2)
     run_until(clock, 1.0)
-    tally = net.tally()
+    tally = net.message_counts()
     assert (tally.sent, tally.delivered, tally.in_flight) == (6, 0, 6)
     assert (tally.transmissions, tally.bytes_sent) == (1, 3)
     run_until(clock, 5.5)
-    tally = net.tally()
+    tally = net.message_counts()
     assert (tally.sent, tally.delivered, tally.in_flight) == (6, 6, 0)
     assert (tally.transmissions, tally.bytes_sent) == (2, 5)
 
@@ -347,7 +347,7 @@ class Item(NamedTuple):
 def leaving(medium, given, until=20.0):
     """Return when what leaves transmitters alone, as a list of (s, name); `given` does things with them at once."""
     clock, left = Clock(), []
-    radio = Air(
+    radio = Transmitter(
         clock, medium, 2, lambda item, *_: left.append((clock.now // SECOND, item.name)), *[lambda *_: None] * 2
     )
     given(clock, radio)
@@ -359,9 +359,9 @@ def leaving(medium, given, until=20.0):
 def test_a_message_of_which_all_has_left_outlives_its_transmitter(breakdown, heard):
     """Two bytes are on the air until 2 s, and arrive a second later."""
     clock, links = Clock(), Links(medium=BYTE, latency=Constant(value=1.0))
-    radio = Network(clock, nx.complete_graph(2), links, conditions=Conditions())
+    radio = Network(clock, nx.complete_graph(2), links, conditions=FaultState())
     radio.send(0, 1, "A", size=2)
-    later(clock, breakdown, radio.break_down, 0)
+    later(clock, breakdown, radio.crash, 0)
     run_until(clock, 4.0)
     assert len(radio.inbox(1).drain()) == heard
 
@@ -379,7 +379,7 @@ def test_who_moves_away_while_a_message_waits_does_not_get_it():
         radio.send(0, None, body, size=2)
     run_until(clock, 5.0)
     assert [message.body for message in radio.inbox(1).drain()] == ["A"]
-    assert radio.tally().lost_by == {"reach": 1}
+    assert radio.message_counts().lost_by == {"reach": 1}
 
 
 def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():
@@ -387,10 +387,10 @@ def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():
 
     def given(clock, radio):
         for src, name in enumerate("ABCD"):
-            radio.give(Item(src % 2, 2, name))
+            radio.enqueue(Item(src % 2, 2, name))
         run_until(clock, 1.0)
         assert [item.name for item in radio.waiting()] == ["B", "C", "D"]
-        assert [item.name for item in radio.silence(1)] == ["B", "D"]
+        assert [item.name for item in radio.flush(1)] == ["B", "D"]
         run_until(clock, 10.0)
         assert list(radio.waiting()) == []
         assert radio.airtime() == 4 * SECOND
@@ -400,12 +400,12 @@ def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():
 
 def test_after_everything_was_taken_back_the_next_still_waits_for_what_is_on_the_air():
     def given(clock, radio):
-        radio.give(Item(0, 5, "A"))
-        radio.give(Item(0, 1, "B"))
+        radio.enqueue(Item(0, 5, "A"))
+        radio.enqueue(Item(0, 1, "B"))
         run_until(clock, 1.0)
-        radio.silence(0)
-        radio.give(Item(0, 2, "C"))
-        radio.give(Item(0, 2, "D"))
+        radio.flush(0)
+        radio.enqueue(Item(0, 2, "C"))
+        radio.enqueue(Item(0, 2, "D"))
 
     assert leaving(medium(), given) == [(0, "A"), (5, "C"), (7, "D")]
 
@@ -415,8 +415,8 @@ def test_nobody_jumps_the_queue_at_the_instant_at_which_the_transmitter_is_free(
 
     def given(clock, radio):
         for name in "AB":
-            radio.give(Item(0, 2, name))
-        Instant(clock, 2 * SECOND, Phase.FAULT).callbacks.append(lambda _: radio.give(Item(0, 2, "C")))
+            radio.enqueue(Item(0, 2, name))
+        Instant(clock, 2 * SECOND, Phase.FAULT).callbacks.append(lambda _: radio.enqueue(Item(0, 2, "C")))
 
     assert leaving(medium(), given) == [(0, "A"), (2, "B"), (4, "C")]
 
@@ -424,6 +424,6 @@ def test_nobody_jumps_the_queue_at_the_instant_at_which_the_transmitter_is_free(
 def test_messages_of_no_length_leave_at_once_and_in_order():
     def given(clock, radio):
         for name in "ABCDE":
-            radio.give(Item(0, 3 if name == "C" else 0, name))
+            radio.enqueue(Item(0, 3 if name == "C" else 0, name))
 
     assert leaving(medium(), given) == [(0, "A"), (0, "B"), (0, "C"), (3, "D"), (3, "E")]

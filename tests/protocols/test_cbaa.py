@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.analysis.metrics import excess_time, idle_time, misassigned_time
-from desim.kernel.events import Broadcast, Tally
+from desim.kernel.events import Broadcast, MessageCounts
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant, Lognormal
@@ -23,7 +23,7 @@ from desim.kernel.records import Record
 from desim.pursuit.announcements import Announcements, Assignment
 from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import broken
 from desim.scenario.scenario import Evader, Motion, Recording, Team
@@ -78,7 +78,7 @@ def chasing(result, at=inf):
     """Return who chases right after an instant, s."""
     active = dict(enumerate(result.trace.of(Started)[0].active))
     for event in result.trace:
-        if isinstance(event, Decided | Halted) and event.t <= at * 1e9 + 1:
+        if isinstance(event, Decided | BrokeDown) and event.t <= at * 1e9 + 1:
             active[event.pursuer] = getattr(event, "active", False)
     return [pursuer for pursuer, chases in active.items() if chases]
 
@@ -356,11 +356,11 @@ def test_what_is_told_is_understood(action, bids):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spread", [None, Flooding(hops=4)])
+@pytest.mark.parametrize("dissemination", [None, Flooding(hops=4)])
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_loss_and_random_latency_only_slow_it(auction, spread):
+def test_loss_and_random_latency_only_slow_it(auction, dissemination):
     """30 % lost, latency 0.05 s on average (cv 1, so word overtakes), on random connected graphs of 2 to 12."""
-    for number in range(12 if spread is None else 4):
+    for number in range(12 if dissemination is None else 4):
         graph = random_graph(number)
         result = frozen(
             auction(schedule=Poisson(rate=5.0)),
@@ -368,10 +368,12 @@ def test_loss_and_random_latency_only_slow_it(auction, spread):
             team=Team(count=len(graph), active_at_start=0.5),
             evader=Evader(),
             horizon=12.0,
-            announce=Announcements() if spread is None else Announcements(spread=spread, warm_start=False),
+            announce=Announcements()
+            if dissemination is None
+            else Announcements(dissemination=dissemination, warm_start=False),
             network=Links(graph=Edges.of(graph), loss=Bernoulli(p=0.3), latency=Lognormal(mean=0.05, cv=1.0)),
         )
-        assert result.trace.of(Tally)[0].lost > 0
+        assert result.trace.of(MessageCounts)[0].lost > 0
         assert chasing(result) == relay(result)
 
 
@@ -608,7 +610,7 @@ def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_o
     """
     phi = {1: np.array([2.0, 1.0, inf]), 2: np.array([3.0, 4.0, 5.0])}
     me = SimpleNamespace(senses_others=True, evaders=lambda: [1, 2], trusted=dict)
-    me.whereabouts = lambda evader: SimpleNamespace(capture_times=phi[evader])
+    me.team_estimate = lambda evader: SimpleNamespace(capture_times=phi[evader])
     old = [Bid(0, -9.0), Bid(1, -9.0), Bid(2, -9.0), NO_BID]
     assert [current(me)(bid) for bid in old] == [Bid(0, -2.0), Bid(1, -1.0), Bid(2, -inf), NO_BID]
     assert [current(me, 2)(bid) for bid in old] == [Bid(0, -3.0), Bid(1, -4.0), Bid(2, -5.0), NO_BID]
@@ -623,7 +625,7 @@ def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_da
     """Pursuer 0 (phi = 3 s) hears 1 and 2 bid; then, hearing nothing, that it holds falls behind its own, and back."""
     phi, claims, heard = [3.0, 2.0, 2.5], [], {}
     me = puppet(team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=True)
-    me.whereabouts = lambda evader: SimpleNamespace(capture_times=np.array(phi))
+    me.team_estimate = lambda evader: SimpleNamespace(capture_times=np.array(phi))
     me.capture_time, me.time_left = lambda evader: phi[0], lambda: 9.0
     claim = Claim if auction is CBAA else partial(StampedClaim, stamps=(-inf, 0.0, 0.0))
     turns = auction().actions(me)

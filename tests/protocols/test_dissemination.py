@@ -14,7 +14,7 @@ from scipy.stats import kstest
 
 from desim import Scenario, run
 from desim.kernel.clock import seconds
-from desim.kernel.events import Sent, Tally
+from desim.kernel.events import MessageCounts, Sent
 from desim.kernel.faults import ClockSkew, Crash
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
@@ -29,7 +29,7 @@ FAR = 1000
 """More hops than there are."""
 
 
-def play(protocol, graph, spread, *watchers, **changes):
+def play(protocol, graph, dissemination, *watchers, **changes):
     """Run a protocol for a pursuer on each node of a graph."""
     given = {
         "horizon": 10.0,
@@ -37,7 +37,7 @@ def play(protocol, graph, spread, *watchers, **changes):
         "motion": Motion(frozen=True),
         "protocol": protocol,
         "network": Links(graph=Edges.of(graph), latency=Constant(value=L)),
-        "announce": Announcements(trigger="never", warm_start=False, spread=spread),
+        "announce": Announcements(trigger="never", warm_start=False, dissemination=dissemination),
         "record": Recording(trajectory=0.0, messages=True),
     }
     return run(Scenario(**(given | changes)), 0, *watchers)
@@ -62,17 +62,17 @@ def saying(*times, by=0, heard=None):
     return protocol
 
 
-def arrivals(graph, spread, **changes):
+def arrivals(graph, dissemination, **changes):
     """Return when each pursuer heard what pursuer 0 said at 1 s, and the result of the run."""
     heard = {}
-    result = play(saying(1.0, heard=heard), graph, spread, **changes)
+    result = play(saying(1.0, heard=heard), graph, dissemination, **changes)
     return {j: known[0][0] for j, known in heard.items() if 0 in known}, result
 
 
 def test_one_hop_reaches_the_neighbours_and_nobody_else():
     when, result = arrivals(nx.path_graph(5), OneHop())
     assert when == {1: 1.25}
-    assert result.trace.of(Tally)[0].transmissions == 1
+    assert result.trace.of(MessageCounts)[0].transmissions == 1
 
 
 @pytest.mark.parametrize("hops", [1, 2, 3, 5, FAR])
@@ -80,14 +80,14 @@ def test_flooding_travels_one_hop_per_latency_and_so_many_hops_at_most(hops):
     """On a path of 6 node k hears at 1 + k L; everyone up to the last but one who hears says it once."""
     when, result = arrivals(nx.path_graph(6), Flooding(hops=hops, jitter=0.0))
     assert when == {k: 1.0 + k * L for k in range(1, min(hops, 5) + 1)}
-    assert result.trace.of(Tally)[0].transmissions == min(hops, 6)
+    assert result.trace.of(MessageCounts)[0].transmissions == min(hops, 6)
 
 
 def test_on_a_ring_word_goes_both_ways_and_meets():
     """Six nodes: 1 and 5 hear after L, 2 and 4 after 2 L, 3 after 3 L, twice. Each says it once, to 2 neighbours."""
     when, result = arrivals(nx.cycle_graph(6), Flooding(hops=FAR, jitter=0.0))
     assert when == {1: 1.25, 5: 1.25, 2: 1.5, 4: 1.5, 3: 1.75}
-    tally = result.trace.of(Tally)[0]
+    tally = result.trace.of(MessageCounts)[0]
     assert (tally.transmissions, tally.sent, tally.delivered) == (6, 12, 12)
     assert Counter(seconds(sent.t) for sent in result.trace.of(Sent)) == {1.0: 2, 1.25: 4, 1.5: 4, 1.75: 2}
 
@@ -115,7 +115,7 @@ def test_flooding_is_breadth_first_search(graph, hops, breakable):
     distance = nx.single_source_shortest_path_length(graph, 0)
     assert when == {j: 1.0 + L * d for j, d in distance.items() if 0 < d <= hops}
     speakers = [j for j, d in distance.items() if d < hops]
-    tally = result.trace.of(Tally)[0]
+    tally = result.trace.of(MessageCounts)[0]
     assert tally.transmissions == len(speakers)
     assert tally.sent == tally.delivered == sum(graph.degree(j) for j in speakers)
 
@@ -124,7 +124,7 @@ def test_what_is_said_again_is_new_and_what_is_heard_again_is_not():
     """A complete graph of 5: each of three announcements is said once by each, whatever the number of copies."""
     heard = {}
     result = play(saying(1.0, 2.0, 3.0, heard=heard), nx.complete_graph(5), Flooding(jitter=0.0))
-    assert result.trace.of(Tally)[0].transmissions == 3 * 5
+    assert result.trace.of(MessageCounts)[0].transmissions == 3 * 5
     assert heard == {0: {}} | {j: {0: (3.25, 3)} for j in range(1, 5)}
 
 
@@ -245,7 +245,7 @@ def test_gossip_takes_word_one_hop_farther_with_every_announcement():
     for j, known in heard.items():
         right = {j + 1: j + 2 + L} if j < 4 else {}
         assert known == dict.fromkeys(range(j), j + L) | right
-    assert result.trace.of(Tally)[0].transmissions == 5
+    assert result.trace.of(MessageCounts)[0].transmissions == 5
 
 
 def test_gossip_merges_by_the_newest():

@@ -119,7 +119,7 @@ def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(
             "speeds": [0.8, *rng.uniform(*((0.8, 3.0) if frozen else (0.90999, 0.91001)), 11).tolist()],
             "horizon": 9.0 if frozen else 2000.0,
             "motion": Motion(step=0.05, frozen=frozen),
-            "announce": Announcements(payload=payload, forget_after=np.inf),
+            "announce": Announcements(payload=payload, belief_timeout=np.inf),
             "prune": prune,
         }
         ideal, found = (
@@ -411,7 +411,7 @@ def test_random_static_games_end_in_the_relay_profile(payload):
             team=Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
             motion=Motion(frozen=True),
             protocol=protocol,
-            announce=Announcements(payload=payload, heartbeat=0.5, forget_after=np.inf, warm_start=bool(seed % 2)),
+            announce=Announcements(payload=payload, heartbeat=0.5, belief_timeout=np.inf, warm_start=bool(seed % 2)),
             network=Links(latency=Lognormal(mean=0.2, cv=1.0), loss=Bernoulli(p=0.3)),
             record=Recording(trajectory=0.0),
         )

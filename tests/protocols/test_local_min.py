@@ -141,7 +141,7 @@ def test_local_min_settles_in_spite_of_latency_and_loss_if_word_is_repeated():
             [each / 2 for each in phi],
             number,
             network=Links(graph=Edges.of(graph), latency=Constant(value=0.1), loss=Bernoulli(p=0.3)),
-            announce=Announcements(heartbeat=0.1, forget_after=float("inf")),
+            announce=Announcements(heartbeat=0.1, belief_timeout=float("inf")),
         )
         profile, _ = changes_of(run(scenario))
         assert profile == greedy_maximal_independent_set([p / 2 for p in phi], 10.0, who_is_heard(graph))
@@ -225,7 +225,7 @@ class Puppet:
     def circle(self, scope):
         return {"neighbours": self.near}[scope]
 
-    def believed(self, evader):
+    def believed_chasers(self, evader):
         return {j: of(phi, evader) for j, (action, phi) in self.known.items() if action == evader}
 
     def beliefs(self, evader):
@@ -286,7 +286,7 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(
-    ("graph", "spread", "profile"),
+    ("graph", "dissemination", "profile"),
     [
         (nx.complete_graph(5), OneHop(), (False, False, True, False, False)),
         (nx.path_graph(5), OneHop(), (False, False, True, False, False)),
@@ -297,7 +297,9 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
     ],
     ids=["complete", "path", "path flooded", "other path", "other path flooded", "other path flooded too little"],
 )
-def test_argmin_known_leaves_one_if_it_is_heard_by_all_and_else_who_is_first_of_whom_it_hears(graph, spread, profile):
+def test_argmin_known_leaves_one_if_it_is_heard_by_all_and_else_who_is_first_of_whom_it_hears(
+    graph, dissemination, profile
+):
     """phi = (4, 2, 1, 3, 5) s. Path 0 - 1 - 3 - 4 - 2: pursuer 1 is three hops from 2, and is first of its neighbours.
 
     On 0 - 1 - 2 - 3 - 4 phi falls to 1 s and rises again, so each but 2 hears of one that is ahead. Nobody is known at
@@ -307,7 +309,7 @@ def test_argmin_known_leaves_one_if_it_is_heard_by_all_and_else_who_is_first_of_
         ArgminKnown(schedule=Poisson(rate=5.0)),
         graph,
         (4.0, 2.0, 1.0, 3.0, 5.0),
-        announce=Announcements(warm_start=False, spread=spread, forget_after=float("inf")),
+        announce=Announcements(warm_start=False, dissemination=dissemination, belief_timeout=float("inf")),
     )
     for seed in range(5):
         assert changes_of(run(scenario, seed))[0] == profile

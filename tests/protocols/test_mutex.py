@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, run
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Star
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
@@ -225,7 +225,7 @@ def test_no_storm_ends_in_a_deadlock():
         rng = np.random.default_rng([seed, 6])
         count, graph = int(rng.integers(2, 8)), (Complete(), Grid(columns=3), Star())[rng.integers(3)]
         latency = (Lognormal(mean=0.02, cv=1.0), Constant(value=0.02), Constant())[rng.integers(3)]
-        plan = RandomPlan(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=3.0)
+        plan = RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=3.0)
         log = []
         story = {
             "latency": latency,

@@ -7,17 +7,17 @@ import pytest
 from desim import Scenario, run
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from protocols.retransmission import TimeOut, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, wait_for_mail
 
 
 def test_the_first_time_out_is_5_4_of_a_round_trip_and_each_later_one_has_3_2_of_the_airtime():
     """L = 0.2 s, 0.4 s on the air: 0.5 + 0.5, 0.5 + 0.75, 0.5 + 1.125, ..."""
-    time_out = TimeOut(SimpleNamespace(latency=0.2), 0.4, 0.001)
+    time_out = RetransmissionTimer(SimpleNamespace(latency=0.2), 0.4, 0.001)
     assert [time_out(), *map(time_out, range(3))] == pytest.approx([1.0, 1.0, 1.25, 1.625])
 
 
 def test_no_time_out_is_shorter_than_the_floor_however_many_there_were():
-    time_out = TimeOut(SimpleNamespace(latency=0.0), 0.0, 0.1)
+    time_out = RetransmissionTimer(SimpleNamespace(latency=0.0), 0.0, 0.1)
     assert {time_out(attempt) for attempt in (0, 1, 10_000)} == {0.1}
 
 

@@ -421,7 +421,7 @@ def act(protocol, **changes):
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
         "motion": Motion(frozen=True),
         "protocol": protocol,
-        "announce": Announcements(trigger="never", warm_start=False, forget_after=1.0),
+        "announce": Announcements(trigger="never", warm_start=False, belief_timeout=1.0),
         "record": Recording(trajectory=0.0),
     }
     return run(Scenario(**(given | changes)))
@@ -430,7 +430,7 @@ def act(protocol, **changes):
 def test_beliefs_tell_of_all_that_were_heard_and_believed_of_the_active_ones_only():
     """Pursuer 1 says that it stays, pursuer 2 that it chases, at 0.5 s; a second later both are forgotten.
 
-    Word that is just as old as `forget_after` still counts. What is trusted are the records themselves.
+    Word that is just as old as `belief_timeout` still counts. What is trusted are the records themselves.
     """
     seen = {}
 
@@ -442,7 +442,7 @@ def test_beliefs_tell_of_all_that_were_heard_and_believed_of_the_active_ones_onl
         for t in (0.25, 0.6, 1.5, 1.500000001):
             yield me.at(t)
             trusted = {j: (r.src, r.body, r.sent) for j, r in me.trusted().items()}
-            seen[t] = me.beliefs(), me.believed(), me.believed_active(), trusted, len(me.heard())
+            seen[t] = me.beliefs(), me.believed_chasers(), me.believed_active(), trusted, len(me.heard())
 
     act(protocol)
     both = {1: Belief(False, pytest.approx(1.9)), 2: Belief(True, pytest.approx(3.9))}, {2: pytest.approx(3.9)}, [2]
@@ -462,7 +462,7 @@ def test_a_teammates_time_is_what_it_said_or_what_is_sensed(payload, believed):
             me.publish(TimedAssignment(True, 7.0) if payload == "time" else Assignment(True))
         if me.id == 2:
             yield me.at(0.75)
-            seen.extend([me.beliefs()[1].capture_time, me.believed()[1]])
+            seen.extend([me.beliefs()[1].capture_time, me.believed_chasers()[1]])
 
     seen = []
     act(protocol, announce=Announcements(payload=payload, trigger="never", warm_start=False))

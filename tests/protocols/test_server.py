@@ -15,7 +15,7 @@ from desim.kernel.seeds import stream
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Halted, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import broken
 from desim.scenario.scenario import Evader, Motion, Recording, Team
@@ -31,7 +31,7 @@ def changes(result):
     """Return [(t, pursuer, active)] of all that changed what somebody does, those of one instant by id."""
     active, found = list(result.trace.of(Started)[0].active), []
     for event in result.trace:
-        if not isinstance(event, Decided | Halted):
+        if not isinstance(event, Decided | BrokeDown):
             continue
         now = isinstance(event, Decided) and event.active
         if active[event.pursuer] != now:
@@ -202,7 +202,7 @@ def test_lost_reports_and_orders_are_repeated(p):
     But for the host: 3 periods and a round trip without a report, and it decides alone, for itself.
     """
     for seed in range(5):
-        announce = Announcements(forget_after=np.inf)
+        announce = Announcements(belief_timeout=np.inf)
         result = run(static(Server(host=2), latency=0.05, loss=p, seed=seed, announce=announce), seed)
         if p < 1.0:
             assert profile(result) == (True, *[False] * 5)
@@ -329,7 +329,7 @@ def test_random_static_games_end_in_the_relay_profile():
             motion=Motion(frozen=True),
             protocol=Server(host=int(rng.integers(count))),
             network=Links(latency=Lognormal(mean=0.1, cv=1.0), loss=Bernoulli(p=0.25)),
-            announce=Announcements(forget_after=np.inf, payload=str(rng.choice(["action", "time", "state"]))),
+            announce=Announcements(belief_timeout=np.inf, payload=str(rng.choice(["action", "time", "state"]))),
             record=Recording(trajectory=0.0),
         )
         result = run(scenario, seed)
@@ -346,7 +346,7 @@ def test_at_rest_several_evaders_are_assigned_as_by_the_centralised_benchmark(pa
     """Any host, a fifth of all lost; at least one is not the greedy assignment."""
     other = 0
     for seed in range(4):
-        announce = Announcements(payload=payload, forget_after=np.inf)
+        announce = Announcements(payload=payload, belief_timeout=np.inf)
         case = at_rest(Server(host=seed), 6, 3, seed, announce=announce, network=LOSSY)
         result = run(case, None, lambda event: event.t > 3 * SECOND)
         phi = times(result)

@@ -100,7 +100,7 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
             evader=Evader(position=(0.0, 0.0), speed=0.0),
             motion=Motion(frozen=True),
             protocol=protocol,
-            announce=Announcements(payload="time", trigger="never", forget_after=0.35, warm_start=False),
+            announce=Announcements(payload="time", trigger="never", belief_timeout=0.35, warm_start=False),
             fault=fault,
             record=Recording(trajectory=0.0),
         )
@@ -108,9 +108,9 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
     return seen
 
 
-def since(turns, surprises):
+def since(turns, reheat_on):
     """Return how many slots have passed at each turn since the last of the surprises, or since 0 s."""
-    return [(turn - max([0.0, *(s for s in surprises if s <= turn)])) / SLOT for turn in turns]
+    return [(turn - max([0.0, *(s for s in reheat_on if s <= turn)])) / SLOT for turn in turns]
 
 
 def eventful(me):
@@ -135,7 +135,7 @@ SURPRISES = {"neighbour": [1.05], "order": [2.05, 3.05], "silence": [4.35]}
 def test_it_begins_anew_at_each_surprise_that_is_listed_and_at_no_other(listed):
     """Whatever of the three is listed; nor do teammates' actions, or one that ties and comes later, surprise."""
     expected = since(TURNS, [turn for each in listed for turn in SURPRISES[each]])
-    assert watch(AdaptiveTau(surprises=listed), eventful) == pytest.approx(expected, abs=1e-9)
+    assert watch(AdaptiveTau(reheat_on=listed), eventful) == pytest.approx(expected, abs=1e-9)
 
 
 def test_other_temperatures_count_from_the_start_whatever_happens():
@@ -152,7 +152,7 @@ def test_who_is_first_of_any_evader_matters_and_that_one_has_been_captured():
     me.evaders = lambda: [1, 2, 3] if me.now < 2.0 else [1, 3]
     me.capture_time = lambda evader: 3.0
     me.beliefs = lambda evader=1: {1: Belief(1, phi[evader])}
-    slots = slots_seen(AdaptiveTau(surprises=("order",)), me, 0.5)
+    slots = slots_seen(AdaptiveTau(reheat_on=("order",)), me, 0.5)
     for me.now in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5):
         phi[1], phi[3] = 4.0 if me.now < 1.0 else 2.0, nan if me.now == 1.5 else 9.0
         eta.append(next(slots))
@@ -188,9 +188,9 @@ def test_who_comes_back_is_a_neighbour_again():
             if not 10 <= k < 30:
                 me.publish(TimedAssignment(False, 4.0))
 
-    seen = watch(AdaptiveTau(surprises=("neighbour",)), teammate)
+    seen = watch(AdaptiveTau(reheat_on=("neighbour",)), teammate)
     assert seen == pytest.approx(since(TURNS, [3.05]), abs=1e-9)
-    seen = watch(AdaptiveTau(surprises=("silence",)), teammate)
+    seen = watch(AdaptiveTau(reheat_on=("silence",)), teammate)
     assert seen == pytest.approx(since(TURNS, [1.35]), abs=1e-9)
 
 
@@ -202,12 +202,12 @@ def test_of_two_that_tie_the_lower_number_is_first():
             yield me.at(0.1 * k)
             me.publish(TimedAssignment(True, 4.0 if k < 20 else 2.0))
 
-    order = AdaptiveTau(surprises=("order",))
+    order = AdaptiveTau(reheat_on=("order",))
     assert watch(order, teammate, count=2, observer=1) == pytest.approx(since(TURNS, [2.05]), abs=1e-9)
     assert watch(order, teammate, count=2, observer=0) == pytest.approx(since(TURNS, []), abs=1e-9)
 
 
-@pytest.mark.parametrize("tau", [AdaptiveTau(surprises=()), PaperTau()], ids=repr)
+@pytest.mark.parametrize("tau", [AdaptiveTau(reheat_on=()), PaperTau()], ids=repr)
 def test_a_clock_that_is_behind_counts_no_slots_below_zero(tau):
     """3 s behind: its turns at 0.05 s, 0.15 s ... come at 3.05 s, 3.15 s ...; a turn before 0 is none of 0."""
     seen = []

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 from desim import run
-from desim.kernel.faults import ClockSkew, Crash, Partition, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Partition, RandomFaults
 from desim.kernel.graphs import Complete, Grid, Ring, Star
 from desim.kernel.invariants import OneToken
 from desim.kernel.latency import Constant, Lognormal, ShiftedExponential, Uniform
@@ -29,7 +29,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_passing import Receipt, Sign, Station, Token, circulate, not_absent
+from protocols.token_passing import Receipt, Sign, Token, TokenNode, circulate, not_absent
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
@@ -422,7 +422,7 @@ def soak(seed):
     )[rng.integers(4)]
     mean = 0.0 if isinstance(latency, Constant) else 0.03
     patience = 5 * count * (mean + hold) + 5 * max(2.5 * mean, hold)
-    faults = [RandomPlan(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=storm)]
+    faults = [RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=storm)]
     links = nx.Graph(graph(count))
     if rng.random() < 0.5:
         cut = sorted(rng.permutation(count)[: rng.integers(1, count)].tolist())
@@ -465,14 +465,14 @@ def test_one_token_is_left_in_each_component_after_every_storm(block):
 @pytest.mark.slow
 def test_the_watcher_notices_a_token_that_is_never_replaced(monkeypatch):
     """A negative control: with endless patience some of 20 storms leave a component without a token."""
-    monkeypatch.setattr(Station, "patience", property(lambda self: 1e6))
+    monkeypatch.setattr(TokenNode, "patience", property(lambda self: 1e6))
     assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 
 @pytest.mark.slow
 def test_the_watcher_notices_tokens_whose_epoch_nobody_heeds(monkeypatch):
     """A negative control: if old tokens are taken and are not given up for new ones, there are two of one epoch."""
-    heed = Station._hear
+    heed = TokenNode._hear
 
     def hear(self, src, body):
         if isinstance(body, Token) and self.token is None and body.epoch < self._newest[0]:
@@ -485,8 +485,8 @@ def test_the_watcher_notices_tokens_whose_epoch_nobody_heeds(monkeypatch):
         self._newest = age
         self._reassured()
 
-    monkeypatch.setattr(Station, "_hear", hear)
-    monkeypatch.setattr(Station, "_notice", notice)
+    monkeypatch.setattr(TokenNode, "_hear", hear)
+    monkeypatch.setattr(TokenNode, "_notice", notice)
     with pytest.raises(AssertionError, match="an epoch has one token"):
         list(map(faults_after, range(40)))
 

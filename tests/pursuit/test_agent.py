@@ -181,7 +181,7 @@ def test_the_way_word_spreads_and_the_protocol_share_one_generator():
         yield me.sleep(0.05)
         yield from Dicing(drawn)(me)
 
-    play(protocol, announce=Announcements(spread=Dicing(drawn), trigger="never"), horizon=0.98)
+    play(protocol, announce=Announcements(dissemination=Dicing(drawn), trigger="never"), horizon=0.98)
     assert drawn == {pursuer: stream(0, "decisions", pursuer).random(20).tolist() for pursuer in range(3)}
 
 
@@ -197,9 +197,9 @@ def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, kno
             me.tell()
         yield me.at(1.5)
         if me.id == 1:
-            seen.append(me.whereabouts())
+            seen.append(me.team_estimate())
 
-    play(protocol, announce=Announcements(trigger="revision", payload=payload, forget_after=1.0, warm_start=False))
+    play(protocol, announce=Announcements(trigger="revision", payload=payload, belief_timeout=1.0, warm_start=False))
     (found,) = seen
     assert found.ids == known
     assert found.capture_times == pytest.approx([(0.9, 1.9, 3.9)[j] for j in known])
@@ -256,7 +256,7 @@ def test_of_a_claim_nobody_learns_where_its_speaker_is():
             me.claim(Claim(True))
             me.tell()
             yield me.at(0.5)
-            seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.whereabouts().places[(me.id + 1) % 3]))
+            seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.team_estimate().places[(me.id + 1) % 3]))
 
         play(protocol, announce=Announcements(payload=payload, warm_start=False))
         times, places = zip(*seen, strict=True)
@@ -286,10 +286,10 @@ def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", ["action", "state", "time"])
-@pytest.mark.parametrize("spread", [OneHop(), Flooding(hops=2), Gossip()])
+@pytest.mark.parametrize("dissemination", [OneHop(), Flooding(hops=2), Gossip()])
 @pytest.mark.parametrize("scope", ["radio", "robot"])
 @pytest.mark.parametrize("warm", [True, False])
-def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, spread, scope, warm):
+def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, dissemination, scope, warm):
     """The beliefs, kept by the news, against all that has been heard; pursuer 1 forgets everything at 2 s."""
     checked, chased = [], set()
 
@@ -300,7 +300,7 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, spread, 
             for evader in (1, 2):
                 words = me.trusted()
                 expected = sorted(j for j in words if words[j].body.active == evader)
-                assert me.believed_active(evader) == list(me.believed(evader)) == expected
+                assert me.believed_active(evader) == list(me.believed_chasers(evader)) == expected
                 chased.add((evader, tuple(expected)))
             checked.append(me.id)
             me.assign(int(rng.integers(3)))
@@ -314,7 +314,7 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, spread, 
             evader=(Evader(position=(90.0, 0.0)), Evader(position=(0.0, 90.0))),
             protocol=protocol,
             network=Links(graph=Ring(), latency=Lognormal(mean=0.03, cv=1.0), loss=Bernoulli(p=0.3)),
-            announce=Announcements(payload=payload, spread=spread, forget_after=0.2, warm_start=warm),
+            announce=Announcements(payload=payload, dissemination=dissemination, belief_timeout=0.2, warm_start=warm),
             fault=(Crash(node=1, at=1.0, until=2.0, memory=False, scope=scope),),
         )
     )

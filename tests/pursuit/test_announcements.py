@@ -66,8 +66,8 @@ def withdraw(me):
     me.tell()
 
 
-def believed(me):
-    return {j: round(phi, 9) for j, phi in me.believed().items()}
+def believed_chasers(me):
+    return {j: round(phi, 9) for j, phi in me.believed_chasers().items()}
 
 
 def told(result, src):
@@ -110,7 +110,7 @@ def test_the_state_of_who_stands_still_stays_exact(reckoning):
         me.publish(LocatedAssignment(active=True, x=3.0, y=0.0, speed=0.0))
 
     seen = {}
-    looks = [(t, 2, lambda me: (me.believed()[1], me.whole.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)]
+    looks = [(t, 2, lambda me: (me.believed_chasers()[1], me.whole.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)]
     announce = {"payload": "state", "reckoning": reckoning}
     play(script((0.0, 1, stand), *looks, seen=seen), announce, evader=Evader(position=(0.0, 1.0), speed=0.5))
     for told, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):
@@ -211,7 +211,7 @@ def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
         for _, record in me.heard().values():
             _, x, y, speed = record.body
             ahead = abs(me._world.state(1).evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
-            seen.append((me.believed()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
+            seen.append((me.believed_chasers()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
 
     acts = [
         (0.123, 0, chase),
@@ -317,7 +317,7 @@ def last_trusted(announce, latency=0.25, **changes):
         if me.id == 2:
             yield me.at(1.35)
             arrival = seconds(me.heard()[0][0])
-            while me.believed() and me.now < 9.0:
+            while me.believed_chasers() and me.now < 9.0:
                 yield me.sleep(0.001)
             seen["until"] = me.now - 0.001 - arrival if me.now < 9.0 else None
 
@@ -330,14 +330,14 @@ def last_trusted(announce, latency=0.25, **changes):
     ("announce", "until"),
     [
         ({"trigger": "both"}, 0.3 + 0.5),
-        ({"trigger": "both", "forget_after": 2.0}, 2.0),
+        ({"trigger": "both", "belief_timeout": 2.0}, 2.0),
         ({"trigger": "heartbeat", "heartbeat": 0.5}, 1.5 + 0.5),
         ({"trigger": "both", "heartbeat": 0.7}, 2.1 + 0.5),
-        ({"trigger": "both", "forget_after": inf}, inf),
+        ({"trigger": "both", "belief_timeout": inf}, inf),
         ({"trigger": "change"}, inf),
         ({"trigger": "revision"}, inf),
         ({"trigger": "never"}, inf),
-        ({"trigger": "never", "forget_after": 3.0}, 3.0),
+        ({"trigger": "never", "belief_timeout": 3.0}, 3.0),
     ],
 )
 def test_a_teammate_is_forgotten_after_so_long_without_its_word(announce, until):
@@ -356,7 +356,7 @@ def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
     assert last_trusted(announce, network=slow) == pytest.approx(0.6 + 2 * (0.25 + 0.04), abs=0.0011)
 
 
-@pytest.mark.parametrize(("announce", "memory"), [({"forget_after": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])
+@pytest.mark.parametrize(("announce", "memory"), [({"belief_timeout": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])
 def test_word_counts_up_to_the_very_end_of_the_memory_and_not_a_nanosecond_longer(announce, memory):
     """It was said at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
     end, seen = 0.75 + memory, {}
@@ -409,7 +409,7 @@ def test_an_older_record_neither_replaces_a_newer_one_nor_prolongs_its_memory(pa
     for last, memory, expected in (
         (withdraw, {}, [{}, {}, {}, {}]),
         (lambda me: None, {}, [{}, {}, {0: 1.9}, {0: 1.9}]),
-        (chase, {"forget_after": 0.7}, [{}, {0: 1.9}, {0: 1.9}, {}]),
+        (chase, {"belief_timeout": 0.7}, [{}, {0: 1.9}, {0: 1.9}, {}]),
     ):
         seen, times = {}, (0.55, 0.65, 1.2, 1.4 if memory else 5.0)
         acts = script((0.1, 0, chase), (0.5, 0, last), *((t, 2, believed) for t in times), seen=seen)

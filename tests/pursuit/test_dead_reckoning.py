@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MOST_RETRACINGS, Leg, Path, nearer
+from desim.pursuit.dead_reckoning import MOST_RETRACINGS, Path, TrackSegment, nearer
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import toward
 
@@ -45,7 +45,7 @@ def fresh(law, seed, question, now):
 
 def test_a_leg_goes_on_straight():
     """From (1, 2) at 1 s with (4, -2) m/s: (2, 1.5) a quarter of a second later."""
-    leg = Leg(SECOND, 1.0 + 2.0j, 5.0j, 4.0 - 2.0j)
+    leg = TrackSegment(SECOND, 1.0 + 2.0j, 5.0j, 4.0 - 2.0j)
     assert leg.at(SECOND) == 1.0 + 2.0j
     assert leg.at(SECOND + STEP) == 2.0 + 1.5j
 

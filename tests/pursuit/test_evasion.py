@@ -23,7 +23,7 @@ from desim.pursuit.evasion import (
     Zigzag,
     first_captures,
 )
-from desim.pursuit.observation import Outlook
+from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import State, complex_points, coordinates
 from desim.scenario.scenario import Evader
 from desim.scenario.toml import load
@@ -32,7 +32,7 @@ ARENA = (-10.0, 10.0)
 FLEEING = [PureEvasion(), WeightedFlee(), MaxMin(), Zigzag(), VoronoiVertex(arena=ARENA)]
 WANDERING = [Diffusion(), ConstantHeading(), ConstantHeading(angle=1.0)]
 ALL = [*FLEEING, *WANDERING, Still(), Listener(), Listener(then=WeightedFlee(), otherwise=Diffusion())]
-WITH = {"heeds": "active"}
+WITH = {"flees_from": "active"}
 
 
 def named(strategy):
@@ -43,7 +43,7 @@ def outlook(*pursuers, evader=0j, active=True, speeds=1.5, t=0, **knowledge):
     """Return what an evader of speed 1 m/s knows; the radius of capture is 0.1 m."""
     count = len(pursuers)
     state = State(t, np.array(pursuers, dtype=complex), complex(evader), np.broadcast_to(active, count).copy())
-    return Outlook(state, np.broadcast_to(float(speeds), count).copy(), 1.0, 0.1, **knowledge)
+    return EvaderObservation(state, np.broadcast_to(float(speeds), count).copy(), 1.0, 0.1, **knowledge)
 
 
 def heading_of(strategy, *pursuers, seed=0, **knowledge):
@@ -157,7 +157,7 @@ def test_pure_evasion_flees_the_nearest_whether_it_chases_or_not(active):
 
 def test_pure_evasion_of_who_chases_lets_the_others_come_near():
     """The one to the left is nearest and stays; it flees from the one below."""
-    assert heading_of(PureEvasion(heeds="active"), -5j, -2 + 0j, active=[True, False]) == 1j
+    assert heading_of(PureEvasion(flees_from="active"), -5j, -2 + 0j, active=[True, False]) == 1j
 
 
 def test_pure_evasion_flees_the_lowest_of_several_nearest():

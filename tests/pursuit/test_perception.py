@@ -27,7 +27,7 @@ from desim.pursuit.evasion import (
     Zigzag,
 )
 from desim.pursuit.events import Sampled
-from desim.pursuit.observation import Outlook
+from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import State
 from desim.scenario.scenario import Evader, Motion, Team
 from protocols.dissemination import Flooding, Gossip
@@ -80,7 +80,7 @@ def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit
     whole, rng, heading = mind(strategy, seed=3), np.random.default_rng(3), 0j
     for k in range(40):
         now = state(50 * k * MS, evader=0.1 * k + 0j)
-        expected = strategy(Outlook(now, SPEEDS, 0.9, 0.1, heading, 0.05 if k else 0.0), rng)
+        expected = strategy(EvaderObservation(now, SPEEDS, 0.9, 0.1, heading, 0.05 if k else 0.0), rng)
         heading = whole.heading(now)
         assert heading == expected
 
@@ -126,7 +126,7 @@ def test_a_heading_of_more_than_1_is_refused(heading):
 def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k):
     """And the evader where it is; in the first k steps, the pursuers as they were at first."""
     states = [state(10 * n * MS, evader=0.3j * n, active=(n % 2 == 0, n % 3 == 0, True)) for n in range(20)]
-    late = told(states, reaction=k * 0.01)
+    late = told(states, reaction_delay=k * 0.01)
     for n, outlook in enumerate(late):
         before = states[max(n - k, 0)]
         assert (outlook.t, outlook.evader) == (states[n].t, states[n].evader)
@@ -153,7 +153,9 @@ def test_between_two_steps_who_chased_is_as_at_the_first():
 
 
 def test_to_be_asked_twice_at_one_instant_changes_nothing():
-    once, twice = (told([state(t * MS) for t in times], reaction=0.015) for times in ((0, 10, 20), (0, 0, 10, 10, 20)))
+    once, twice = (
+        told([state(t * MS) for t in times], reaction_delay=0.015) for times in ((0, 10, 20), (0, 0, 10, 10, 20))
+    )
     assert once[-1].pursuers.tolist() == twice[-1].pursuers.tolist()
 
 
@@ -169,7 +171,10 @@ def test_what_was_long_ago_is_forgotten():
 def test_a_late_evader_flees_from_where_a_pursuer_was():
     """It stands at 0; a pursuer passes it from left to right, 2 s after the start. The heading turns 1 s later."""
     passing = [State(k * 100 * MS, np.array([-2 + 0.1 * k, 90j]), 0j, np.ones(2, bool)) for k in range(45)]
-    prompt, late = (Evader(reaction=reaction).mind(np.random.default_rng(), np.ones(2), 0.1) for reaction in (0.0, 1.0))
+    prompt, late = (
+        Evader(reaction_delay=reaction_delay).mind(np.random.default_rng(), np.ones(2), 0.1)
+        for reaction_delay in (0.0, 1.0)
+    )
     turns = [next(each.t for each in passing if who.heading(each).real < 0.0) / 1e9 for who in (prompt, late)]
     assert turns == pytest.approx([2.1, 3.1])
 
@@ -189,15 +194,17 @@ def test_it_sees_who_is_within_its_sight_in_the_order_of_the_team():
     assert (outlook.pursuers.tolist(), outlook.nearest) == (TEAM[1:].tolist(), 1)
 
 
-@pytest.mark.parametrize("heeds", ["all", "active"])
-def test_nobody_in_sight_is_nobody_to_flee_from(heeds):
-    whole = mind(PureEvasion(heeds=heeds), sight=1.0)
+@pytest.mark.parametrize("flees_from", ["all", "active"])
+def test_nobody_in_sight_is_nobody_to_flee_from(flees_from):
+    whole = mind(PureEvasion(flees_from=flees_from), sight=1.0)
     assert [whole.heading(state(t * MS)) for t in (0, 900, 1000)] == [0j, 0j, 1 + 0j]
 
 
 def test_its_sight_is_of_where_it_perceives_them():
     """The first is at 1 m after 1 s; it sees it there half a second late."""
-    counts = [len(each.pursuers) for each in told([state(k * 100 * MS) for k in range(16)], sight=1.0, reaction=0.5)]
+    counts = [
+        len(each.pursuers) for each in told([state(k * 100 * MS) for k in range(16)], sight=1.0, reaction_delay=0.5)
+    ]
     assert counts == [0] * 15 + [1]
 
 
@@ -205,7 +212,7 @@ def test_its_sight_is_of_where_it_perceives_them():
 
 
 @pytest.mark.parametrize(
-    ("settings", "time"), [({}, 5.8), ({"sight": 2.0}, 4.467), ({"sight": 2.0, "reaction": 0.2}, 4.067)]
+    ("settings", "time"), [({}, 5.8), ({"sight": 2.0}, 4.467), ({"sight": 2.0, "reaction_delay": 0.2}, 4.067)]
 )
 def test_who_sees_less_is_captured_sooner(settings, time):
     """A pursuer of 1.5 m/s at 3 m, radius 0.1 m; the evader flees at 1 m/s: 2.9 / 0.5 s if it sees it from the start.
@@ -234,7 +241,7 @@ APART = Team(positions=((100.0, 0.0), (110.0, 0.0), (120.0, 0.0)), speeds=2.0, a
 CHASING = APART.model_copy(update={"active_at_start": 1.0})
 
 
-def way(*words, spread=None, **keys):
+def way(*words, dissemination=None, **keys):
     """Return how far an evader goes, m, that moves at 1 m/s while it hears that a change is told, and else stands.
 
     Args:
@@ -250,7 +257,7 @@ def way(*words, spread=None, **keys):
                 me.assign(action)
                 me.tell()
 
-    said = {} if spread is None else {"spread": spread}
+    said = {} if dissemination is None else {"dissemination": dissemination}
     settings = {
         "team": APART,
         "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(then=ConstantHeading(angle=0.0))),
@@ -300,9 +307,9 @@ def test_to_chase_another_evader_is_a_change():
     ],
     ids=["nobody there", "nobody near", "all is lost"],
 )
-@pytest.mark.parametrize("spread", [None, Flooding(), Gossip()], ids=["one_hop", "flooding", "gossip"])
-def test_word_that_reaches_nobody_is_not_in_flight(spread, keys):
-    assert way((1.0, 0, 1), spread=spread, **keys) == 0.0
+@pytest.mark.parametrize("dissemination", [None, Flooding(), Gossip()], ids=["one_hop", "flooding", "gossip"])
+def test_word_that_reaches_nobody_is_not_in_flight(dissemination, keys):
+    assert way((1.0, 0, 1), dissemination=dissemination, **keys) == 0.0
 
 
 @pytest.mark.parametrize(("hops", "flights"), [(1, 1), (2, 2), (5, 3)])
@@ -310,8 +317,8 @@ def test_a_change_that_is_passed_on_is_in_flight_for_longer(hops, flights):
     """On a line of three: it is told to the next one, to that one's neighbours, and by the last one back."""
     line = Links(graph=Edges.of(nx.path_graph(3)), latency=Constant(value=LATENCY))
     flooding = Flooding(hops=hops, jitter=0.0)
-    assert way((1.0, 0, 1), spread=flooding, network=line) == flights * LATENCY
-    assert way((1.0, 0, 0), spread=flooding, network=line) == 0.0
+    assert way((1.0, 0, 1), dissemination=flooding, network=line) == flights * LATENCY
+    assert way((1.0, 0, 0), dissemination=flooding, network=line) == 0.0
 
 
 def test_of_what_is_passed_on_only_the_change_counts():
@@ -319,11 +326,11 @@ def test_of_what_is_passed_on_only_the_change_counts():
 
     Word of the change is in flight from 1 to 1.5 s and from 1.7 to 2.2 s; what is out of date by 1.2 s is no change.
     """
-    assert way((1.0, 0, 1), (1.2, 1, 0), spread=Gossip()) == LATENCY
-    assert way((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), spread=Gossip()) == 2 * LATENCY
+    assert way((1.0, 0, 1), (1.2, 1, 0), dissemination=Gossip()) == LATENCY
+    assert way((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), dissemination=Gossip()) == 2 * LATENCY
 
 
-@pytest.mark.parametrize("settings", [{}, {"reaction": 0.1}])
+@pytest.mark.parametrize("settings", [{}, {"reaction_delay": 0.1}])
 @pytest.mark.parametrize("name", ["offsets", "distances", "pursuers", "active"])
 def test_a_strategy_cannot_change_what_it_sees(name, settings):
     """The world reads the same arrays."""

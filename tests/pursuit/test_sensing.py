@@ -18,7 +18,7 @@ from desim.kernel.network import Network
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
-from desim.pursuit.sensing import NOWHERE, PORT, Guess, Sensing, Sighting, Watch, spiral
+from desim.pursuit.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 from desim.simulation.world import World
 from protocols.centralised import Centralised
@@ -82,7 +82,7 @@ def test_who_never_sees_anything_never_moves(estimate):
 def late_by(estimate, runs):
     """Return by how much believed times of capture exceed the true ones, wherever there is a belief from memory."""
     behaviour, found = looks(lambda me: (me.capture_time(), me.whole.capture_times(1)[me.id], me.may_chase()))
-    sensing = Sensing(radius=2.0, estimate=estimate, lost_after=2.0)
+    sensing = Sensing(radius=2.0, estimate=estimate, track_timeout=2.0)
     wild = Evader(strategy=Diffusion(sigma=1.0), speed=2.0)
     keys = {
         "team": Team(count=40, speeds=3.0, active_at_start=0.0),
@@ -121,17 +121,17 @@ def seen_once(sensing, strategy, asks, *, who=0, **keys):
 def test_the_evader_is_where_its_velocity_says_or_where_it_was_last_seen():
     """It leaves the sight of 3 m after 1.111 s; what is remembered is the last motion step before that."""
     straight = ConstantHeading(angle=0.0)
-    place = seen_once(Sensing(radius=3.0, lost_after=inf), straight, lambda me: me.evader())
+    place = seen_once(Sensing(radius=3.0, track_timeout=inf), straight, lambda me: me.evader())
     assert max(abs(place[t] - (2.0 + 0.9 * t)) for t in place) < 1e-9
     assert max(place) == 7.9
-    place = seen_once(Sensing(radius=3.0, estimate="hold", lost_after=inf), straight, lambda me: me.evader())
+    place = seen_once(Sensing(radius=3.0, estimate="hold", track_timeout=inf), straight, lambda me: me.evader())
     assert place[1.1] == pytest.approx(2.99)
     assert [place[t] for t in place if t >= 1.2] == [pytest.approx(2.999)] * 68
 
 
 def test_the_worst_case_grows_with_age():
     """From 3 m on phi = (d + v_e age - eps) / (v - v_e): it rises by v_e / (v - v_e) = 9 s per s."""
-    sensing = Sensing(radius=3.0, estimate="worst_case", lost_after=inf)
+    sensing = Sensing(radius=3.0, estimate="worst_case", track_timeout=inf)
     phi = seen_once(sensing, ConstantHeading(angle=0.0), lambda me: me.capture_time())
     assert phi[3.0] - phi[2.0] == pytest.approx(9.0)
     assert phi[2.0] == pytest.approx((2.999 + 0.9 * (2.0 - 1.11) - 0.1) / 0.1)
@@ -139,8 +139,8 @@ def test_the_worst_case_grows_with_age():
 
 def test_who_has_lost_it_stays_or_searches():
     """It is last seen at 1.11 s, and so lost from 3.11 s on."""
-    for when_lost, knows in (("stay", False), ("search", True)):
-        sensing = Sensing(radius=3.0, lost_after=2.0, when_lost=when_lost)
+    for on_lost, knows in (("stay", False), ("search", True)):
+        sensing = Sensing(radius=3.0, track_timeout=2.0, on_lost=on_lost)
         answers = seen_once(sensing, ConstantHeading(angle=0.0), lambda me: (me.may_chase(), me.evader()))
         assert answers[3.1] == (True, pytest.approx(2.0 + 0.9 * 3.1))
         assert answers[3.2][0] == knows
@@ -150,7 +150,7 @@ def test_who_has_lost_it_stays_or_searches():
 @pytest.mark.slow
 def test_the_search_goes_round_where_the_evader_was_lost():
     """Turns are 2 R_s apart: what is within R_s of the way is a disk that grows."""
-    sensing = Sensing(radius=3.0, estimate="hold", lost_after=0.5)
+    sensing = Sensing(radius=3.0, estimate="hold", track_timeout=0.5)
     place = seen_once(sensing, ConstantHeading(angle=0.0), lambda me: me.evader(), horizon=60.0)
     radii = [abs(place[t] - 2.999) for t in place if t > 1.7]
     assert radii == sorted(radii)
@@ -165,7 +165,7 @@ def test_the_search_goes_round_where_the_evader_was_lost():
 
 def test_of_two_that_search_each_goes_another_way():
     """Both were told of 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
-    rig = Rig(Sensing(radius=3.0, estimate="hold", lost_after=0.5), evader=HIDDEN)
+    rig = Rig(Sensing(radius=3.0, estimate="hold", track_timeout=0.5), evader=HIDDEN)
     rig.tell(sighting(7.0, 0.0), src=0)
     rig.tell(sighting(7.0, 0.0), src=1)
     rig.until(6.0)
@@ -230,7 +230,7 @@ def test_a_report_has_its_size_and_tells_the_newest():
 def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, scope, memory, knows):
     """The sighting is of 1.11 s and told until 3.11 s; nobody tells it again after the crash."""
     crash = Crash(node=who, at=2.5, until=4.0, memory=memory, scope=scope)
-    straight, sensing = ConstantHeading(angle=0.0), Sensing(radius=3.0, lost_after=2.0 if who else inf)
+    straight, sensing = ConstantHeading(angle=0.0), Sensing(radius=3.0, track_timeout=2.0 if who else inf)
     answers = seen_once(sensing, straight, lambda me: me.may_chase(), who=who, fault=(crash,))
     assert answers[2.0]
     assert answers[4.5] == knows
@@ -239,8 +239,8 @@ def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, 
 def test_a_report_that_is_lost_is_told_again_until_it_is_too_old():
     """Cut off until 4 s, pursuer 1 hears within a period of 0.1 s of what was seen at 1.11 s, if that is still told."""
     cut = Partition(at=1e-4, until=4.0, groups=((0,),))
-    for lost_after, knows in ((5.0, True), (2.0, False)):
-        sensing = Sensing(radius=3.0, lost_after=lost_after, when_lost="search")
+    for track_timeout, knows in ((5.0, True), (2.0, False)):
+        sensing = Sensing(radius=3.0, track_timeout=track_timeout, on_lost="search")
         answers = seen_once(sensing, ConstantHeading(angle=0.0), lambda me: me.evader(), who=1, fault=(cut,))
         assert not [t for t in answers if t <= 4.0 and not isnan(answers[t].real)]
         assert [isnan(answers[t].real) for t in (4.2, 7.9)] == [not knows] * 2
@@ -250,7 +250,7 @@ def test_a_sighting_is_told_every_period_for_as_long_as_it_is_not_too_old():
     """Seen until 1.11 s, and told for 2 s more: the last time within a period of 3.11 s."""
     team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
     evader = Evader(position=(2.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=0.0))
-    base = scenario(Sensing(radius=3.0, lost_after=2.0), team=team, evader=evader, protocol=lambda me: iter(()))
+    base = scenario(Sensing(radius=3.0, track_timeout=2.0), team=team, evader=evader, protocol=lambda me: iter(()))
     sent = [event for event in desim.run(base).trace.of(Sent) if event.src == 0]
     assert 3.01 < sent[-1].t / SECOND <= 3.11
     assert np.diff([event.t for event in sent]) / SECOND == pytest.approx(0.1)
@@ -261,7 +261,7 @@ def test_who_is_broken_sees_nothing():
     """The evader is within 2 m of the pursuer, which is broken from 1 to 5 s, for |2 t - 5| <= sqrt(3)."""
     behaviour, found = looks(lambda me: me.may_chase())
     base = scenario(
-        Sensing(radius=2.0, lost_after=inf),
+        Sensing(radius=2.0, track_timeout=inf),
         team=Team(positions=((0.0, 0.0),), speeds=3.0, active_at_start=0.0),
         evader=Evader(position=(-5.0, 1.0), speed=2.0, strategy=ConstantHeading(angle=0.0)),
         protocol=behaviour,
@@ -288,8 +288,8 @@ class Rig:
         self.clock = Clock()
         self.world = World(self.clock, base, 0, Trace())
         self.network = Network(self.clock, nx.complete_graph(2), Links())
-        watch = Watch(sensing, self.world, self.network, [NodeClock(self.clock, *clock), NodeClock(self.clock)])
-        self.world.look_through(watch)
+        watch = TeamSensor(sensing, self.world, self.network, [NodeClock(self.clock, *clock), NodeClock(self.clock)])
+        self.world.attach_sensing(watch)
         self.world.begin()
         self.one, self.other = watch.sights
 
@@ -330,7 +330,7 @@ def test_a_sighting_from_the_future_is_of_now(estimate):
     rig = Rig(Sensing(radius=3.0, estimate=estimate), evader=HIDDEN)
     rig.tell(sighting(10.0, 3.0, velocity=0.9 + 0j))
     velocity = 0.9 + 0j if estimate == "constant_velocity" else 0j
-    assert rig.one.estimate(1) == Guess(10.0 + 0j, velocity, 0.0)
+    assert rig.one.estimate(1) == EvaderEstimate(10.0 + 0j, velocity, 0.0)
 
 
 def test_an_older_report_does_not_replace_a_newer_one():
@@ -465,7 +465,7 @@ def test_nobody_runs_past_the_place_where_it_believes_the_evader_to_be():
 
     team = Team(positions=((0.0, 0.0),), speeds=1.0)
     away = Evader(position=(2.0, 0.0), speed=5.0, strategy=ConstantHeading(angle=0.0))
-    sensing = Sensing(radius=3.0, estimate="hold", lost_after=inf)
+    sensing = Sensing(radius=3.0, estimate="hold", track_timeout=inf)
     base = scenario(sensing, team=team, evader=away, protocol=chase, prune="none")
     ends = [sample.pursuers[0] for sample in desim.run(base).trace.of(Sampled)][-3:]
     assert len(set(ends)) == 1

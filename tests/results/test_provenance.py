@@ -551,7 +551,7 @@ preset = "acoustic"
 latency = { kind = "empirical", file = "delays.txt" }
 
 [announce]
-forget_after = inf
+belief_timeout = inf
 
 [[fault]]
 kind = "crash"

@@ -299,11 +299,17 @@ MISFITS = {
     "flight": (with_field("Lost", flight=1 << 40), f"is of a message that was not sent: {1 << 40} to "),
     "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
     "start": (twice("Started"), "is a second Started"),
-    "end": (twice("Tally"), "is a second Tally"),
-    "broken": (with_field("Began", fault={"kind": "crash", "at": 0.0, "node": 99}), "is of a node that is not one of"),
-    "repaired": (with_field("Over", fault={"kind": "crash", "at": 0.9, "node": 1}), "ends a fault that did not begin"),
-    "kind of fault": (with_field("Began", fault={"kind": "cats"}), "fault: Input tag 'cats'"),
-    "no fault": (with_field("Began", fault=7), "fault: "),
+    "end": (twice("MessageCounts"), "is a second Tally"),
+    "broken": (
+        with_field("FaultStarted", fault={"kind": "crash", "at": 0.0, "node": 99}),
+        "is of a node that is not one of",
+    ),
+    "repaired": (
+        with_field("FaultEnded", fault={"kind": "crash", "at": 0.9, "node": 1}),
+        "ends a fault that did not begin",
+    ),
+    "kind of fault": (with_field("FaultStarted", fault={"kind": "cats"}), "fault: Input tag 'cats'"),
+    "no fault": (with_field("FaultStarted", fault=7), "fault: "),
 }
 
 

@@ -4,7 +4,7 @@ import networkx as nx
 import pytest
 
 from desim import Scenario
-from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
+from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.graphs import Edge, Edges, Link, Ring
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli, GilbertElliott
@@ -43,7 +43,7 @@ FOUR = Team(positions=[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
 """On a line, 1 m apart."""
 HALVES = Partition(at=1.0, until=2.0, groups=((0, 1),))
 TWO_PAIRS = nx.Graph([(0, 1), (2, 3)])
-FLOODED = Announcements(spread=Flooding())
+FLOODED = Announcements(dissemination=Flooding())
 
 
 def four(graph=None, **given):
@@ -84,7 +84,7 @@ def assert_says(found, why):
         (four(network=Links(range=3.0)), None),
         (four(network=Links(range=2.99)), "not everybody hears everybody"),
         (four(network=Links(range=2.99), announce=FLOODED), None),
-        (four(network=Links(range=2.99), announce=Announcements(spread=Gossip())), None),
+        (four(network=Links(range=2.99), announce=Announcements(dissemination=Gossip())), None),
         (four(nx.path_graph(4)), "not everybody hears everybody"),
         (four(TWO_PAIRS, announce=FLOODED), "several components"),
         (four(fault=[HALVES], announce=FLOODED), "partition"),
@@ -196,7 +196,7 @@ def test_one_decides_at_a_time_or_everybody_at_once(scenario, why):
         ([HALVES], False, False),
         ([Crash(at=0.0, node=0)], True, False),
         ([RandomCrashes()], True, False),
-        ([RandomPlan()], True, False),
+        ([RandomFaults()], True, False),
         ([ClockSkew(offset=0.1)], False, True),
         ([HALVES, ClockSkew(offset=0.1), Crash(at=0.0, node=0)], True, True),
     ],
@@ -281,7 +281,7 @@ def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
         protocol=SpatialAdaptivePlay(schedule=Rounds()),
         fault=[ClockSkew(offset=0.1)],
     )
-    hops = "as it begins not everybody hears everybody, and word is not passed on (`announce.spread`)"
+    hops = "as it begins not everybody hears everybody, and word is not passed on (`announce.dissemination`)"
     found = [
         ("protocol", "sap assumes one_at_a_time, but everybody decides at once"),
         ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),

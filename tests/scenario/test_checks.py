@@ -46,8 +46,8 @@ def test_the_default_is_not_warned_of():
             "not that of the preset 'lte'",
         ),
         (
-            {"announce": Announcements(trigger="never", spread=Flooding())},
-            "announce.spread",
+            {"announce": Announcements(trigger="never", dissemination=Flooding())},
+            "announce.dissemination",
             "nothing is ever announced",
         ),
         ({"fault": [Crash(at=1.0, node=0), Crash(at=30.0, node=0)]}, "fault.1.at", "begin after the horizon"),
@@ -114,8 +114,8 @@ def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key
         {"sensing": Sensing(radius=0.11, estimate="hold")},
         {"network": Links(preset="lte")},
         {"network": Links(preset="lte", range=1e6)},
-        {"announce": Announcements(trigger="revision", spread=Flooding())},
-        {"announce": Announcements(spread=Flooding())},
+        {"announce": Announcements(trigger="revision", dissemination=Flooding())},
+        {"announce": Announcements(dissemination=Flooding())},
         {"fault": [Crash(at=29.9, node=0), RandomCrashes()]},
         {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.1)},
         {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.05, trigger="revision")},
@@ -191,8 +191,8 @@ SHORT = [
         {"network": {"link": [{"src": 0, "dst": 1, "latency": {"kind": "gamma", "scale": 0.5e-9}}]}},
     ),
     ("network.processing.sender", {"network": {"processing": {"sender": 0.5e-9}}}),
-    ("announce.forget_after", {"announce": {"forget_after": 0.5e-9}}),
-    ("evader.reaction", {"evader": {"reaction": 0.5e-9}}),
+    ("announce.belief_timeout", {"announce": {"belief_timeout": 0.5e-9}}),
+    ("evader.reaction_delay", {"evader": {"reaction_delay": 0.5e-9}}),
 ]
 
 

@@ -247,7 +247,7 @@ class Called:
 @pytest.mark.parametrize(
     ("make", "place", "says"),
     [
-        (lambda: Announcements(spread=Called()), "spread", "should have tell; <mine> lacks tell"),
+        (lambda: Announcements(dissemination=Called()), "dissemination", "should have tell; <mine> lacks tell"),
         (lambda: SpatialAdaptivePlay(schedule=Called()), "schedule", "should have mean_slot; <mine> lacks mean_slot"),
         (
             lambda: Links(medium=Called(half_duplex=False, queue_limit=inf)),
@@ -267,9 +267,9 @@ def test_a_model_of_one_s_own_that_lacks_an_attribute_is_refused_at_once_with_it
 
 
 def test_a_model_of_one_s_own_that_has_all_it_needs_is_taken():
-    spread, schedule = Called(tell=print), Called(mean_slot=print)
+    dissemination, schedule = Called(tell=print), Called(mean_slot=print)
     medium = Called(shared=False, half_duplex=False, queue_limit=inf)
-    assert Announcements(spread=spread).spread is spread
+    assert Announcements(dissemination=dissemination).dissemination is dissemination
     assert SpatialAdaptivePlay(schedule=schedule).schedule is schedule
     assert Links(medium=medium).medium is medium
 

@@ -281,7 +281,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
                 me.assign(True)
                 me.tell()
             else:
-                known = me.whereabouts()
+                known = me.team_estimate()
                 errors.append(abs(known.places[known.ids.index(0)] - me._world.place(0)))
 
     def turning(state, rng):
@@ -293,7 +293,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
         evader=Evader(position=(4.0, 1.0), speed=0.9, strategy=turning),
         motion=Motion(step=step, order=order),
         protocol=protocol,
-        announce=Announcements(trigger="revision", payload="state", forget_after=np.inf),
+        announce=Announcements(trigger="revision", payload="state", belief_timeout=np.inf),
         network=Links(latency=Constant(value=0.33)),
     )
     result = run(scenario)

@@ -14,9 +14,9 @@ from desim.analysis.metrics import summary
 from desim.scenario.toml import load
 from desim.simulation.run import run
 from desim.study import dispatch
-from desim.study.dispatch import CRASHED, INNERMOST, LOT_SIZE, drive
+from desim.study.dispatch import BATCH_SIZE, CRASHED, INNERMOST, drive
 from desim.study.store import Row
-from desim.study.workers import Here, Workers, workers_for
+from desim.study.workers import InProcess, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command
 
@@ -45,7 +45,7 @@ def outcomes(tasks, workers, measure=summary):
     return [outcome for _, outcome in sorted(found, key=lambda each: each[0])]
 
 
-class Counting(Here):
+class Counting(InProcess):
     """Notes how many runs it is handed at once."""
 
     def __init__(self, took=0.0):
@@ -66,7 +66,7 @@ def test_each_task_is_handed_out_once_in_its_order_and_the_first_alone(count, to
     assert list(drive(range(count), workers)) == [(k, dispatch.Outcome("ok", k)) for k in range(count)]
     assert sum(workers.lots) == count
     assert workers.lots[:1] == [1][:count]
-    most = {1e-6: LOT_SIZE, 0.01: 25, 10.0: 1}[took]  # in 0.25 s
+    most = {1e-6: BATCH_SIZE, 0.01: 25, 10.0: 1}[took]  # in 0.25 s
     assert max(workers.lots, default=0) == (most if count == 1000 else min(count, 1))
 
 
@@ -154,7 +154,7 @@ def test_two_crashes_on_a_cluster_cost_two_runs(scenario, cluster):
 def test_what_a_run_raises_reads_the_same_wherever_it_does(scenario, cluster):
     """Two good runs stand between the bad ones, so that some share a lot with others."""
     tasks = [task for how in WAYS for task in ((wrong(scenario, how, 0), 0), (scenario, 1), (scenario, 2))]
-    here = outcomes(tasks, Here())
+    here = outcomes(tasks, InProcess())
     assert [each.status for each in here] == ["error", "ok", "ok"] * len(WAYS)
     texts = dict(zip(WAYS, (each.traceback for each in here[::3]), strict=True))
     last = {how: Row(0, 0, "error", traceback=text).error for how, text in texts.items()}
@@ -187,7 +187,7 @@ def test_an_exception_is_passed_on_if_another_process_can_be_told_of_it(scenario
         trouble(how)
 
     trouble = sys.modules["my_trouble"].trouble
-    for workers, measure in ((Here(), fail), (workers_for(2), fail_there)):
+    for workers, measure in ((InProcess(), fail), (workers_for(2), fail_there)):
         found = {how: outcomes([(scenario, 0)], workers, partial(measure, how))[0] for how in PASSED}
         assert {each.status for each in found.values()} == {"error"}
         assert repr(found["raise"].error) == "ValueError('seventh heaven')"
@@ -202,7 +202,7 @@ def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(drive([(scenario, 0)], Here(), simulate=interrupt))
+        list(drive([(scenario, 0)], InProcess(), simulate=interrupt))
 
 
 @pytest.mark.slow
@@ -225,7 +225,7 @@ def test_what_cannot_be_pickled_is_an_error_of_each_run_that_would_need_it(scena
                     assert {(each.status, each.traceback) for each in found} == {
                         ("error", "TypeError: cannot pickle '_thread.lock' object\n")
                     }
-    assert [each.status for each in outcomes(tasks, Here(), give)] == ["ok"] * 6  # it never leaves
+    assert [each.status for each in outcomes(tasks, InProcess(), give)] == ["ok"] * 6  # it never leaves
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ import pytest
 from pydantic import BaseModel, PrivateAttr
 
 from desim.config.model import Value
-from desim.study.fingerprint import Fingerprint, UntoldError
+from desim.study.fingerprint import Fingerprint, UnstableHashError
 
 
 def fingerprint(value):
@@ -302,7 +302,7 @@ def deep(_):
 )
 def test_what_cannot_be_told_apart_is_refused(make, why, tmp_path):
     held = make(tmp_path / "file")
-    with pytest.raises(UntoldError, match=re.escape(why)):
+    with pytest.raises(UnstableHashError, match=re.escape(why)):
         fingerprint(Plain([held]))
     getattr(held, "close", int)()
 

@@ -9,8 +9,8 @@ import pytest
 
 from desim import Scenario, load, run
 from desim.config.model import Value
-from desim.kernel.events import Broadcast, Queued, Sent, Tally
-from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomPlan
+from desim.kernel.events import Broadcast, MessageCounts, Queued, Sent
+from desim.kernel.faults import ClockSkew, Crash, Jamming, Partition, RandomCrashes, RandomFaults
 from desim.kernel.graphs import Edge, Edges, Grid, Link, Ring, Star
 from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links, Processing
@@ -40,7 +40,7 @@ from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
 from protocols.server import Server
-from protocols.synchronous import Together
+from protocols.synchronous import Synchronous
 from protocols.token import TokenRing, TokenWalk
 from scenarios.study import SCENARIOS
 
@@ -85,9 +85,9 @@ WORST = Scenario(
         reckoning="cheap",
         trigger="heartbeat",
         heartbeat=0.7,
-        forget_after=inf,
+        belief_timeout=inf,
         warm_start=False,
-        spread=Gossip(),
+        dissemination=Gossip(),
     ),
     fault=(
         Crash(node=1, at=0.5),
@@ -95,9 +95,9 @@ WORST = Scenario(
         Jamming(at=1.0, centre=(5.0, 5.0), radius=3.0),
         ClockSkew(offset=0.1),
         RandomCrashes(),
-        RandomPlan(),
+        RandomFaults(),
     ),
-    sensing=Sensing(radius=3.0, estimate="hold", lost_after=1.0),
+    sensing=Sensing(radius=3.0, estimate="hold", track_timeout=1.0),
     record=Recording(trajectory=0.0, messages=True),
     sweep=Sweep(reps=5),
 )
@@ -157,13 +157,13 @@ CHANGES = {
     "stale knowledge": {
         "announce.payload": "action",
         "announce.trigger": "both",
-        "announce.forget_after": "auto",
+        "announce.belief_timeout": "auto",
         "announce.warm_start": True,
     },
     "limited sight": {
         "sensing.radius": "Infinity",
         "sensing.estimate": "constant_velocity",
-        "sensing.lost_after": 5.0,
+        "sensing.track_timeout": 5.0,
     },
 }
 """What each removal makes of the worst scenario: every key that changes, and what it is then."""
@@ -232,7 +232,7 @@ def unideal(result):
     left = [*result.trace.of(Sent), *result.trace.of(Broadcast)]
     arrivals = [event.arrival if isinstance(event, Broadcast) else (event.arrival,) for event in left]
     late = sum(not {event.created, *at} <= {event.t} for event, at in zip(left, arrivals, strict=True))
-    (tally,) = result.trace.of(Tally)
+    (tally,) = result.trace.of(MessageCounts)
     assert tally.sent == tally.delivered + tally.lost + tally.in_flight
     return late + len(result.trace.of(Queued)), tally.lost, tally.in_flight
 
@@ -395,7 +395,7 @@ class NoModel:
         NoModel(),
         *(
             SpatialAdaptivePlay(schedule=each)
-            for each in (Rounds(period=0.2), Poisson(), Periodic(), Together(of=RING), Own())
+            for each in (Rounds(period=0.2), Poisson(), Periodic(), Synchronous(of=RING), Own())
         ),
     ],
     ids=lambda each: getattr(getattr(each, "schedule", each), "kind", type(each).__name__),
@@ -417,9 +417,9 @@ SAID = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
 @pytest.mark.parametrize(
     ("schedule", "free", "trigger"),
     [
-        (SharedSeed(slot=0.25), Together(of=SharedSeed(slot=0.25)), "change"),
-        (RING, Together(of=RING), "both"),
-        (TokenWalk(hold=0.2), Together(of=TokenWalk(hold=0.2)), "both"),
+        (SharedSeed(slot=0.25), Synchronous(of=SharedSeed(slot=0.25)), "change"),
+        (RING, Synchronous(of=RING), "both"),
+        (TokenWalk(hold=0.2), Synchronous(of=TokenWalk(hold=0.2)), "both"),
         (LocalMutex(rate=3.0, attempts=2), Poisson(rate=3.0), "both"),
         (OwnTurns(), Rounds(period=0.25), "change"),
     ],
@@ -446,8 +446,8 @@ def test_one_alone_has_nobody_to_wait_for(schedule):
 @pytest.mark.parametrize("trigger", ["change", "heartbeat", "both", "revision", "never"])
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_whatever_was_said_is_said_at_once_and_again(trigger, payload):
-    scenario = Scenario(announce=Announcements(trigger=trigger, payload=payload, heartbeat=0.3, spread=Gossip()))
-    assert without_staleness(scenario).announce == Announcements(heartbeat=0.3, spread=Gossip())
+    scenario = Scenario(announce=Announcements(trigger=trigger, payload=payload, heartbeat=0.3, dissemination=Gossip()))
+    assert without_staleness(scenario).announce == Announcements(heartbeat=0.3, dissemination=Gossip())
 
 
 @pytest.mark.parametrize("fault", WORST.fault, ids=lambda each: each.kind)

@@ -23,7 +23,7 @@ from desim.scenario.toml import load, read
 from desim.simulation.run import run
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, StoreError
-from desim.study.sweep import Plan, sweep
+from desim.study.sweep import SweepPlan, sweep
 from tests.study import sweeps
 from tests.study.test_workers import command
 
@@ -164,7 +164,7 @@ def statuses(store, plan):
 
 
 def test_configurations_stand_before_those_that_were_there(file):
-    plan = Plan.of(load(file, allow_import=True))
+    plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
         for cell in reversed(plan.cells):
             store.enter([cell])
@@ -174,7 +174,7 @@ def test_configurations_stand_before_those_that_were_there(file):
 
 def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
     """So the slower of two drivers cannot spoil what the faster has."""
-    plan = Plan.of(load(file, allow_import=True))
+    plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
         plan.enter(store)
         for status, text in (("error", "one"), ("crashed", "two"), ("ok", "three"), ("error", "four")):
@@ -210,7 +210,7 @@ def test_shards_can_be_merged_in_their_own_folder_twice(tmp_path, file):
 
 
 def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path, file):
-    plan = Plan.of(load(file, allow_import=True))
+    plan = SweepPlan.of(load(file, allow_import=True))
     stores = [tmp_path / f"{k}.sqlite" for k in range(2)]
     for path, status in zip(stores, (("ok", "error"), ("crashed", "ok")), strict=True):
         with Store(path) as store:
@@ -224,7 +224,7 @@ def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path
 
 
 def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, file):
-    plan = Plan.of(load(file, allow_import=True))
+    plan = SweepPlan.of(load(file, allow_import=True))
     failures = [("error", "one"), ("crashed", "two")]
     stores = [Store(tmp_path / f"{text}.sqlite") for _, text in failures]
     for store, failure in zip(stores, failures, strict=True):
@@ -418,7 +418,7 @@ def test_what_is_in_the_journal_of_a_store_that_may_not_be_written_is_not_left_o
     """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is told."""
     (tmp_path / "live").mkdir()
     with Store(tmp_path / "live" / "sweep.sqlite") as store:
-        Plan.of(load(file, allow_import=True)).enter(store)
+        SweepPlan.of(load(file, allow_import=True)).enter(store)
         shutil.copytree(tmp_path / "live", tmp_path / "killed", ignore=shutil.ignore_patterns("*-shm"))
     path = tmp_path / "killed" / "sweep.sqlite"
     assert path.with_name("sweep.sqlite-wal").stat().st_size > 0

@@ -24,7 +24,7 @@ from desim.scenario.toml import read
 from desim.study import sweep as module
 from desim.study.batch import run_many
 from desim.study.store import Store, StoreError
-from desim.study.sweep import MOST_RUNS, Plan, RunError, sweep
+from desim.study.sweep import MOST_RUNS, RunError, SweepPlan, sweep
 from protocols.rule import Rule
 
 # Chance in positions, slots and decisions; about 3 ms each.
@@ -79,7 +79,7 @@ def test_paired_differences_are_those_of_runs_by_hand():
 
 
 def independent(seed=5, reps=4, grid=GRID):
-    plan = Plan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), grid, reps, seed)
+    plan = SweepPlan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), grid, reps, seed)
     return [plan.seed(cell, k) for cell in plan.cells for k in range(reps)]
 
 
@@ -95,7 +95,7 @@ def test_independent_seeds_are_all_different_and_the_same_every_time():
 @pytest.mark.slow
 def test_independent_seeds_are_those_of_yesterday():
     """Or a store could not be continued by another process."""
-    plan = Plan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID)
+    plan = SweepPlan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID)
     script = "from tests.study.test_sweep import *;print(independent())"
     done = subprocess.run(
         [sys.executable, "-c", script],
@@ -192,7 +192,7 @@ def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
     with closing(sqlite3.connect(path)) as database, database:
         database.execute("DELETE FROM runs WHERE replication BETWEEN 10 AND 19")
     with Store(path) as store:
-        assert len(module._wanted(Plan.of(short, grid, 100), store, "active_time", 1e-6)) == 30
+        assert len(module._wanted(SweepPlan.of(short, grid, 100), store, "active_time", 1e-6)) == 30
 
 
 @pytest.mark.slow
@@ -398,7 +398,7 @@ def test_a_store_knows_the_scenario_of_each_configuration(tmp_path):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("parts", [1, 3, 5, 20])
 def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
-    plan = Plan.of(BASE, GRID, 4)
+    plan = SweepPlan.of(BASE, GRID, 4)
     jobs = [[(cell.key, k) for cell, k in plan.shard(part, parts)] for part in range(1, parts + 1)]
     assert sorted(each for part in jobs for each in part) == sorted(
         (cell.key, k) for cell in plan.cells for k in range(4)
@@ -407,7 +407,7 @@ def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
 
 
 def test_a_part_has_every_nth_run_so_that_each_has_some_of_every_configuration():
-    plan = Plan.of(BASE, GRID, 3)
+    plan = SweepPlan.of(BASE, GRID, 3)
     for part in (1, 2, 3):
         assert plan.shard(part, 3) == [(cell, part - 1) for cell in plan.cells]
 
@@ -415,10 +415,10 @@ def test_a_part_has_every_nth_run_so_that_each_has_some_of_every_configuration()
 @pytest.mark.parametrize("part", [0, 4])
 def test_a_part_that_there_is_not_is_refused(part):
     with pytest.raises(ValueError, match="1/3 to 3/3"):
-        Plan.of(BASE, GRID, 4).shard(part, 3)
+        SweepPlan.of(BASE, GRID, 4).shard(part, 3)
 
 
 def test_parts_and_a_precision_exclude_each_other(tmp_path):
-    plan = Plan.of(BASE, GRID, 4)
+    plan = SweepPlan.of(BASE, GRID, 4)
     with Store() as store, pytest.raises(ValueError, match="exclude each other"):
         module.carry_out(plan, store, None, until=("active_time", 1.0), shard=(1, 3))

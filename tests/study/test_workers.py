@@ -23,7 +23,7 @@ from desim.scenario.toml import load
 from desim.study import workers as places
 from desim.study.fingerprint import strangers
 from desim.study.serialization import called, packed
-from desim.study.workers import Here, Processes, workers_for
+from desim.study.workers import InProcess, Processes, workers_for
 from tests.digests import LONG
 from tests.study import sweeps
 
@@ -163,7 +163,7 @@ def test_strangers_are_found_in_models_lists_and_partial_calls(tmp_path):
     assert not set(strangers(scenario.model_copy(update={"protocol": len})))
 
 
-@pytest.mark.parametrize(("given", "kind", "count"), [(1, Here, 1), (3, Processes, 3), (0, Processes, 5)])
+@pytest.mark.parametrize(("given", "kind", "count"), [(1, InProcess, 1), (3, Processes, 3), (0, Processes, 5)])
 def test_a_number_is_of_processes_and_0_of_one_per_core(monkeypatch, given, kind, count):
     monkeypatch.setattr(os, "cpu_count", lambda: 5)
     monkeypatch.setattr(places, "_pool", lambda count: None)
@@ -191,7 +191,7 @@ def test_here_a_ctrl_c_is_not_taken_for_a_failure():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Here().submit(partial(interrupt))
+        InProcess().submit(partial(interrupt))
 
 
 @pytest.mark.slow
@@ -319,7 +319,7 @@ def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
     reached = []
 
     def start():
-        with places._deaf():
+        with places._block_signals():
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.05)
             reached.append("the end")

@@ -1,9 +1,9 @@
 """Runs of one second in which everything happens that can be drawn, made by hand; times in ms."""
 
-from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent, Tally, Trace
-from desim.kernel.faults import Began, Crash, Jamming, Over
+from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.announcements import Assignment
-from desim.pursuit.events import Captured, Decided, Ended, Halted, Sampled, Started
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.scenario.scenario import Evader, Scenario
 from desim.simulation.run import Result
 
@@ -37,10 +37,10 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 0)),
         Decided(150 * MS, 1, 0),
         Decided(160 * MS, 1, 0),
-        Began(400 * MS, CRASH),
-        Halted(400 * MS, 0),
-        Over(600 * MS, CRASH),
-        Began(700 * MS, JAMMING),
+        FaultStarted(400 * MS, CRASH),
+        BrokeDown(400 * MS, 0),
+        FaultEnded(600 * MS, CRASH),
+        FaultStarted(700 * MS, JAMMING),
         Decided(800 * MS, 2, 1),
     ]
     sampled = [
@@ -48,7 +48,7 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         for t in samples
     ]
     end = [
-        Tally(1000 * MS, 8, 1, 4, 3, {"crash": 1, "loss": 1, "queue": 2}, 3, 80, 0.0),
+        MessageCounts(1000 * MS, 8, 1, 4, 3, {"crash": 1, "loss": 1, "queue": 2}, 3, 80, 0.0),
         Ended(1000 * MS, "captured", 2),
     ]
     trace = Trace()
@@ -86,7 +86,7 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     ]
     end = [
         Captured(1000 * MS, 2, 0),
-        Tally(1000 * MS, 4, 4, 0, 0, {}, 2, 48, 0.0),
+        MessageCounts(1000 * MS, 4, 4, 0, 0, {}, 2, 48, 0.0),
         Ended(1000 * MS, "captured", 0),
     ]
     trace = Trace()

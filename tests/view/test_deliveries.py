@@ -6,10 +6,10 @@ import pytest
 
 from desim import summary
 from desim.kernel.clock import SECOND
-from desim.kernel.faults import Began, Crash, Jamming, Over
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.events import Decided
-from desim.view.deliveries import Chase, Passage, Spell, chasing, news, outages, passages, takeovers
-from desim.view.paths import stints
+from desim.view.deliveries import Chase, Delivery, Interval, chasing, deliveries, handover_events, news, outages
+from desim.view.paths import active_periods
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
 SHORT = ("horizon=1.0", "record.messages=true")
@@ -24,21 +24,21 @@ def ran(request, run_of):
 
 def test_each_message_to_each_receiver_is_one_passage_in_order_of_leaving():
     token = ("token", float("inf"))
-    assert passages(history()) == [
-        Passage(0, 0, 1, 100 * MS, 100 * MS, 200 * MS, None, 24, ACTIVE),
-        Passage(0, 0, 2, 100 * MS, 100 * MS, 100 * MS, "loss", 24, ACTIVE),
-        Passage(1, 2, 0, 250 * MS, 300 * MS, 500 * MS, "crash", 32, token),
-        Passage(2, 1, 0, 650 * MS, 750 * MS, 750 * MS, "queue", 24, None),
-        Passage(2, 1, 2, 650 * MS, 750 * MS, 750 * MS, "queue", 24, None),
-        Passage(3, 1, 0, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
-        Passage(3, 1, 2, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
-        Passage(4, 0, 1, 950 * MS, 1000 * MS + 1, 1000 * MS + 1, None, 24, None),
+    assert deliveries(history()) == [
+        Delivery(0, 0, 1, 100 * MS, 100 * MS, 200 * MS, None, 24, ACTIVE),
+        Delivery(0, 0, 2, 100 * MS, 100 * MS, 100 * MS, "loss", 24, ACTIVE),
+        Delivery(1, 2, 0, 250 * MS, 300 * MS, 500 * MS, "crash", 32, token),
+        Delivery(2, 1, 0, 650 * MS, 750 * MS, 750 * MS, "queue", 24, None),
+        Delivery(2, 1, 2, 650 * MS, 750 * MS, 750 * MS, "queue", 24, None),
+        Delivery(3, 1, 0, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
+        Delivery(3, 1, 2, 900 * MS, 900 * MS, 1200 * MS, None, 24, INACTIVE),
+        Delivery(4, 0, 1, 950 * MS, 1000 * MS + 1, 1000 * MS + 1, None, 24, None),
     ]
 
 
 def test_passages_are_as_many_as_were_sent_delivered_and_lost_for_each_reason(ran):
     """What waits as the run ends is in flight: it has no body and no cause."""
-    numbers, found, end = summary(ran), passages(ran), ran.trace.events[-1].t
+    numbers, found, end = summary(ran), deliveries(ran), ran.trace.events[-1].t
     delivered = [each for each in found if each.cause is None and each.body is not None and each.until <= end]
     assert len(found) == numbers.messages_sent
     assert Counter(each.cause for each in found if each.cause) == numbers.messages_lost_by
@@ -49,12 +49,12 @@ def test_passages_are_as_many_as_were_sent_delivered_and_lost_for_each_reason(ra
 
 def test_without_recorded_messages_it_is_said_how_to_record_them():
     with pytest.raises(ValueError, match=r"record\.messages = true"):
-        passages(history(messages=False))
+        deliveries(history(messages=False))
 
 
 def test_a_message_tells_of_an_action_or_of_none():
     assert (news(ACTIVE), news(INACTIVE), news(("token", 1)), news(None)) == (1, 0, None, None)
-    assert [news(each.body) for each in passages(pair())] == [2, 2, 0, 0]
+    assert [news(each.body) for each in deliveries(pair())] == [2, 2, 0, 0]
 
 
 def test_spells_of_chasing_begin_with_the_run_and_end_by_decision_breakdown_or_end():
@@ -70,38 +70,38 @@ def test_of_two_evaders_a_spell_ends_as_another_is_chased_or_the_own_one_is_capt
 
 
 def test_who_takes_over_which_evader_is_told_in_order_of_time():
-    assert takeovers(pair()) == [(0, 2, 2), (150 * MS, 0, 1), (300 * MS, 1, 2), (700 * MS, 0, 2)]
-    assert takeovers(history()) == [(150 * MS, 0, 1), (800 * MS, 2, 1)]
+    assert handover_events(pair()) == [(0, 2, 2), (150 * MS, 0, 1), (300 * MS, 1, 2), (700 * MS, 0, 2)]
+    assert handover_events(history()) == [(150 * MS, 0, 1), (800 * MS, 2, 1)]
 
 
 def test_what_is_never_over_is_broken_until_the_end():
-    assert outages(history()) == [(CRASH, Spell(400 * MS, 600 * MS)), (JAMMING, Spell(700 * MS, 1000 * MS))]
+    assert outages(history()) == [(CRASH, Interval(400 * MS, 600 * MS)), (JAMMING, Interval(700 * MS, 1000 * MS))]
 
 
 def test_two_equal_faults_at_once_are_two():
     extra = [event for event in history().trace if getattr(event, "fault", None) == CRASH]
-    assert outages(history(*extra))[:2] == [(CRASH, Spell(400 * MS, 600 * MS))] * 2
+    assert outages(history(*extra))[:2] == [(CRASH, Interval(400 * MS, 600 * MS))] * 2
 
 
 def test_of_faults_that_overlap_each_ends_at_its_own_time():
     early = Jamming(centre=(0.0, 0.0), radius=1.0, at=0.35, until=0.5)
-    found = outages(history(Began(350 * MS, early), Over(500 * MS, early)))
-    assert found[:2] == [(early, Spell(350 * MS, 500 * MS)), (CRASH, Spell(400 * MS, 600 * MS))]
+    found = outages(history(FaultStarted(350 * MS, early), FaultEnded(500 * MS, early)))
+    assert found[:2] == [(early, Interval(350 * MS, 500 * MS)), (CRASH, Interval(400 * MS, 600 * MS))]
     other = Crash(node=1, at=0.35, until=0.65)
-    found = outages(history(Began(350 * MS, other), Over(650 * MS, other)))
-    assert found[:2] == [(other, Spell(350 * MS, 650 * MS)), (CRASH, Spell(400 * MS, 600 * MS))]
+    found = outages(history(FaultStarted(350 * MS, other), FaultEnded(650 * MS, other)))
+    assert found[:2] == [(other, Interval(350 * MS, 650 * MS)), (CRASH, Interval(400 * MS, 600 * MS))]
 
 
 def test_nobody_is_alone_for_no_time():
     """At 850 ms pursuer 1 starts and stops; at 900 ms 2 stops before 1 starts, and at 950 ms 2 starts after 1 stops."""
     at = [(850, 1, True), (850, 1, False), (900, 2, False), (900, 1, True), (950, 2, True), (950, 1, False)]
-    found = stints(history(*(Decided(t * MS, pursuer, active) for t, pursuer, active in at)))
+    found = active_periods(history(*(Decided(t * MS, pursuer, active) for t, pursuer, active in at)))
     assert found[3:] == [
         (2, 800 * MS, 900 * MS, True, 1),
         (1, 900 * MS, 950 * MS, True, 1),
         (2, 950 * MS, 1000 * MS, True, 1),
     ]
-    both = stints(history(Decided(850 * MS, 1, True), Decided(900 * MS, 2, False), Decided(900 * MS, 0, True)))
+    both = active_periods(history(Decided(850 * MS, 1, True), Decided(900 * MS, 2, False), Decided(900 * MS, 0, True)))
     assert [each for each in both if each.begin >= 850 * MS] == [
         (2, 850 * MS, 900 * MS, False, 1),
         (1, 850 * MS, 1000 * MS, False, 1),
@@ -110,7 +110,7 @@ def test_nobody_is_alone_for_no_time():
 
 
 def test_stints_are_split_where_somebody_comes_to_be_alone():
-    assert stints(history()) == [
+    assert active_periods(history()) == [
         (1, 0, 150 * MS, False, 1),
         (0, 0, 150 * MS, False, 1),
         (0, 150 * MS, 400 * MS, True, 1),
@@ -119,7 +119,7 @@ def test_stints_are_split_where_somebody_comes_to_be_alone():
 
 
 def test_who_is_alone_is_so_on_an_evader():
-    assert stints(pair()) == [
+    assert active_periods(pair()) == [
         (1, 0, 150 * MS, False, 1),
         (0, 0, 150 * MS, False, 1),
         (0, 150 * MS, 400 * MS, True, 1),
@@ -137,7 +137,7 @@ def test_spells_and_stints_last_as_long_as_the_active_time(ran):
     """Their sum is int n dt; those of who is alone are int 1{n = 1} dt, what is neither idle nor crowded."""
     numbers = summary(ran)
     spells = sum(end - begin for own in chasing(ran) for begin, end, _ in own) / SECOND
-    found = stints(ran)
+    found = active_periods(ran)
     assert spells == pytest.approx(numbers.active_time, abs=1e-8)
     assert sum(each.end - each.begin for each in found) / SECOND == pytest.approx(numbers.active_time, abs=1e-8)
     alone = ran.trace.events[-1].t / SECOND - numbers.idle_time - numbers.crowded_time

@@ -11,7 +11,7 @@ from desim import Scenario, run, summary
 from desim.kernel.events import Sent
 from desim.pursuit.events import Decided
 from desim.scenario.scenario import Recording
-from desim.view.deliveries import chasing, passages
+from desim.view.deliveries import chasing, deliveries
 from desim.view.perfetto import PURSUERS, _microseconds, perfetto, trace_events, write
 from protocols.centralised import Centralised
 from tests.golden import golden
@@ -117,7 +117,7 @@ def test_perfetto_loses_nothing_of_a_run(asked, run_of):
     chased = [(begin, end) for own in chasing(ran) for begin, end, _ in own]
     waits = [each for each in found.waits if each[0] == "active" or each[0].startswith("chases ")]
     assert sorted((begin, end) for _, begin, end in waits) == sorted(chased)
-    flown = [(f"{each.src} to {each.dst}", each.left, each.until) for each in passages(ran)]
+    flown = [(f"{each.src} to {each.dst}", each.left, each.until) for each in deliveries(ran)]
     assert sorted(each for each in found.waits if " to " in each[0]) == sorted(flown)
     assert [each["ts"] for each in events if "ts" in each] == sorted(each["ts"] for each in events if "ts" in each)
     assert max(Counter((each["cat"], each["id"]) for each in events if each["ph"] == "b").values()) == 1

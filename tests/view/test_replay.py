@@ -22,7 +22,7 @@ from desim.analysis.trace_index import ended, messages, started
 from desim.cli import main
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
-from desim.kernel.faults import Began, Crash, Jamming, Over, Partition
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
 from desim.kernel.graphs import Edge, Edges, Ring
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
@@ -32,7 +32,7 @@ from desim.kernel.reception import LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
-from desim.pursuit.events import Captured, Decided, Halted, Sampled
+from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Motion, Recording, Team
@@ -227,7 +227,7 @@ def test_pages_of_runs_by_hand_are_golden():
     Who chased the evader that is captured stays from then on, unless it decides something at the same instant.
     """
     cut = Partition(at=0.2, until=0.5, groups=((0,), (1, 2)))
-    parted = history(Began(200 * MS, cut), Over(500 * MS, cut))
+    parted = history(FaultStarted(200 * MS, cut), FaultEnded(500 * MS, cut))
     golden("replay.txt", {each.scenario.name: told(each) for each in (parted, pair())})
 
 
@@ -955,7 +955,7 @@ def test_steps_lead_from_event_to_event(shown, result_of):
     opened = shown(result)
     active, changed = list(started(result).active), []
     for event in result.trace:
-        if isinstance(event, Decided | Halted):
+        if isinstance(event, Decided | BrokeDown):
             now = isinstance(event, Decided) and event.active
             if active[event.pursuer] != now:
                 active[event.pursuer] = now
@@ -971,7 +971,7 @@ def test_steps_lead_from_event_to_event(shown, result_of):
         opened.press("e")
     assert opened.value("document.getElementById('kind').value") == "faults"
     opened.press("ArrowRight")
-    assert opened.value("replay.time") == pytest.approx(result.trace.of(Began)[0].t / SECOND, abs=1e-8)
+    assert opened.value("replay.time") == pytest.approx(result.trace.of(FaultStarted)[0].t / SECOND, abs=1e-8)
     opened.press(" ")
     assert opened.value("replay.playing")
     opened.press(" ")

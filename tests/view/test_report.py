@@ -26,7 +26,7 @@ from desim.scenario.scenario import Team
 from desim.study.explain import Variants
 from desim.study.history import commands, wanted
 from desim.study.store import Row, Store
-from desim.study.sweep import Plan
+from desim.study.sweep import SweepPlan
 from desim.study.workers import workers_for
 from desim.view.report import MOST_FAILURES, Study, report
 from tests.golden import golden
@@ -50,7 +50,7 @@ MADE = {
 
 def swept(folder, grid=ONE, reps=1, failing=(), made=MADE):
     """Write a sweep in which the active time of configuration k is k + 0, 1, ... s; some runs of the first failed."""
-    plan = Plan.of(BASE, grid, reps, 7)
+    plan = SweepPlan.of(BASE, grid, reps, 7)
     with Store(folder / "sweep.sqlite") as store:
         plan.enter(store)
         for (k, cell), r in product(enumerate(plan.cells), range(reps)):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
-from desim.kernel.faults import Began, Crash, Partition
+from desim.kernel.faults import Crash, FaultStarted, Partition
 from desim.pursuit.events import Decided
-from desim.view.deliveries import passages
+from desim.view.deliveries import deliveries
 from desim.view.spacetime import MOST, spacetime
 from tests.drawn import described
 from tests.golden import golden
@@ -37,7 +37,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
     is after the run. A message that is lost as it leaves takes the mean of (0.1 + 0.3 + 0.3) / 3 s, and ends a quarter
     of a line before its receiver.
     """
-    radio = Began(550 * MS, Crash(node=1, at=0.55, scope="radio"))
+    radio = FaultStarted(550 * MS, Crash(node=1, at=0.55, scope="radio"))
     told = {
         "history": spacetime(history(radio)),
         "pair": spacetime(pair()),
@@ -50,7 +50,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
 
 
 def test_the_names_of_two_faults_at_once_are_below_each_other():
-    figure = spacetime(history(Began(700 * MS, Partition(groups=((0,),), at=0.7))))
+    figure = spacetime(history(FaultStarted(700 * MS, Partition(groups=((0,),), at=0.7))))
     figure.draw_without_rendering()
     one, other = (text.get_window_extent() for text in figure.axes[0].texts)
     assert not one.overlaps(other)
@@ -123,7 +123,7 @@ def test_what_cannot_be_drawn_is_said(asked, says):
 
 def test_without_messages_lines_and_decisions_remain(run_of):
     result = run_of("relay.toml", "announce.trigger=never", "horizon=0.3")
-    assert not passages(result)
+    assert not deliveries(result)
     figure = spacetime(result)
     assert not count(figure)
     assert "active" in {line.get_label() for line in figure.axes[0].lines}
