@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from desim.pursuit.agent import Agent
-from protocols.rule import LearningRule, best, present
+from protocols.rule import LearningRule, argmax, current_action
 
 Willingness = Annotated[float, Field(gt=0, le=1, strict=True)]
 """A probability that is not 0."""
@@ -31,7 +31,7 @@ class BestResponse(LearningRule):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the best action at each turn."""
         while True:
-            yield best(self.utilities(me))
+            yield argmax(self.utilities(me))
 
 
 class BetterReply(LearningRule):
@@ -45,7 +45,7 @@ class BetterReply(LearningRule):
         """Yield a better action or the present one."""
         while True:
             worth = self.utilities(me)
-            now = present(me, worth)
+            now = current_action(me, worth)
             better = [action for action, value in worth.items() if value > worth[now]]
             willing = me.rng.random() < self.alpha
             yield better[me.rng.integers(len(better))] if better and willing else now

@@ -16,7 +16,7 @@ from typing import Literal
 
 from desim.pursuit.agent import Agent
 from desim.pursuit.game import logit
-from protocols.rule import present
+from protocols.rule import current_action
 from protocols.sap import LogLinear, categorical
 
 
@@ -33,7 +33,7 @@ class BinaryLogLinear(LogLinear):
         """Yield the present action or the one that is tried."""
         for inverse_tau in self.inverse_temperatures(me):
             worth = self.utilities(me)
-            now = present(me, worth)
+            now = current_action(me, worth)
             trial = self.trial(me, list(worth), now)
             yield (now, trial)[categorical(logit([worth[now], worth[trial]], inverse_tau), me.rng)]
 

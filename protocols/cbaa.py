@@ -59,7 +59,7 @@ class CBAA(Auction):
                 said = {j: up_to_date(claim[k]) for j, claim in claims.items()}
                 bids[k] = greatest(up_to_date(best), said | {me.id: NO_BID})
             action, bids = chosen(me, one_each(bids))
-            me.claim(Claim(*claim_fields(action, bids)))
+            me.set_payload(Claim(*claim_fields(action, bids)))
             yield action
 
 

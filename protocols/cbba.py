@@ -78,7 +78,7 @@ class CBBA(Auction):
             others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
             action, bids = chosen(me, others)
             stamps[me.id] = me.now
-            me.claim(StampedClaim(*claim_fields(action, bids), tuple(stamps)))
+            me.set_payload(StampedClaim(*claim_fields(action, bids), tuple(stamps)))
             yield action
 
 

@@ -53,7 +53,7 @@ class Centralised(Value):
             if profile != wanted:
                 for pursuer, action in enumerate(wanted):
                     if profile[pursuer] != action:
-                        me.whole.order(pursuer, action)
+                        me.whole.set_action(pursuer, action)
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:

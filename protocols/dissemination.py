@@ -27,7 +27,7 @@ PORT = "word"
 class Dissemination(Protocol):
     """How word spreads."""
 
-    def tell(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, news: Any) -> None:
         """Begin to spread an announcement of one's own."""
         ...
 
@@ -41,7 +41,7 @@ class OneHop(Value):
 
     kind: Literal["one_hop"] = "one_hop"
 
-    def tell(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, news: Any) -> None:
         """Publish it."""
         me.publish(news)
 
@@ -63,7 +63,7 @@ class Flooding(Value):
     jitter: Time = 0.005
     """Longest random delay J before something is said once more, s; it keeps neighbours from speaking at once."""
 
-    def tell(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, news: Any) -> None:
         """Send it to the neighbours."""
         me.send(None, Forwarded((me.record(news),), self.hops), PORT)
 
@@ -75,7 +75,7 @@ class Flooding(Value):
             yield me.arrival(PORT)
             for message in me.mail(PORT):
                 (record,), hops = message.body
-                me.learn([record])
+                me.merge_records([record])
                 if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
@@ -90,9 +90,9 @@ class Gossip(Value):
 
     kind: Literal["gossip"] = "gossip"
 
-    def tell(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, news: Any) -> None:
         """Send it with all that is known."""
-        known = [record for _, record in me.heard().values()]
+        known = [record for _, record in me.latest_records().values()]
         me.send(None, Forwarded((me.record(news), *known)), PORT)
 
     def __call__(self, me: Agent) -> Process:
@@ -100,4 +100,4 @@ class Gossip(Value):
         while True:
             yield me.arrival(PORT)
             for message in me.mail(PORT):
-                me.learn(message.body.records)
+                me.merge_records(message.body.records)

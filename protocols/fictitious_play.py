@@ -23,7 +23,7 @@ from desim.config.model import Probability
 from desim.pursuit.agent import Agent
 from desim.pursuit.beliefs import Belief
 from protocols.best_response import Willingness
-from protocols.rule import LearningRule, best, present
+from protocols.rule import LearningRule, argmax, current_action
 
 
 class FictitiousPlay(LearningRule):
@@ -47,13 +47,17 @@ class FictitiousPlay(LearningRule):
                 for j in believed.keys() | frequency.keys():
                     frequency[j] += ((j in believed and believed[j].active == evader) - frequency[j]) / turn
             chased = me.options()[1:]
-            yield best({0: 0.0} | {each: self._expected(me, each, beliefs[each], frequencies[each]) for each in chased})
+            yield argmax(
+                {0: 0.0} | {each: self._expected(me, each, beliefs[each], frequencies[each]) for each in chased}
+            )
 
     def _expected(self, me: Agent, evader: int, beliefs: dict[int, Belief], frequency: dict[int, float]) -> float:
         """Return what chasing an evader is worth if teammates chase it as often as they did, s."""
         utility: Any = self.utility
-        circle = me.circle(utility.scope)
-        times = {j: each.capture_time for j, each in beliefs.items() if j in circle and each.capture_time < inf}
+        counted_teammates = me.counted_teammates(utility.scope)
+        times = {
+            j: each.capture_time for j, each in beliefs.items() if j in counted_teammates and each.capture_time < inf
+        }
         chances = [frequency[j] for j in times]
         gain: float = utility.expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
         return gain
@@ -76,7 +80,7 @@ class JointStrategyFictitiousPlay(LearningRule):
             worth = self.utilities(me)
             for action, utility in worth.items():
                 average[action] += weight * (utility - average[action])
-            now, willing = present(me, worth), me.rng.random() < self.alpha
+            now, willing = current_action(me, worth), me.rng.random() < self.alpha
             averages = {action: average[action] for action in worth}
-            better = best(averages)
+            better = argmax(averages)
             yield better if willing and averages[now] < averages[better] else now

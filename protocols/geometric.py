@@ -32,7 +32,7 @@ from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates, lengths
 from protocols.schedules import ticks
 
-Measure = Callable[[TeamEstimate], Floats]
+Distances = Callable[[TeamEstimate], Floats]
 """By what pursuers are compared, the (n,) of them whose whereabouts are known: the least is first."""
 
 
@@ -51,7 +51,7 @@ class Geometric(Value):
         """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
-    def measure(self, me: Agent, evader: int) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Distances:
         """Return by what pursuers are compared; it is asked once a slot."""
         raise NotImplementedError
 
@@ -85,7 +85,7 @@ class Voronoi(Geometric):
         """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return (*super().assumes, "places_known", "equal_speeds")
 
-    def measure(self, me: Agent, evader: int) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Distances:
         """Return the measure of distance, m."""
         return lambda known: lengths(me.evader(evader) - known.places)
 
@@ -106,7 +106,7 @@ class Argmin(Geometric):
         """What it needs to do what it promises; see `desim.scenario.assumptions`."""
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
-    def measure(self, me: Agent, evader: int) -> Measure:
+    def measure(self, me: Agent, evader: int) -> Distances:
         """Return the measure of time, s."""
         if self.by == "capture_time":
             return lambda known: known.capture_times

@@ -26,7 +26,7 @@ class LocalMin(Rule):
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the evader of which it is first of the active."""
         while True:
-            near = set(me.circle("neighbours"))
+            near = set(me.counted_teammates("neighbours"))
             ahead = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
             yield min(ahead, key=me.capture_time, default=0)
 

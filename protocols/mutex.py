@@ -170,7 +170,7 @@ class Section:
             return
         self._silent.discard(src)
         if isinstance(body, Reply):
-            self._me.learn(body.records)
+            self._me.merge_records(body.records)
         if body.stamp == self._wanted and src in self._missing:
             if isinstance(body, Reply):
                 del self._missing[src]

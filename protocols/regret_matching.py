@@ -22,7 +22,7 @@ from typing import Literal
 from desim.config.model import Probability
 from desim.pursuit.agent import Agent
 from protocols.best_response import Willingness
-from protocols.rule import LearningRule, present
+from protocols.rule import LearningRule, current_action
 from protocols.sap import categorical
 
 
@@ -44,7 +44,7 @@ class RegretMatching(LearningRule):
         regret: dict[int, float] = defaultdict(float)
         for turn in count(1):
             worth = self.utilities(me)
-            now, weight = present(me, worth), max(self.rho, 1.0 / turn)
+            now, weight = current_action(me, worth), max(self.rho, 1.0 / turn)
             for action, utility in worth.items():
                 regret[action] += weight * (utility - worth[now] - regret[action])
             positive = [max(regret[action], 0.0) for action in worth]

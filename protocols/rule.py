@@ -81,11 +81,11 @@ class LearningRule(Rule):
         return worth
 
 
-def present(me: Agent, actions: Collection[int]) -> int:
+def current_action(me: Agent, actions: Collection[int]) -> int:
     """Return what a pursuer does if that is one of the actions it may choose; else 0, for it has to stop."""
     return me.action if me.action in actions else 0
 
 
-def best(utilities: dict[int, float]) -> int:
+def argmax(utilities: dict[int, float]) -> int:
     """Return the action that is worth most; of several the first, so that nobody chases for nothing."""
     return max(utilities, key=utilities.__getitem__)

@@ -105,7 +105,7 @@ class Server(Value):
                 yield me.after_decisions()  # when all reports of this instant are in
                 due = alarm.processed
                 reports = [record for message in me.mail(PORT) for record in message.body.records]
-                me.learn(reports)
+                me.merge_records(reports)
                 for src, _, sent, _ in reports:
                     orders[src] = since(sent, orders.get(src, []))
                 if reports:

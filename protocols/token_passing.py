@@ -89,7 +89,7 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
     """Revise whenever the token has been here for `hold` s, and pass it on; claim a new one if it is lost."""
     station = TokenNode(me, hold, attempts)
     if me.id == 0:
-        station.claim()
+        station.set_payload()
     while True:
         if station.token is None:
             yield from station.watch()
@@ -148,9 +148,9 @@ class TokenNode:
         """Wait for mail; if there has been no sign of the token for too long, claim a new one."""
         deadline = self._deadline
         if (yield from self._wait(deadline)) and self._deadline == deadline:
-            self.claim()
+            self.set_payload()
 
-    def claim(self) -> None:
+    def set_payload(self) -> None:
         """Make a token from what was known of the last."""
         self._renew(self._seen)
 
@@ -202,7 +202,7 @@ class TokenNode:
         age = (body.epoch, body.hop)
         news = age > self._newest
         if isinstance(body, Token):
-            self._me.learn(body.records)
+            self._me.merge_records(body.records)
         if body.epoch < self._newest[0]:
             self._answer(src, self._newest)
             return
@@ -286,7 +286,7 @@ class TokenNode:
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
         token = self._greeted(token._replace(visits=visited(token, me.id)))
-        known = (record for _, record in me.heard().values())
+        known = (record for _, record in me.latest_records().values())
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):

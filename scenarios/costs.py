@@ -30,7 +30,7 @@ from desim.pursuit.events import Ended
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
-from scenarios.measuring import Cost, apart, command, memory, per_unit
+from scenarios.measuring import MessageCost, apart, command, memory, per_unit
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.workloads import LOGNORMAL
 from scenarios.study import SCENARIOS, Options
@@ -91,7 +91,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
         turn = int(Phase.DECISION) + me
         for when in range(phases[me], round(DURATION * SECOND), SECOND):
             yield Instant(env, when, turn)
-            network.heard(me)
+            network.latest_records(me)
             network.publish(me, when)
 
     for me in range(size):
@@ -101,7 +101,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
     return (time.process_time() - begin) / network.message_counts().sent, (memory("VmHWM") - before) / size
 
 
-def flat(options: Options) -> list[Cost]:
+def flat(options: Options) -> list[MessageCost]:
     """Measure what a delivery costs and a node takes on disk graphs of equal density, by the number of nodes."""
     found = {}
     for size in SIZES:
@@ -110,9 +110,12 @@ def flat(options: Options) -> list[Cost]:
     base, largest = SIZES[1], SIZES[-1]
     ratio = found[largest][0] / found[base][0]
     return [
-        *(Cost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us") for size, (per_delivery, _) in found.items()),
-        Cost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
-        Cost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
+        *(
+            MessageCost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us")
+            for size, (per_delivery, _) in found.items()
+        ),
+        MessageCost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
+        MessageCost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
     ]
 
 
@@ -136,17 +139,17 @@ def whole_crowd(count: int, horizon: float, seed: int) -> tuple[float, float]:
     return took, memory("VmHWM")
 
 
-def complete(options: Options) -> list[Cost]:
+def complete(options: Options) -> list[MessageCost]:
     """Measure Spatial Adaptive Play on a large complete graph."""
     took, peak = apart(whole_crowd, CROWD, HORIZON, options.seed)
     what = f"N = {CROWD:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
-    return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
+    return [MessageCost(what, took, "s", 20.0), MessageCost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
 
 
 # Whole runs.
 
 
-def table_1(_: Options) -> list[Cost]:
+def table_1(_: Options) -> list[MessageCost]:
     """Measure the study of Table I, as its command on two cores."""
     with TemporaryDirectory() as folder:
         words = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
@@ -155,12 +158,12 @@ def table_1(_: Options) -> list[Cost]:
         after = os.times()
     cores = sum(after[2:4]) - sum(before[2:4])
     return [
-        Cost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
-        Cost("time of both cores", cores, "s"),
+        MessageCost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
+        MessageCost("time of both cores", cores, "s"),
     ]
 
 
-def loop(options: Options) -> list[Cost]:
+def loop(options: Options) -> list[MessageCost]:
     """Measure a run of Table I with all its messages against a loop of Algorithm 2 without any, by slot of delta."""
     fine = decentralised(configuration(40), SLOT)
     ways: dict[str, Callable[[int], int]] = {
@@ -171,9 +174,9 @@ def loop(options: Options) -> list[Cost]:
     coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
     found = per_unit(ways, range(options.seed, options.seed + 2 * options.runs))
     return [
-        Cost("a slot of the bare loop", found["bare"] * 1e6, "us"),
-        Cost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
-        Cost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
+        MessageCost("a slot of the bare loop", found["bare"] * 1e6, "us"),
+        MessageCost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
+        MessageCost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
     ]
 
 
@@ -212,7 +215,7 @@ def peak_of_stream(count: int, seed: int) -> float:
     return memory("VmHWM")
 
 
-def recording(options: Options) -> list[Cost]:
+def recording(options: Options) -> list[MessageCost]:
     """Measure what it costs to record all messages, in memory and on disk."""
     scenario = talk(STREAMED[0])
     ways: dict[str, Callable[[int], int]] = {
@@ -223,17 +226,19 @@ def recording(options: Options) -> list[Cost]:
     found = per_unit(ways, range(options.seed, options.seed + options.runs))
     few, many = (apart(peak_of_stream, count, options.seed) for count in STREAMED)
     return [
-        Cost("a message, none recorded", found["off"] * 1e6, "us"),
-        Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
-        Cost("all on disk / none", found["streamed"] / found["off"], ""),
-        Cost(f"memory more for {STREAMED[1]:,} on disk than for {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0),
+        MessageCost("a message, none recorded", found["off"] * 1e6, "us"),
+        MessageCost("all kept / none", found["kept"] / found["off"], "", 1.3),
+        MessageCost("all on disk / none", found["streamed"] / found["off"], ""),
+        MessageCost(
+            f"memory more for {STREAMED[1]:,} on disk than for {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0
+        ),
     ]
 
 
 # The start.
 
 
-def start(_: Options) -> list[Cost]:
+def start(_: Options) -> list[MessageCost]:
     """Measure how long it takes to start, beside Python and numpy alone."""
     commands: dict[str, tuple[tuple[str, ...], float | None]] = {
         "python -c pass": (("-c", "pass"), None),
@@ -242,10 +247,10 @@ def start(_: Options) -> list[Cost]:
         "desim run relay.toml": (("-m", "desim", "run", str(SCENARIOS / "relay.toml")), 1.0),
     }
     laps = [{name: command(*words) for name, (words, _) in commands.items()} for _ in range(STARTS)]
-    return [Cost(name, median(lap[name] for lap in laps), "s", most) for name, (_, most) in commands.items()]
+    return [MessageCost(name, median(lap[name] for lap in laps), "s", most) for name, (_, most) in commands.items()]
 
 
-PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
+PARTS: Mapping[str, Callable[[Options], list[MessageCost]]] = MappingProxyType(
     {"flat": flat, "complete": complete, "table1": table_1, "loop": loop, "recording": recording, "start": start}
 )
 

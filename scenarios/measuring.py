@@ -19,7 +19,7 @@ Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
-class Cost:
+class MessageCost:
     """Something that was measured, and what it may be at most."""
 
     what: str
@@ -28,7 +28,7 @@ class Cost:
     most: float | None = None
 
 
-def table(found: Mapping[str, Sequence[Cost]]) -> str:
+def table(found: Mapping[str, Sequence[MessageCost]]) -> str:
     """Return all costs as text."""
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():

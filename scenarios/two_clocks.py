@@ -24,7 +24,7 @@ VALUES = (0.001, 0.003, 0.01, 0.03, 0.1)
 
 
 @dataclass(frozen=True)
-class Cell:
+class SpeedCell:
     """The mean over the runs of the sum of active times, s, at one slot and one step."""
 
     slot: float
@@ -33,7 +33,7 @@ class Cell:
     standard_error: float
 
 
-def measure(options: Options) -> list[Cell]:
+def measure(options: Options) -> list[SpeedCell]:
     """Run the grid; capture is judged within the step, so that h is not also the resolution of capture."""
     base = configuration(20).model_copy(update={"capture": Capture(test="segment")})
     grid = [(slot, step) for slot in VALUES for step in VALUES]
@@ -41,11 +41,11 @@ def measure(options: Options) -> list[Cell]:
     cells = []
     for (slot, step), times in zip(grid, options.measure(scenarios, "two clocks", active_time), strict=True):
         found = estimate(times)
-        cells.append(Cell(slot, step, found.mean, found.standard_error))
+        cells.append(SpeedCell(slot, step, found.mean, found.standard_error))
     return cells
 
 
-def dissemination(cells: list[Cell], along: str) -> float:
+def dissemination(cells: list[SpeedCell], along: str) -> float:
     """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
     other = "step" if along == "slot" else "slot"
     ratios = []
@@ -55,7 +55,7 @@ def dissemination(cells: list[Cell], along: str) -> float:
     return max(ratios)
 
 
-def table(cells: list[Cell], runs: int) -> str:
+def table(cells: list[SpeedCell], runs: int) -> str:
     """Return the grid as text, with what it says."""
     found = {(cell.slot, cell.step): cell for cell in cells}
     rows = [("delta | h", *(f"{step:g} s" for step in VALUES))]
@@ -71,7 +71,7 @@ def table(cells: list[Cell], runs: int) -> str:
     )
 
 
-def picture(cells: list[Cell]) -> "Figure":
+def picture(cells: list[SpeedCell]) -> "Figure":
     """Draw active time over each clock, one line per value of the other; the diagonal is the paper's."""
     from desim.analysis import plots
 

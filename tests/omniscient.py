@@ -36,10 +36,10 @@ class RoundTrip(Value):
         in_flight: list[list[tuple[int, int]]] = [[] for _ in range(me.team_size)]
         told = [None] * me.team_size
 
-        def order(pursuer: int, action: int) -> None:
+        def set_action(pursuer: int, action: int) -> None:
             action = action if action in me.evaders() else 0
             if me.whole.action(pursuer) != action:
-                me.whole.order(pursuer, action)
+                me.whole.set_action(pursuer, action)
 
         def wait(pursuer: int, evader: int) -> float:
             now = nanoseconds(me.now)
@@ -53,13 +53,13 @@ class RoundTrip(Value):
                 for e in range(1, me.evader_count + 1)
             ]
             sent = matching(phi, me.time_left())
-            order(self.host, sent.get(self.host, 0))
+            set_action(self.host, sent.get(self.host, 0))
             for j in range(me.team_size):
                 action = sent.get(j, 0)
                 if j != self.host and told[j] != action:
                     told[j] = action
                     in_flight[j].append((nanoseconds(me.now) + nanoseconds(self.down), action))
-                    me.after(self.down, lambda j=j, action=action: order(j, action))
+                    me.after(self.down, lambda j=j, action=action: set_action(j, action))
 
         phases = [stream(me._seed, "reports", j).uniform(0.0, self.period) for j in range(me.team_size)]
         others = [ticks(me, self.period, phase=phase) for j, phase in enumerate(phases) if j != self.host]

@@ -151,7 +151,7 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
         if me.id == 1:
             for k in range(1, 4):
                 yield me.sleep(0.75)
-                log.append((me.now, begun, k, sorted(me.heard()), me.believed_active()))
+                log.append((me.now, begun, k, sorted(me.latest_records()), me.believed_active()))
 
     announce = Announcements(trigger="never")
     play(protocol, Crash(node=1, at=1.0, until=2.0, memory=memory), announce=announce, motion=Motion(frozen=True))
@@ -178,7 +178,7 @@ def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_o
     def protocol(me):
         while me.id == 1:
             yield me.sleep(0.75)
-            log.append((me.now, sorted(me.heard())))
+            log.append((me.now, sorted(me.latest_records())))
 
     play(protocol, Crash(node=1, at=1.0, **crash), horizon=2.8, announce=Announcements(trigger="never"))
     assert [t for t, _ in log] == pytest.approx(times, abs=1e-9)

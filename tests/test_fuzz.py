@@ -208,7 +208,7 @@ def without(tables: Any, place: list[str]) -> None:
             return
 
 
-def repaired(tables: dict[str, Any]) -> dict[str, Any]:
+def recovered(tables: dict[str, Any]) -> dict[str, Any]:
     """Return tables without what the program refuses, so that most documents run."""
     for _ in range(8):
         try:
@@ -233,7 +233,7 @@ def documents(draw) -> dict[str, Any]:
     if isinstance(team, dict) and not rare(draw, 2.0):
         team["count"] = draw(st.integers(1, 5))
     if wild is not ODDER and not rare(draw, 10.0):
-        repaired(tables)
+        recovered(tables)
     return tables
 
 

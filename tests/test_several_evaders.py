@@ -172,9 +172,9 @@ def test_what_is_said_names_the_evader(payload):
     """Teammates know who chases which, and their times of capture of it."""
     seen = []
 
-    def tell(me):
+    def broadcast(me):
         me.assign(me.id + 1)
-        me.tell()
+        me.broadcast()
         yield me.at(0.5)
         others = {j: (me.believed_chasers(j), me.beliefs(evader=j)) for j in me.evaders()}
         seen.append((me.id, others, [me.whole.capture_times(j) for j in me.evaders()]))
@@ -183,7 +183,9 @@ def test_what_is_said_names_the_evader(payload):
     team = Team(positions=((0.0, 0.0), (0.0, 8.0), (9.0, 9.0)), speeds=1.0, active_at_start=0.0)
     evaders = tuple(Evader(position=(x, 20.0), speed=0.5) for x in (0.0, 10.0, 20.0))
     said = Announcements(payload=payload, trigger="never", reckoning="exact")
-    base = standing(team=team, evader=evaders, protocol=tell, announce=said, motion=Motion(frozen=True), horizon=1.0)
+    base = standing(
+        team=team, evader=evaders, protocol=broadcast, announce=said, motion=Motion(frozen=True), horizon=1.0
+    )
     desim.run(base)
     assert len(seen) == 3
     for me, others, phi in seen:
@@ -206,9 +208,9 @@ def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sen
     """At 1 m/s from the origin: after 1 s a metre up, where evader 2 stands, not to the right, where evader 1 does."""
     seen = []
 
-    def tell(me):
+    def broadcast(me):
         me.assign(2)
-        me.tell()
+        me.broadcast()
         yield me.at(1.0)
         seen.append((me.id, me.team_estimate(1).places[0]))
 
@@ -219,7 +221,7 @@ def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sen
     )
     said = Announcements(payload="state", trigger="never", reckoning=reckoning)
     keys = {"team": team, "evader": evaders, "announce": said, "sensing": sensing, "horizon": 2.0}
-    desim.run(standing(protocol=tell, **keys))
+    desim.run(standing(protocol=broadcast, **keys))
     assert seen == [(me, pytest.approx(1j, abs=1e-12)) for me in (0, 1)]
 
 
@@ -238,7 +240,7 @@ def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
     said = Announcements(payload="state")
     world = World(clock, Scenario(team=team, evader=evaders, announce=said), 0, Trace())
     world.begin()
-    world.order(0, 1), world.order(1, 1)
+    world.set_action(0, 1), world.set_action(1, 1)
     clock.run(until=SECOND)
     told = world.places()
     clock.run(until=8 * SECOND)

@@ -34,18 +34,18 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, under the eyes of all watchers of what holds in every run, and judge the result.
 
-    They are `Conservation`, `ActiveTime` and `Motion`.
+    They are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`.
 
     Raises:
         AssertionError: if an invariant is broken.
     """
-    stopwatches = ActiveTime()
-    result = run(scenario, seed, Conservation(), stopwatches, Motion(scenario), *watchers)
+    stopwatches = ActiveTimeWatcher()
+    result = run(scenario, seed, Conservation(), stopwatches, MotionWatcher(scenario), *watchers)
     stopwatches.judge(result)
     return result
 
 
-class ActiveTime:
+class ActiveTimeWatcher:
     """A watcher with a stopwatch for each pursuer, which runs while that is active.
 
     `judge` compares the metrics of a run with the stopwatches.
@@ -106,7 +106,7 @@ class ActiveTime:
         self.end = event.t
 
 
-class Motion:
+class MotionWatcher:
     """A watcher of where everybody is, at every sample of the trajectory (`record.trajectory`).
 
     Positions are continuous, and nobody is faster than its speed: since the last sample a pursuer has come no farther
@@ -121,7 +121,7 @@ class Motion:
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
         self._at_large = np.full(len(self._evader_speeds), np.inf)  # until when, ns
         self._moves = not scenario.motion.frozen
-        self._active = ActiveTime()
+        self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
 
     def __call__(self, event: Event) -> None:
@@ -152,7 +152,7 @@ class Motion:
         self._last = event.t, places, moving
 
 
-class Potential:
+class PotentialWatcher:
     """A watcher of the potential, which no decision lowers if the game is played as the theorem has it.
 
     The potential is the global utility Phi of the profile, with the times of capture and the time left of the instant
@@ -180,7 +180,7 @@ class Potential:
         self._evader_speeds = [evader.speed for evader in scenario.evaders]
         self._radius, self._frozen = scenario.capture.radius, scenario.motion.frozen
         self._horizon = nanoseconds(scenario.horizon)
-        self._active = ActiveTime()
+        self._active = ActiveTimeWatcher()
         self._pending: list[tuple[Decided, list[int], list[int]]] = []
         """What was decided since positions were last known, and the profiles before and after that."""
         self.judged = 0

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, refuse, say, source_of
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, source_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -23,13 +23,13 @@ def check(file: Path, overrides: tuple[str, ...]) -> None:
     source, scenario = source_of(file, overrides)
     if scenario.sweep.grid:
         from desim.scenario.overrides import ScenarioError
-        from desim.study.configurations import cells
+        from desim.study.configurations import configurations
 
         try:
-            cells(source)
+            configurations(source)
         except ScenarioError as error:
-            refuse(str(error))
-    say(dump(scenario), end="")
+            fail(str(error))
+    echo(dump(scenario), end="")
 
 
 @click.command()
@@ -39,7 +39,7 @@ def schema() -> None:
 
     document = json.dumps(Scenario.model_json_schema())
     strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
-    say(json.dumps(strict, indent=2))
+    echo(json.dumps(strict, indent=2))
 
 
 @click.command()
@@ -50,9 +50,9 @@ def keys(key: str | None) -> None:
     from desim.scenario.scenario import Scenario
 
     try:
-        say("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
+        echo("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
     except ValueError as error:
-        refuse(str(error))
+        fail(str(error))
 
 
 @click.command()
@@ -64,7 +64,7 @@ def protocols(only: str | None) -> None:
 
     choices = PROTOCOLS.choices()
     if only is not None and only not in choices:
-        refuse(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
+        fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
     known: set[type[BaseModel]] = set()  # what several may hold is described once
     for kind, protocol in choices.items() if only is None else [(only, choices[only])]:
-        say("\n".join(described(protocol, kind, known=known)) + "\n")
+        echo("\n".join(described(protocol, kind, known=known)) + "\n")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, refuse, say
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail
 from desim.cli.recorded import SOURCE, result_of
 from desim.config.file_names import PICTURES, files
 
@@ -36,7 +36,7 @@ def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usu
     try:
         return files(out, kinds, usual)
     except ValueError as error:
-        refuse(f"--out {error}")
+        fail(f"--out {error}")
 
 
 def _attempt(make: Callable[[], Any], *paths: Path) -> None:
@@ -45,13 +45,13 @@ def _attempt(make: Callable[[], Any], *paths: Path) -> None:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
     except ModuleNotFoundError as error:
-        refuse(f"a picture needs {error.name}: pip install 'pursuit-desim[plot]'")
+        fail(f"a picture needs {error.name}: pip install 'pursuit-desim[plot]'")
     except ValueError as error:
-        refuse(str(error))
+        fail(str(error))
     except OSError as error:
-        refuse(f"--out {paths[0]}: cannot be written: {error.strerror}")
+        fail(f"--out {paths[0]}: cannot be written: {error.strerror}")
     for path in paths:
-        say(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
+        echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")
 
 
 OUT = click.option(

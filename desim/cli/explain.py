@@ -15,8 +15,8 @@ from desim.cli.options import (
     JSON,
     SEED,
     SET,
+    echo,
     folder_for,
-    say,
     source_of,
     storing,
     working,
@@ -70,8 +70,8 @@ def explain(
             from desim.study.figures import waterfall
 
             for each in save(waterfall(found), folder / "explain"):
-                say(f"wrote {each}", err=True)
-    say(text if as_json else found.table())
+                echo(f"wrote {each}", err=True)
+    echo(text if as_json else found.table())
     if found.failed:
-        say(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
+        echo(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
         sys.exit(FAILED)

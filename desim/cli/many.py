@@ -19,9 +19,9 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
+    echo,
+    fail,
     folder_for,
-    refuse,
-    say,
     source_of,
     storing,
     working,
@@ -112,11 +112,11 @@ def sweep(
     source, scenario = source_of(file, overrides)
     shown = _known(metrics) or SHOWN
     if until and shard:
-        refuse("--until needs all runs, and --shard does a part of them: they exclude each other")
+        fail("--until needs all runs, and --shard does a part of them: they exclude each other")
     try:
         plan = SweepPlan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
-        refuse(str(error))
+        fail(str(error))
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     jobs_of_plan = plan.shard(*(shard or (1, 1)))
@@ -125,7 +125,7 @@ def sweep(
         with storing(folder), Store(path if path.exists() else None) as store:
             plan.check(store)
             text = _plan_text(plan, jobs_of_plan, store, until)
-        say(text)
+        echo(text)
         return
     with storing(folder), Store(path) as store:
         before = len(store)
@@ -137,14 +137,14 @@ def sweep(
             )
         done = len(store) - before
     table = found.table(shown)
-    say(json.dumps(found.document(shown), indent=2) if as_json else table)
+    echo(json.dumps(found.document(shown), indent=2) if as_json else table)
     took = time.perf_counter() - start
-    say(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
+    echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
     if not shard:
         with storing(folder):
             _show(found, shown[0], folder, table)
     if found.failed:
-        say(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
+        echo(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
         sys.exit(FAILED)
 
 
@@ -167,7 +167,7 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
             store.take(part)
         note_merged(out, store, [part.path for part in parts])
         count = len(store)
-    say(f"{count} runs are in {out / STORE}")
+    echo(f"{count} runs are in {out / STORE}")
 
 
 @click.command()
@@ -183,16 +183,16 @@ def export(store: Path, file: Path) -> None:
 
     path, *others = _files((store,))
     if others:
-        refuse(f"{store}: has {len(others) + 1} stores: merge them first, or name one")
+        fail(f"{store}: has {len(others) + 1} stores: merge them first, or name one")
     with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
         result.write(file)
     except OSError as error:
-        refuse(f"{file}: cannot be written: {error.strerror}")
+        fail(f"{file}: cannot be written: {error.strerror}")
     except (ImportError, ValueError) as error:
-        refuse(str(error))
-    say(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
+        fail(str(error))
+    echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
 
 
 def _files(stores: tuple[Path, ...]) -> list[Path]:
@@ -211,7 +211,7 @@ def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
     numbers = [name for name, each in METRICS.items() if each.is_number]
     for name in metrics:
         if name not in numbers:
-            refuse(f"--metric {name}: there is no such metric; there are {', '.join(numbers)}")
+            fail(f"--metric {name}: there is no such metric; there are {', '.join(numbers)}")
     return metrics
 
 
@@ -219,15 +219,17 @@ def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tupl
     """Return what would be run, and how much of it a store has."""
     from desim.analysis.tables import aligned
 
-    there = {(cell.key, row.replication) for cell in plan.cells for row in store.runs(cell.key, plan.root) if row.ok}
+    there = {
+        (cell.key, row.replication) for cell in plan.configurations for row in store.runs(cell.key, plan.root) if row.ok
+    }
     wanted = [(cell.key, k) for cell, k in jobs]
     done = [each for each in wanted if each in there]
-    rows = [("runs", "there", *plan.cells[0].settings)]
-    for cell in plan.cells:
+    rows = [("runs", "there", *plan.configurations[0].settings)]
+    for cell in plan.configurations:
         counts = (sum(key == cell.key for key, _ in each) for each in (wanted, done))
         rows.append((*map(str, counts), *map(str, cell.columns.values())))
     least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
-    head = f"{plan.base.name}: {len(plan.cells)} configurations, {len(wanted)} runs{least}"
+    head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
     return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
 
 

@@ -14,10 +14,10 @@ from desim.cli.options import (
     SEED,
     SET,
     TIMEOUT,
+    echo,
+    fail,
     is_import_allowed,
     make_folder,
-    refuse,
-    say,
     source_of,
     valid,
 )
@@ -73,12 +73,12 @@ def run(
             results = _often(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
-        refuse(f"--out {error.filename or out}: cannot be written: {error.strerror}")
+        fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
-    say(table)
+    echo(table)
     if out is not None:
-        say(f"wrote {out}", err=True)
+        echo(f"wrote {out}", err=True)
 
 
 def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
@@ -147,10 +147,10 @@ def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, 
         made = provenance.read(path)
         source = provenance.source(path, made, overrides, allow_import=is_import_allowed())
     except (provenance.ProvenanceError, ScenarioError) as error:
-        refuse(str(error))
+        fail(str(error))
     except OSError as error:
-        refuse(f"{path}: cannot be read: {error.strerror}")
+        fail(f"{path}: cannot be read: {error.strerror}")
     scenario = valid(source)
     if found := provenance.differences(made, environment()):
-        say(f"warning: {path}: results may differ: {'; '.join(found)}", err=True)
+        echo(f"warning: {path}: results may differ: {'; '.join(found)}", err=True)
     return scenario, provenance.home(path, made), made["runs"]

@@ -86,9 +86,9 @@ def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario
     try:
         source = read(file, overrides, allow_import=is_import_allowed())
     except ScenarioError as error:
-        refuse(str(error))
+        fail(str(error))
     except OSError as error:
-        refuse(f"{file}: cannot be read: {error.strerror}")
+        fail(f"{file}: cannot be read: {error.strerror}")
     return source, valid(source)
 
 
@@ -101,10 +101,10 @@ def valid(source: "Source") -> "Scenario":
     try:
         scenario = validate(source)
     except ScenarioError as error:
-        refuse(str(error))
+        fail(str(error))
     for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
-        say(f"warning: {source.where(place)}: {key}: {why}", err=True)
+        echo(f"warning: {source.where(place)}: {key}: {why}", err=True)
     return scenario
 
 
@@ -117,18 +117,18 @@ def make_folder(folder: Path) -> None:
         fresh(folder / ".writable").touch()
         (folder / ".writable").unlink()
     except OSError as error:
-        refuse(f"--out {folder}: cannot be written: {error.strerror}")
+        fail(f"--out {folder}: cannot be written: {error.strerror}")
     if not can_plot():
-        say("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
+        echo("warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
 
 
-def put(page: bytes, path: Path) -> None:
+def write(page: bytes, path: Path) -> None:
     """Write a page, in folders that are made if need be; end the program if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh(path).write_bytes(page)
     except OSError as error:
-        refuse(f"{path}: cannot be written: {error.strerror}")
+        fail(f"{path}: cannot be written: {error.strerror}")
 
 
 def page_at(out: Path | None, usual: Path) -> Path:
@@ -136,7 +136,7 @@ def page_at(out: Path | None, usual: Path) -> Path:
     try:
         return usual if out is None else files(out, [".html"], [".html"])[0]
     except ValueError as error:
-        refuse(f"--out {error}")
+        fail(f"--out {error}")
 
 
 def folder_for(scenario: "Scenario", out: Path | None) -> Path:
@@ -150,9 +150,9 @@ def making(page: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        refuse(f"a {page} needs {error.name}: pip install 'pursuit-desim[plot]'")
+        fail(f"a {page} needs {error.name}: pip install 'pursuit-desim[plot]'")
     except ValueError as error:
-        refuse(str(error))
+        fail(str(error))
 
 
 @contextmanager
@@ -162,7 +162,7 @@ def storing(folder: Path | None = None) -> Iterator[None]:
         yield
     except OSError as error:
         file = error.filename or folder
-        refuse(f"{file}: {error.strerror}" if error.strerror else str(error))  # or it is ours
+        fail(f"{file}: {error.strerror}" if error.strerror else str(error))  # or it is ours
 
 
 @contextmanager
@@ -178,16 +178,16 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
         error.add_note(f"{len(store)} runs are in {store.path}; the same command goes on")
         raise
     except RunError as error:
-        say(f"{error}{len(store)} runs are in {store.path}", err=True)
+        echo(f"{error}{len(store)} runs are in {store.path}", err=True)
         sys.exit(FAILED)
 
 
-def say(text: str, *, err: bool = False, end: str = "\n") -> None:
+def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
     """Print a text, of which a stranger may have written any part."""
     click.echo(visible(text) + end, nl=False, err=err)
 
 
-def refuse(text: str) -> NoReturn:
+def fail(text: str) -> NoReturn:
     """End the program: what it was given is wrong."""
-    say(text, err=True)
+    echo(text, err=True)
     sys.exit(WRONG_INPUT)

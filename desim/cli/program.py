@@ -9,7 +9,7 @@ from typing import Any
 import click
 import click.utils
 
-from desim.cli.options import OUT_OF_TIME, refuse, say
+from desim.cli.options import OUT_OF_TIME, echo, fail
 from desim.simulation.watchdog import TimedOut
 from desim.study.interrupts import exit_code, raising
 
@@ -24,16 +24,16 @@ class Program(click.Command):
         """Run the command."""
         try:
             with raising(), warnings.catch_warnings():
-                warnings.showwarning = lambda message, *_, **__: say(f"warning: {message}", err=True)
+                warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
         except KeyboardInterrupt as error:
             told = f"interrupted {error}".rstrip()
             try:
-                say(": ".join([told, *getattr(error, "__notes__", ())]), err=True)
+                echo(": ".join([told, *getattr(error, "__notes__", ())]), err=True)
             finally:  # also if the terminal is gone
                 ctx.exit(exit_code(error))
         except TimedOut as error:
-            say(f"--timeout: {error}", err=True)
+            echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
 
     def main(self, *args: Any, **options: Any) -> Any:
@@ -44,4 +44,4 @@ class Program(click.Command):
             if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # it was not printing
                 raise
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes what is left when it ends
-            refuse(f"stdout: cannot be written: {error.strerror}")
+            fail(f"stdout: cannot be written: {error.strerror}")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from desim.cli.options import is_import_allowed, refuse, source_of
+from desim.cli.options import fail, is_import_allowed, source_of
 from desim.config.file_names import TRACE
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def _recorded(folder: Path) -> "Result":
     except OSError as error:
         below = sorted(each.parent.name for each in folder.glob(f"*/{TRACE}"))
         hint = f"; it holds {', '.join(below[:3])}{' ...' if len(below) > 3 else ''}" if below else ""
-        refuse(f"{error.filename}: cannot be read: {error.strerror}{hint}")
+        fail(f"{error.filename}: cannot be read: {error.strerror}{hint}")
     except (ScenarioError, ValueError) as error:
-        refuse(str(error))
+        fail(str(error))
 
 
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, SEED, SET, making, page_at, put, say
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, making, page_at, write
 from desim.cli.recorded import SOURCE, result_of
 
 
@@ -27,8 +27,8 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     result = result_of(source, seed, overrides)
     with making("replay"):
         for each in lacks(result):
-            say(f"warning: {each}", err=True)
+            echo(f"warning: {each}", err=True)
         page = page_of(result).encode()
-    put(page, path)
+    write(page, path)
     size, tally = len(started(result).active), messages(result)
-    say(f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB")
+    echo(f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from desim.cli.options import making, page_at, put, refuse, say, storing
+from desim.cli.options import echo, fail, making, page_at, storing, write
 from desim.config.file_names import STORE
 
 
@@ -23,9 +23,9 @@ def report(folder: Path, out: Path | None) -> None:
         with storing(folder):
             study = Study.read(folder)
         page = page_of(study).encode()
-    put(page, path)
+    write(page, path)
     groups = study.result.groups
-    say(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
+    echo(f"{path}: {len(groups)} configurations, {study.runs:,} runs, {len(page) / 1000:,.0f} kB")
 
 
 def _check_merged(folder: Path) -> None:
@@ -34,4 +34,4 @@ def _check_merged(folder: Path) -> None:
     if parts and not (folder / STORE).exists():
         told = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))
-        refuse(f"{folder}: holds parts of a sweep ({told}); put them together first: desim merge {where} -o {where}")
+        fail(f"{folder}: holds parts of a sweep ({told}); put them together first: desim merge {where} -o {where}")

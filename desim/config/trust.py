@@ -74,7 +74,7 @@ def is_trusted(info: "ValidationInfo") -> bool:
     return info.context is None or bool(info.context.get("allow_import"))
 
 
-def beside(path: Any, info: "ValidationInfo") -> Path:
+def resolve_path(path: Any, info: "ValidationInfo") -> Path:
     """Return a path that a file names: relative to the folder of that file, if it is known, and not outside of it.
 
     Raises:

@@ -66,19 +66,19 @@ def _named(fault: Fault) -> list[int]:
 
 def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
     """Let a fault begin; return what lets it be over."""
-    conditions = network.conditions
+    fault_state = network.fault_state
     if isinstance(fault, Crash):
         network.crash(fault.node)
         crashed(fault)
 
         def recover() -> None:
-            network.repair(fault.node, memory=fault.memory)
+            network.recover(fault.node, memory=fault.memory)
             recovered(fault)
 
         return recover
     if isinstance(fault, Partition):
-        cut = conditions.divide(fault.groups)
-        return lambda: conditions.heal(cut)
+        cut = fault_state.divide(fault.groups)
+        return lambda: fault_state.heal(cut)
     disc = (fault.centre, fault.radius)
-    conditions.jam(disc)
-    return lambda: conditions.clear(disc)
+    fault_state.jam(disc)
+    return lambda: fault_state.clear(disc)

@@ -41,7 +41,7 @@ class FaultState:
         """Let the radio of a node be down, once more if it is already."""
         self._down[node] += 1
 
-    def repair(self, node: int) -> None:
+    def recover(self, node: int) -> None:
         """Undo one breakdown of a node.
 
         Raises:

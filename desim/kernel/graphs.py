@@ -8,7 +8,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Value
-from desim.config.trust import beside
+from desim.config.trust import resolve_path
 from desim.kernel.implicit_complete import complete_graph
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
@@ -141,7 +141,7 @@ class Edges(Value):
             return given
         if "edges" in given:
             raise ValueError("should have edges or a file of them, not both")
-        return given | {"file": None} | _fields(_graph_in(beside(given["file"], info)))
+        return given | {"file": None} | _fields(_graph_in(resolve_path(given["file"], info)))
 
     @model_validator(mode="after")
     def _simple(self) -> Self:

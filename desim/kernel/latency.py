@@ -3,7 +3,7 @@
 A latency is always one way; a round trip is two. A model answers with one number if all hops fare alike, else with one
 per hop. A model whose draws are independent of the hop has a method `draw`, so that the network may draw a block ahead;
 one whose quantiles are known has `quantile`, so that each pair of nodes may have a latency of its own (`PerPair`); one
-with memory has `begin(size)`, which returns what answers for one run.
+with memory has `start_run(size)`, which returns what answers for one run.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Speed, Time, Value
-from desim.config.trust import beside
+from desim.config.trust import resolve_path
 from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 class Latency(Protocol):
     """A model of the one-way latency: `latency(hops, rng)` is a number or (k,) numbers >= 0, s."""
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
 
 
 @runtime_checkable
@@ -47,7 +47,7 @@ class Constant(Value):
     value: Time = 0.0
     """One-way latency, s."""
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> float:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> float:
         """Return the latency, s."""
         return self.value
 
@@ -67,9 +67,9 @@ class _Drawn(Value):
         """Return the latency that is exceeded with probability 1 - u, s."""
         raise NotImplementedError
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) draws, s."""
-        return self.draw(len(hops.dst), rng)
+        return self.draw(len(context.dst), rng)
 
 
 class Uniform(_Drawn):
@@ -180,7 +180,7 @@ class Empirical(_Drawn):
             return given
         if "values" in given:
             raise ValueError("should have values or a file of them, not both")
-        return given | {"file": None, "values": _numbers(beside(given["file"], info))}
+        return given | {"file": None, "values": _numbers(resolve_path(given["file"], info))}
 
     @model_validator(mode="after")
     def _has_some(self) -> Self:
@@ -226,9 +226,9 @@ class Propagation(Value):
     fixed: Time = 0.0
     """Fixed part, s."""
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return fixed + d / c, s."""
-        return self.fixed + hops.distances / self.speed
+        return self.fixed + context.distances / self.speed
 
 
 class PerPair(Value):
@@ -248,17 +248,17 @@ class PerPair(Value):
             raise ValueError(f"base should have a method quantile(u), {self.base!r} has none")
         return self
 
-    def begin(self, size: int) -> Latency:
+    def start_run(self, size: int) -> Latency:
         """Return the pairs of one run between `size` nodes; they remember their own latencies."""
         return _Pairs(self, size)
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        return self.own(hops) + self.jitter(hops, rng)
+        return self.own(context) + self.jitter(context, rng)
 
-    def own(self, hops: LinkContext) -> Floats:
+    def own(self, context: LinkContext) -> Floats:
         """Return the (k,) latencies that belong to the pairs, s."""
-        return np.asarray(self.base.quantile(hops.uniform("pair latency", symmetric=self.symmetric)))
+        return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
 
 
 class _Pairs:
@@ -268,13 +268,13 @@ class _Pairs:
         self._model, self._all = model, np.arange(size)
         self._own: dict[int, Floats] = {}
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Floats:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        if hops.src not in self._own and (len(self._own) + 1) * len(self._all) <= ROOM:
-            self._own[hops.src] = self._model.own(replace(hops, dst=self._all))
-        kept = self._own.get(hops.src)
-        own = self._model.own(hops) if kept is None else kept[hops.dst]
-        return own + self._model.jitter(hops, rng)
+        if context.src not in self._own and (len(self._own) + 1) * len(self._all) <= ROOM:
+            self._own[context.src] = self._model.own(replace(context, dst=self._all))
+        kept = self._own.get(context.src)
+        own = self._model.own(context) if kept is None else kept[context.dst]
+        return own + self._model.jitter(context, rng)
 
 
 LATENCIES = OneOf(Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Propagation, PerPair)

@@ -1,6 +1,6 @@
 """Whether a message is lost on its way: frozen models that answer for all receivers of a transmission at once.
 
-A model with memory has a method `begin(size)` that returns what answers for one run; the model itself stays frozen.
+A model with memory has a method `start_run(size)` that returns what answers for one run; the model itself stays frozen.
 """
 
 from collections import defaultdict
@@ -21,7 +21,7 @@ Bools = NDArray[np.bool_]
 class Loss(Protocol):
     """A model of the loss: `loss(hops, rng)` is one truth or (k,) truths, True where the message is lost."""
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
 
 
 class Bernoulli(Value):
@@ -35,9 +35,9 @@ class Bernoulli(Value):
         """Return (count,) draws."""
         return rng.random(count) < self.p
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> bool | Bools:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
         """Return which of the hops lose the message."""
-        return self.draw(len(hops.dst), rng) if self.p else False
+        return self.draw(len(context.dst), rng) if self.p else False
 
 
 class GilbertElliott(Value):
@@ -68,13 +68,13 @@ class GilbertElliott(Value):
             raise ValueError(f"burst should be at least {least:g} messages for this share (got {self.burst:g})")
         return self
 
-    def begin(self, size: int) -> Loss:
+    def start_run(self, size: int) -> Loss:
         """Return the links of one run between `size` nodes; they remember how they were."""
         return _Bursts(self)
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose a message if nothing is remembered: the stationary law."""
-        return rng.random(len(hops.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
+        return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
 
 class _Bursts:
@@ -87,19 +87,19 @@ class _Bursts:
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
         self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose the message, after each link has advanced."""
-        row = self._rows[hops.src]
-        links = row.links(hops.dst)
+        row = self._rows[context.src]
+        links = row.links(context.dst)
         was_bad, since = row.was_bad[links], row.since[links]
         if self._in_time:
             # Two states in continuous time: P(bad) tends to its share at the sum of the two rates.
-            memory = exp((self._failure + self._recovery) * (since - hops.now))
+            memory = exp((self._failure + self._recovery) * (since - context.now))
             chance = self._share + (was_bad - self._share) * memory
         else:
             chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
-        bad: Bools = rng.random(len(hops.dst)) < np.where(since > -np.inf, chance, self._share)
-        row.was_bad[links], row.since[links] = bad, hops.now
+        bad: Bools = rng.random(len(context.dst)) < np.where(since > -np.inf, chance, self._share)
+        row.was_bad[links], row.since[links] = bad, context.now
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
             return bad
         lost: Bools = rng.random(len(bad)) < np.where(bad, self._loss_bad, self._loss_good)
@@ -150,9 +150,9 @@ class ByDistance(Value):
         """Return the probability of loss at (k,) distances, m."""
         return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
 
-    def __call__(self, hops: LinkContext, rng: np.random.Generator) -> Bools:
+    def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Return which of the hops lose the message."""
-        return rng.random(len(hops.dst)) < self.probability(hops.distances)
+        return rng.random(len(context.dst)) < self.probability(context.distances)
 
 
 LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance)

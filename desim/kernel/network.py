@@ -25,7 +25,7 @@ from desim.kernel.medium import Unlimited
 from desim.kernel.message_size import as_sent, size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Arrival, Mark, Record, Records, Table, per_receiver
+from desim.kernel.records import Arrival, Predicate, Record, Records, Table, per_receiver
 from desim.kernel.topology import Topology
 from desim.kernel.transmitter import Transmitter
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _new = tuple.__new__  # of a named tuple, in a third of the time
 
 
-class Flight(NamedTuple):
+class Departure(NamedTuple):
     """One transmission: a record or a message, and whom it is for."""
 
     number: int
@@ -76,8 +76,8 @@ class Network:
         seed: int = 0,
         positions: PositionSource | None = None,
         trace: Trace | None = None,
-        conditions: FaultState | None = None,
-        mark: Mark | None = None,
+        fault_state: FaultState | None = None,
+        predicate: Predicate | None = None,
     ):
         self._env = env
         links = links or Links()
@@ -92,17 +92,17 @@ class Network:
         )
         size = self.topology.size
         self._sampler = LinkSampler(links, graph, seed, positions)
-        self._conditions = conditions
+        self._fault_state = fault_state
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
-        self._settles_on_arrival = self._checks_arrival or conditions is not None or links.medium.half_duplex
+        self._settles_on_arrival = self._checks_arrival or fault_state is not None or links.medium.half_duplex
         self._medium = links.medium
-        self._air: Transmitter[Flight] | None = None
+        self._air: Transmitter[Departure] | None = None
         if not isinstance(links.medium, Unlimited):
             self._air = Transmitter(
                 env, links.medium, size, self._leave, self._wait, self._overflow, self._sampler.processing
             )
-        self._may_lose = conditions is not None or not self._sampler.lossless or self._air is not None
-        self._records = Records(env, size, mark)
+        self._may_lose = fault_state is not None or not self._sampler.lossless or self._air is not None
+        self._records = Records(env, size, predicate)
         self._ports: dict[str, list[Inbox]] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
@@ -147,18 +147,18 @@ class Network:
         """Return the next record of a node, for who spreads it by other means than `publish`."""
         return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, as_sent(body)))
 
-    def enter(self, node: int, record: Record) -> None:
+    def insert(self, node: int, record: Record) -> None:
         """Let a node know a record that reached it by other means than `publish`."""
         if record.src != node:
-            self._records.enter(node, record)
+            self._records.insert(node, record)
 
-    def heard(self, node: int) -> Table:
+    def latest_records(self, node: int) -> Table:
         """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
-        return self._records.heard(node)
+        return self._records.latest_records(node)
 
-    def marked(self, node: int) -> Table:
+    def matching(self, node: int) -> Table:
         """Return those records that `heard` returns whose body is marked; cost O(news + marked)."""
-        return self._records.marked(node)
+        return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return an inbox of a node; each port has one of its own."""
@@ -210,25 +210,25 @@ class Network:
         Raises:
             ValueError: if the network was made without conditions.
         """
-        self.conditions.crash(node)
+        self.fault_state.crash(node)
         self._crashes.setdefault(node, []).append(self._env.now)
         for flight in self._air.flush(node) if self._air is not None else ():
             self._lose(flight, flight.receivers, "crash")
 
-    def repair(self, node: int, *, memory: bool = True) -> None:
+    def recover(self, node: int, *, memory: bool = True) -> None:
         """Undo one breakdown of a node; without memory it has forgotten all it heard."""
-        self.conditions.repair(node)
+        self.fault_state.recover(node)
         if not memory:
             self._records.forget(node)
             for boxes in self._ports.values():
                 boxes[node].drain()
 
     @property
-    def conditions(self) -> FaultState:
+    def fault_state(self) -> FaultState:
         """What is broken."""
-        if self._conditions is None:
+        if self._fault_state is None:
             raise ValueError("a network whose nodes break down or are cut off should be made with conditions")
-        return self._conditions
+        return self._fault_state
 
     def message_counts(self) -> MessageCounts:
         """Count the messages so far: those sent are delivered, lost or still in flight."""
@@ -251,7 +251,7 @@ class Network:
         self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = ""
     ) -> None:
         """Give a transmission to the transmitter of its node, if that works."""
-        if self._conditions is not None and self._conditions.down(src):
+        if self._fault_state is not None and self._fault_state.down(src):
             return
         number, reachable, topology = next(self._flights), True, self.topology
         if dst is None:
@@ -261,7 +261,7 @@ class Network:
             reachable = topology.are_linked(src, dst) and not self._is_too_far(src, dst, number)
         if size is None:
             size = size_of(content.body)
-        flight = _new(Flight, (number, src, self._env.now, size, receivers, content, port, reachable))
+        flight = _new(Departure, (number, src, self._env.now, size, receivers, content, port, reachable))
         self._sent += len(receivers)
         if self._air is None:
             self._leave(flight, 0)
@@ -272,15 +272,15 @@ class Network:
         """Return whether a message that leaves now does not reach a node."""
         return self._checks_departure and not self.topology.reaches(src, dst, number)
 
-    def _wait(self, flight: Flight) -> None:
+    def _wait(self, flight: Departure) -> None:
         if self._trace is not None:
             dst = tuple(flight.receivers)
             self._trace.append_message(Queued(self._env.now, flight.number, flight.src, dst, flight.size))
 
-    def _overflow(self, flight: Flight) -> None:
+    def _overflow(self, flight: Departure) -> None:
         self._lose(flight, flight.receivers, "queue")
 
-    def _leave(self, flight: Flight, airtime: int) -> None:
+    def _leave(self, flight: Departure, airtime: int) -> None:
         """Put a transmission on the air for so many ns."""
         now, receivers = self._env.now, flight.receivers
         self._transmissions += 1
@@ -301,23 +301,23 @@ class Network:
         if self._settles_on_arrival:
             self._let_land(flight, reached, arrival, airtime)
         elif isinstance(flight.content, Record):
-            self._records.note(flight.content, reached, arrival)
+            self._records.schedule(flight.content, reached, arrival)
         else:
             deliver(flight.content, self._boxes(flight.port), reached, arrival, flight.number)
 
-    def _losses(self, flight: Flight) -> dict[int, Cause]:
+    def _losses(self, flight: Departure) -> dict[int, Cause]:
         """Return the receivers that a transmission is lost to as it leaves, and why."""
         src, receivers, causes = flight.src, flight.receivers, dict[int, Cause]()
         lost = self._sampler.losses(src, receivers, self._env.now, flight.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
-        if self._conditions is not None:
-            causes |= {node: "partition" for node in receivers if self._conditions.cut(src, node)}
+        if self._fault_state is not None:
+            causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
         if flight.created < self._env.now:  # it had to wait, and its receivers may have moved away
             causes |= {node: "reach" for node in receivers if self._is_too_far(src, node, flight.number)}
         return causes if flight.reachable else dict.fromkeys(receivers, "reach")
 
-    def _let_land(self, flight: Flight, reached: list[int], arrival: Arrival, airtime: int) -> None:
+    def _let_land(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
         """Let the fate of a transmission be settled as it arrives."""
         self._arriving += len(reached)
         landings: dict[int, list[int]] = {}
@@ -331,7 +331,7 @@ class Network:
                 partial(self._land, flight, nodes, (self._env.now, self._env.now + airtime))
             )
 
-    def _land(self, flight: Flight, nodes: list[int], spell: tuple[int, int], _: "simpy.Event") -> None:
+    def _land(self, flight: Departure, nodes: list[int], spell: tuple[int, int], _: "simpy.Event") -> None:
         """Let a transmission that was on the air for a spell (from, to, ns) arrive at nodes where it does."""
         self._arriving -= len(nodes)
         for node in nodes:
@@ -339,13 +339,13 @@ class Network:
             if cause is not None:
                 self._lose(flight, [node], cause)
             elif isinstance(flight.content, Record):
-                self._records.enter(node, flight.content)
+                self._records.insert(node, flight.content)
             else:
                 deliver(flight.content, self._boxes(flight.port), [node], self._env.now, flight.number)
 
-    def _obstacle(self, flight: Flight, node: int, spell: tuple[int, int]) -> Cause | None:
+    def _obstacle(self, flight: Departure, node: int, spell: tuple[int, int]) -> Cause | None:
         """Return why a message cannot be received that arrives now, if so."""
-        broken, (begin, end) = self._conditions, spell
+        broken, (begin, end) = self._fault_state, spell
         if broken is not None:
             if broken.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
                 return "crash"
@@ -359,13 +359,13 @@ class Network:
         deaf = self._air is not None and self._air.transmitted(node, left, end - begin)
         return "half_duplex" if deaf else None
 
-    def _lose(self, flight: Flight, nodes: list[int], cause: Cause) -> None:
+    def _lose(self, flight: Departure, nodes: list[int], cause: Cause) -> None:
         self._lost[cause] += len(nodes)
         if self._trace is not None:
             for node in nodes:
                 self._trace.append_message(Lost(self._env.now, flight.number, flight.src, node, cause))
 
-    def _record(self, flight: Flight, causes: Mapping[int, Cause], arrival: Arrival) -> None:
+    def _record(self, flight: Departure, causes: Mapping[int, Cause], arrival: Arrival) -> None:
         """Record that a transmission left, and when it arrives at those receivers to which it is not lost."""
         assert self._trace is not None
         number, src, created, size, receivers, content = flight[:6]

@@ -58,7 +58,7 @@ class LinkSampler:
         self._seed, self._positions = seed, positions
         self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         """Of every message at both ends together, ns."""
-        self._latency, self._loss = _begun(links.latency, size), _begun(links.loss, size)
+        self._latency, self._loss = _started(links.latency, size), _started(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
         self._latency_rng, self._loss_rng, self._own_latency_rng, self._own_loss_rng = streams
@@ -87,11 +87,11 @@ class LinkSampler:
         elif self._buffers is not None:
             lost = self._buffers.take(len(dst))
         else:
-            lost = _truths(self._loss(self._hops(src, dst, now, size), self._loss_rng), len(dst))
+            lost = _truths(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
         for k, node in enumerate(dst if own else ()):
             if node in own:
                 lost = lost or [False] * len(dst)
-                (lost[k],) = _truths(own[node](self._hops(src, [node], now, size), self._own_loss_rng), 1)
+                (lost[k],) = _truths(own[node](self._context(src, [node], now, size), self._own_loss_rng), 1)
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
@@ -108,12 +108,12 @@ class LinkSampler:
         if self._delays is not None:
             delays = self._delays.take(len(dst))
         else:
-            delays = _times(self._latency(self._hops(src, dst, now, size), self._latency_rng), len(dst))
+            delays = _times(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
         if own:
             delays = [delays] * len(dst) if isinstance(delays, int) else delays
             for k, node in enumerate(dst):
                 if node in own:
-                    delay = _times(own[node](self._hops(src, [node], now, size), self._own_latency_rng), 1)
+                    delay = _times(own[node](self._context(src, [node], now, size), self._own_latency_rng), 1)
                     delays[k] = delay if isinstance(delay, int) else delay[0]
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
@@ -144,7 +144,7 @@ class LinkSampler:
                 arrivals[k] = last[src, node] = max(arrivals[k], last.get((src, node), 0))
         return arrivals
 
-    def _hops(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
+    def _context(self, src: int, dst: list[int], now: int, size: int) -> LinkContext:
         return LinkContext(src, np.array(dst, dtype=np.intp), now / SECOND, size, self._seed, self._positions)
 
 
@@ -174,9 +174,9 @@ def _buffered(
     return _Buffer(model, rng, plain) if isinstance(model, Independent) else None
 
 
-def _begun(model: Any, size: int) -> Any:
+def _started(model: Any, size: int) -> Any:
     """Return what answers for one run: a model with memory begins anew, any other is its own answer."""
-    return model.begin(size) if hasattr(model, "begin") else model
+    return model.start_run(size) if hasattr(model, "start_run") else model
 
 
 def _never_loses(model: object) -> bool:
@@ -191,7 +191,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             value = attributes.get(name)
             if value is not None:
                 for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                    found[name].setdefault(way[0], {})[way[1]] = _begun(as_model(name, value), len(graph))
+                    found[name].setdefault(way[0], {})[way[1]] = _started(as_model(name, value), len(graph))
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
@@ -199,7 +199,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             for name, own in found.items():
                 model = getattr(link, name)
                 if model is not None:
-                    own.setdefault(src, {})[dst] = _begun(model, len(graph))
+                    own.setdefault(src, {})[dst] = _started(model, len(graph))
     return found
 
 

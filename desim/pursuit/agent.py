@@ -38,7 +38,7 @@ class AnnouncementState:
 
     news: Any
     """What was new about its last announcement; None if the others need not know of any."""
-    claim: Any = None
+    payload: Any = None
     """What its protocol announces in place of the payload."""
     restarts: int = 0
     """How often it has started anew, without memory."""
@@ -91,11 +91,11 @@ class Agent:
         other._turn = int(phase) + self.id
         return other
 
-    def repaired(self, *, restarted: bool) -> None:
+    def recovered(self, *, restarted: bool) -> None:
         """Take note that it was broken: what it said last may not have gone out."""
         self._said.news = None
         if restarted:
-            self._said.claim = None
+            self._said.payload = None
             self._said.restarts += 1
 
     # What it knows.
@@ -168,9 +168,9 @@ class Agent:
         """The distance eps at which the evader is captured, m."""
         return self._world.radius
 
-    def heard(self) -> Table:
+    def latest_records(self) -> Table:
         """Return the newest announcement that has arrived from each teammate."""
-        return self._beliefs.heard()
+        return self._beliefs.latest_records()
 
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the teammates that it believes to chase an evader, and the times of capture it believes them to have.
@@ -215,8 +215,12 @@ class Agent:
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return what it gains by chasing an evader, given who it believes does, s; see `desim.pursuit.game.gain`."""
         own, rivals, times = self._beliefs.rivals(evader)
-        circle = None if utility.scope == "heard" else self.circle(utility.scope)
-        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (circle is None or j in circle)]
+        counted_teammates = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
+        others = [
+            phi
+            for j, phi in zip(rivals, times, strict=True)
+            if phi < inf and (counted_teammates is None or j in counted_teammates)
+        ]
         return utility(own, others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
@@ -228,7 +232,7 @@ class Agent:
         """How many hear a pursuer, averaged over the team as of the first time that somebody asks."""
         return self._network.mean_degree
 
-    def circle(self, scope: Scope) -> Collection[int]:
+    def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the teammates whose actions count: all that it hears of, or those it hears at one hop, or at several.
 
         Who is near is known if positions are sensed; if not, all those count of whom it has word.
@@ -266,25 +270,25 @@ class Agent:
 
         Who may not chase it (`Scenario.prune`) stays whatever it wants.
         """
-        self._world.order(self.id, action)
+        self._world.set_action(self.id, action)
 
     def announce(self) -> None:
         """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
         trigger = self._announcements.trigger
         if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._said.news):
-            self.tell()
+            self.broadcast()
 
-    def tell(self) -> None:
+    def broadcast(self) -> None:
         """Tell the others its action, whether or not it has changed."""
         self._said.news = self._news()
-        self._announcements.dissemination.tell(self, self.announcement())
+        self._announcements.dissemination.broadcast(self, self.announcement())
 
-    def claim(self, body: Any) -> None:
+    def set_payload(self, body: Any) -> None:
         """From now on announce this in place of the payload.
 
         Its attribute `active` is to be the action, its attribute `news` what must change for it to be told at once.
         """
-        self._said.claim = body
+        self._said.payload = body
 
     def set_initial_belief(self) -> None:
         """Let everyone know its action from the start."""
@@ -292,7 +296,7 @@ class Agent:
 
     def announcement(self) -> Any:
         """Return what it would announce now."""
-        claim = self._said.claim
+        claim = self._said.payload
         return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if claim is None else claim
 
     def located(self) -> LocatedAssignment:
@@ -310,10 +314,10 @@ class Agent:
         """
         self._network.publish(self.id, body, sent=self._clock.stamp)
 
-    def learn(self, records: Iterable[Record]) -> None:
+    def merge_records(self, records: Iterable[Record]) -> None:
         """Take note of records that reached it inside a message; older ones never replace newer ones."""
         for record in records:
-            self._network.enter(self.id, record)
+            self._network.insert(self.id, record)
 
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
         """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart.
@@ -384,7 +388,7 @@ class Agent:
 
     def _news(self) -> Any:
         """Return what must change for an announcement to be made at once."""
-        return (self.action,) if self._said.claim is None else self._said.claim.news
+        return (self.action,) if self._said.payload is None else self._said.payload.news
 
 
 Behaviour = Callable[[Agent], Process]

@@ -70,9 +70,9 @@ class Beliefs:
         self._announcements, self._announcement = announcements, announcement
         self.senses_others = announcements.payload == "action"
 
-    def heard(self) -> Table:
+    def latest_records(self) -> Table:
         """Return the newest announcement that has arrived from each teammate."""
-        return self._network.heard(self._id)
+        return self._network.latest_records(self._id)
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
         """Return the newest announcement of each teammate, if it arrived no longer ago than `belief_timeout`.
@@ -81,11 +81,11 @@ class Beliefs:
             period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
         """
         oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
-        return {j: record for j, (arrival, record) in self.heard().items() if arrival >= oldest}
+        return {j: record for j, (arrival, record) in self.latest_records().items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return its own time of capture of an evader, the trusted teammates believed to chase it, and theirs, s."""
-        oldest, words = self._clock.true - self._memory, self._network.marked(self._id)
+        oldest, words = self._clock.true - self._memory, self._network.matching(self._id)
         chasing = [j for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest]
         if self.senses_others:
             own, *times = self._world.capture_times_of([self._id, *chasing], evader)

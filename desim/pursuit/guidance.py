@@ -13,7 +13,7 @@ from desim.pursuit.capture import NO_SPEED
 from desim.pursuit.kinematics import SMALLEST, toward
 from desim.pursuit.state import Floats, Points, lengths
 
-Flight = complex | Points
+EvaderVelocity = complex | Points
 """One velocity for all, or one for each pursuer."""
 
 
@@ -23,13 +23,13 @@ class Guidance(Protocol):
     Args:
         gaps: (N,) from each pursuer to its evader as it is seen, m: since the motion step began it moves at `flight`.
         aims: (N,) from each pursuer to where its evader will be at the end of the motion step if it moves first, else
-            to where it was at its beginning (`motion.order`), m.
+            to where it was at its beginning (`motion.set_action`), m.
         flight: velocity of the evader as it is seen: that of the present step if the evader moves first, else that of
             the step before, m/s; (N,) if pursuers chase different evaders.
         speeds: (N,) m/s, 0 for who stays.
     """
 
-    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points: ...  # noqa: D102
+    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points: ...  # noqa: D102
 
 
 class PurePursuit(Value):
@@ -37,7 +37,7 @@ class PurePursuit(Value):
 
     kind: Literal["pure_pursuit"] = "pure_pursuit"
 
-    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         return toward(aims, speeds)
 
@@ -53,7 +53,7 @@ class ConstantBearing(Value):
 
     kind: Literal["constant_bearing"] = "constant_bearing"
 
-    def __call__(self, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         distances = lengths(gaps)
         bearings = gaps / np.maximum(distances, SMALLEST)
@@ -65,7 +65,7 @@ class ConstantBearing(Value):
         return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
 
 
-def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: Flight, speeds: Floats) -> Points:
+def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
     """Return the velocities that a law gives, m/s; the arguments as in `Guidance`.
 
     Raises:

@@ -155,7 +155,7 @@ class SensedView:
         self._world, self._network, self._clock = world, network, clock
         self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
         self.speed, self.place, self.places = world.speed, world.place, world.places
-        self.action, self.order = world.action, world.order
+        self.action, self.set_action = world.action, world.set_action
         self.evaders, self.time_left = world.evaders, world.time_left
         self._heard: dict[int, Sighting] = {}
 

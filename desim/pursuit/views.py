@@ -84,7 +84,7 @@ class PursuerView(Protocol):
         """Return the time from an instant (ns) to the horizon, r, s."""
         ...
 
-    def order(self, pursuer: int, action: int) -> None:
+    def set_action(self, pursuer: int, action: int) -> None:
         """Let a pursuer chase an evader or stay from this instant on."""
         ...
 

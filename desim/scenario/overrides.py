@@ -14,7 +14,7 @@ from desim.config.choice import choices_of
 from desim.config.model import Value, fields_of, models_in
 from desim.kernel.presets import PRESETS
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, Place
+from desim.scenario.toml_lines import DEEP_KEY, KeyPath
 
 
 class ScenarioError(ValueError):
@@ -28,9 +28,9 @@ class Source:
     name: str
     """The file, if it is one."""
     tables: dict[str, Any]
-    lines: dict[Place, int] | None = None
+    lines: dict[KeyPath, int] | None = None
     """The line of each key; None if it was no text."""
-    origins: dict[Place, str] = field(default_factory=dict)
+    origins: dict[KeyPath, str] = field(default_factory=dict)
     """What set a key after the tables were given, in the words of whoever did."""
     folder: Path | None = None
     """Where the files and modules that it names lie; None if beside the file."""
@@ -49,7 +49,7 @@ class Source:
                     tables["network"].pop(key, None)
         return cls("the scenario", tables, allow_import=True)
 
-    def where(self, place: Place) -> str:
+    def where(self, place: KeyPath) -> str:
         """Return where a key was set: `file:line`, or whatever set it since."""
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
@@ -97,7 +97,7 @@ class Source:
         Raises:
             ScenarioError: if it is not a key of a table.
         """
-        place: Place = ()
+        place: KeyPath = ()
         node: Any = self.tables
         default: Any = _defaults(self.tables)
         *parents, last = parts = self._parts(name)
@@ -123,7 +123,7 @@ class Source:
         self.origins.pop((*place, key), None)  # the last one counts
         self.origins[*place, key] = origin
 
-    def _fit(self, place: Place, kind: Any) -> None:
+    def _fit(self, place: KeyPath, kind: Any) -> None:
         """Take from a table what was not set since it was given, and a kind of what it holds has no key for."""
         info = _field_at(self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
@@ -150,7 +150,7 @@ def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
     return next(models_in(info.annotation), None)
 
 
-def _field_at(tables: dict[str, Any], place: Place) -> FieldInfo | None:
+def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
     """Return the field of a model that belongs to a place in the tables of a scenario, or to the list it is in."""
     model: type[BaseModel] | None = Scenario
     info: FieldInfo | None = None
@@ -161,7 +161,7 @@ def _field_at(tables: dict[str, Any], place: Place) -> FieldInfo | None:
     return info
 
 
-def _at(tables: Any, place: Place) -> Any:
+def _at(tables: Any, place: KeyPath) -> Any:
     """Return what stands at a place in tables."""
     return reduce(getitem, place, tables)
 

@@ -18,7 +18,7 @@ from desim.config.model import fields_of, markers_of
 from desim.config.trust import regular
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of
 from desim.scenario.scenario import Scenario
-from desim.scenario.toml_lines import DEEP_KEY, Place, key_lines, unreadable
+from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
 
 
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
@@ -86,11 +86,11 @@ def _syntax_fault(file: str | Path, message: str, text: str) -> str:
     return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
 
 
-Fault = tuple[tuple[int, str], str]
+Problem = tuple[tuple[int, str], str]
 """What is wrong with a file as text, after what it is sorted by: its line."""
 
 
-def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
+def _explain(error: ErrorDetails, source: Source) -> Iterator[Problem]:
     """Yield the faults that an error tells of."""
     if error["type"] == "misfits":
         for place, why in error["ctx"]["misfits"]:
@@ -103,19 +103,19 @@ def _explain(error: ErrorDetails, source: Source) -> Iterator[Fault]:
     yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")
 
 
-def _fault(source: Source, place: Place, what: str) -> Fault:
+def _fault(source: Source, place: KeyPath, what: str) -> Problem:
     where = source.where(place)
     line = re.search(r":(\d+)$", where)
     name = ".".join(map(str, place)) or "the file"
     return (int(line[1]) if line else 0, where), f"{where}: {name}: {what}"
 
 
-def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[Place, type[BaseModel] | None, FieldInfo | None]:
+def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
     """Return where a fault is in the file, the model its key belongs to, and the field of the key.
 
     pydantic's own path also names the kind of each table that has one.
     """
-    place: Place = ()
+    place: KeyPath = ()
     node: Any = tables
     owner: type[BaseModel] | None = None
     inner: type[BaseModel] | None = Scenario

@@ -5,15 +5,15 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Where a value stands in a file: keys and positions in lists, from the top."""
 
 
-def key_lines(text: str) -> dict[Place, int]:
+def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the line on which each key of a valid TOML text is first set or named in the header of a table."""
-    lines: dict[Place, int] = {}
-    lengths: dict[Place, int] = {}  # of arrays of tables
-    header: Place = ()
+    lines: dict[KeyPath, int] = {}
+    lengths: dict[KeyPath, int] = {}  # of arrays of tables
+    header: KeyPath = ()
     for first, statement in _statements(text):
         tables = tomllib.loads(statement)
         if statement.startswith("["):
@@ -64,9 +64,9 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
             start = token.end()
 
 
-def _header(tables: dict[str, Any], is_array: bool, lengths: dict[Place, int]) -> Place:
+def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
     """Return where a table header leads: below the newest table of each array on the way."""
-    place: Place = ()
+    place: KeyPath = ()
     node: Any = tables
     while node:
         key, node = next(iter(node.items()))
@@ -81,7 +81,7 @@ def _header(tables: dict[str, Any], is_array: bool, lengths: dict[Place, int]) -
     return place
 
 
-def _places(value: Any, place: Place = ()) -> Iterator[Place]:
+def _places(value: Any, place: KeyPath = ()) -> Iterator[KeyPath]:
     """Yield the place of everything inside a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, each in inner:

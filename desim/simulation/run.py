@@ -91,8 +91,8 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         seed=seed,
         positions=positions,
         trace=trace,
-        conditions=FaultState(positions) if faults else None,
-        mark=tells_of_chase,
+        fault_state=FaultState(positions) if faults else None,
+        predicate=tells_of_chase,
     )
     crew = _Crew(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
@@ -160,7 +160,7 @@ class _Crew:
             self.lives[pursuer] = relay, _Life(env, agent, protocol)
             beating = agent.in_phase(Phase.HEARTBEAT)
             if self._scenario.speaks and announce.beats:
-                env.process(beating.repeat(beating.tell, announce.heartbeat, "heartbeat"))
+                env.process(beating.repeat(beating.broadcast, announce.heartbeat, "heartbeat"))
             if self._watch is not None:
                 sight, period = self._watch.sights[pursuer], self._watch.sensing.period
                 env.process(beating.repeat(sight.report, period, "sightings"))
@@ -170,7 +170,7 @@ class _Crew:
         if crash.scope == "robot":
             self._open[crash.node].append(crash)
             if len(self._open[crash.node]) == 1:
-                self._world.halt(crash.node)
+                self._world.crash(crash.node)
                 self._repaired[crash.node] = self._env.event()
                 relay, own = self.lives[crash.node]
                 for life in (relay, own) if self._embodied else (relay,):
@@ -187,9 +187,9 @@ class _Crew:
             if not self._open[node]:
                 remembers = node not in self._forgetful
                 self._forgetful.discard(node)
-                self._world.repair(node)
+                self._world.recover(node)
                 self._repaired[node].succeed(remembers)
-        self._agents[node].repaired(restarted=not remembers)
+        self._agents[node].recovered(restarted=not remembers)
         if self._watch is not None and not crash.memory:
             self._watch.sights[node].forget(heard_only=remembers)
 

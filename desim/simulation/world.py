@@ -255,7 +255,7 @@ class World:
 
     # What changes it.
 
-    def order(self, pursuer: int, action: int) -> None:
+    def set_action(self, pursuer: int, action: int) -> None:
         """Let a pursuer chase an evader or stay from this very instant on; one that may not chase it stays.
 
         Raises:
@@ -270,7 +270,7 @@ class World:
         self._trace.append(Decided(self._env.now, pursuer, action))
         self._set(pursuer, action)
 
-    def halt(self, pursuer: int) -> None:
+    def crash(self, pursuer: int) -> None:
         """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
         self._broken[pursuer] = True
         if self._profile[pursuer]:
@@ -278,7 +278,7 @@ class World:
             self._set(pursuer, 0)
         self._foresee_capture()
 
-    def repair(self, pursuer: int) -> None:
+    def recover(self, pursuer: int) -> None:
         """Let a pursuer that broke down obey again; it stays until it is ordered to chase."""
         self._broken[pursuer] = False
         self._foresee_capture()

@@ -26,7 +26,7 @@ ADVICE = "let it hold values, or give the class of what holds it a __getstate__ 
 """What to do about what cannot be told apart."""
 
 
-def identity(scenario: Scenario) -> str:
+def config_hash(scenario: Scenario) -> str:
     """Return what tells configurations apart: a hash of the scenario without its name, seed and sweep.
 
     What is not installed but comes from a script, a notebook or a file counts with its source, and with what it holds,

@@ -14,9 +14,9 @@ from pydantic import BaseModel
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
-from desim.study.config_hash import UNSWEPT, identity
+from desim.study.config_hash import UNSWEPT, config_hash
 
-Grid = Mapping[str, Sequence[Any]]
+SweepGrid = Mapping[str, Sequence[Any]]
 """Keys of a scenario, dotted, and the values that each takes."""
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
@@ -27,7 +27,7 @@ MOST_CELLS = 100_000
 
 
 @dataclass(frozen=True)
-class Cell:
+class Configuration:
     """A configuration: one combination of the values of a grid."""
 
     settings: Settings
@@ -35,8 +35,8 @@ class Cell:
 
     @cached_property
     def key(self) -> str:
-        """What tells it from others; see `identity`."""
-        return identity(self.scenario)
+        """What tells it from others; see `config_hash`."""
+        return config_hash(self.scenario)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -48,7 +48,7 @@ class Cell:
         return in_words(self.settings)
 
 
-def cells(source: Source, grid: Grid | None = None) -> list[Cell]:
+def configurations(source: Source, grid: SweepGrid | None = None) -> list[Configuration]:
     """Return the configurations of a grid over a scenario, its own if none is given; the last key changes fastest.
 
     Raises:
@@ -65,12 +65,12 @@ def cells(source: Source, grid: Grid | None = None) -> list[Cell]:
     if (size := prod(map(len, grid.values()))) > MOST_CELLS:
         where = source.where(("sweep", "grid"))
         raise ScenarioError(f"{where}: sweep.grid: should have at most {MOST_CELLS:,} configurations, has {size:,}")
-    found: list[Cell] = []
+    found: list[Configuration] = []
     faults: dict[str, list[Settings]] = {}
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
-            found.append(Cell(settings, _set(source, settings)))
+            found.append(Configuration(settings, _set(source, settings)))
         except ScenarioError as error:
             for line in str(error).splitlines():
                 faults.setdefault(line, []).append(settings)
@@ -82,10 +82,10 @@ def cells(source: Source, grid: Grid | None = None) -> list[Cell]:
     return found
 
 
-def _check_distinct(found: Sequence[Cell], source: Source, grid: Grid) -> None:
+def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
     """Raise ScenarioError if two configurations are the same, or are called the same."""
-    keys: dict[str, Cell] = {}
-    names: dict[str, Cell] = {}
+    keys: dict[str, Configuration] = {}
+    names: dict[str, Configuration] = {}
     for cell in found:
         same, namesake = keys.setdefault(cell.key, cell), names.setdefault(json.dumps(cell.columns), cell)
         other = namesake if same is cell else same
@@ -101,7 +101,7 @@ def _check_distinct(found: Sequence[Cell], source: Source, grid: Grid) -> None:
         raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
 
 
-def _with_grid(source: Source, grid: Grid) -> Source:
+def _with_grid(source: Source, grid: SweepGrid) -> Source:
     """Return a source with another grid."""
     changed = source.copy()
     changed.tables["sweep"] = {"grid": grid}
@@ -136,7 +136,7 @@ def _set(source: Source, settings: Settings) -> Scenario:
     return scenario
 
 
-def _explained(line: str, among: Sequence[Settings], grid: Grid) -> str:
+def _explained(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return a fault with the settings that it takes, given all with which it was found, unless its line tells them."""
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

@@ -20,7 +20,7 @@ from desim.study.workers import Workers
 
 Task = tuple[Scenario, int]
 """A scenario and the seed to run it with."""
-Measure = Callable[[Result], Any]
+Measurement = Callable[[Result], Any]
 """What to keep of a result; it runs in the worker."""
 Simulate = Callable[[Scenario, int], Result]
 """What makes a run of a scenario and a seed; it runs in the worker, too."""
@@ -64,7 +64,9 @@ def _in_time(timeout: float, simulate: Simulate, scenario: Scenario, seed: int) 
         return simulate(scenario, seed)
 
 
-def drive(tasks: Sequence[Task], workers: Workers, measure: Measure = summary, simulate: Simulate = run) -> Outcomes:
+def drive(
+    tasks: Sequence[Task], workers: Workers, measure: Measurement = summary, simulate: Simulate = run
+) -> Outcomes:
     """Yield what becomes of each task, as soon as it is known: its position and its outcome.
 
     Runs are handed out in lots, in the order of the tasks. When a worker dies, all that was handed out and has not
@@ -143,14 +145,14 @@ def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
     return outcome
 
 
-def perform(tasks: Sequence[Task], measure: Measure, simulate: Simulate) -> tuple[list[Outcome], float]:
+def perform(tasks: Sequence[Task], measure: Measurement, simulate: Simulate) -> tuple[list[Outcome], float]:
     """Do some runs, in a worker: return what became of each, and how long one took, s."""
     start = perf_counter()
     outcomes = [_outcome(task, measure, simulate) for task in tasks]
     return outcomes, max((perf_counter() - start) / len(tasks), 1e-6)
 
 
-def _outcome(task: Task, measure: Measure, simulate: Simulate) -> Outcome:
+def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     try:
         return Outcome("ok", measure(simulate(*task)))
     except KeyboardInterrupt:

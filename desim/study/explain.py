@@ -15,7 +15,7 @@ from typing import Self
 
 from desim.analysis.statistics import estimate
 from desim.scenario.scenario import Scenario
-from desim.study.configurations import Cell
+from desim.study.configurations import Configuration
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.store import Row, Store
@@ -53,7 +53,7 @@ class Variants:
     """A scenario as it is, without each imperfection, and without all, and how often each is to be run."""
 
     plan: SweepPlan
-    cells: Mapping[str, Cell]
+    configurations: Mapping[str, Configuration]
     """By what they are called; what is without something that is not there is the scenario as it is."""
 
     @classmethod
@@ -68,12 +68,13 @@ class Variants:
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
-        cells = {name: Cell({"without": name}, each) for name, each in named.items()}
-        distinct: dict[str, Cell] = {}
-        for cell in cells.values():
+        configurations = {name: Configuration({"without": name}, each) for name, each in named.items()}
+        distinct: dict[str, Configuration] = {}
+        for cell in configurations.values():
             distinct.setdefault(cell.key, cell)
         return cls(
-            SweepPlan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)), cells
+            SweepPlan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)),
+            configurations,
         )
 
     def carry_out(self, store: Store, workers: Workers) -> Explanation:
@@ -85,13 +86,16 @@ class Variants:
         plan = self.plan
         carry_out(plan, store, workers)
         rows = {
-            name: {row.replication: row for row in store.runs(cell.key, plan.root)} for name, cell in self.cells.items()
+            name: {row.replication: row for row in store.runs(cell.key, plan.root)}
+            for name, cell in self.configurations.items()
         }
         whole = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
         if not whole:
             failed = next(row for found in rows.values() for row in found.values() if not row.ok)
             raise RunError(f"with every seed a run failed; the first: {failed.error}\n")
-        absent = tuple(name for name in IMPERFECTIONS if self.cells[name].key == self.cells[AS_IT_IS].key)
+        absent = tuple(
+            name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
+        )
         costs = {metric: _cost(metric, rows, whole, absent) for metric in EXPLAINED}
         return Explanation(plan.base.name, len(whole), plan.reps - len(whole), absent, costs)
 

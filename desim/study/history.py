@@ -36,7 +36,7 @@ def note(
         "sweep",
         plan.base,
         seed=plan.root,
-        runs=len(plan.cells) * plan.reps,
+        runs=len(plan.configurations) * plan.reps,
         folder=home,
         reps=plan.reps,
         until=until,

@@ -24,7 +24,7 @@ from zlib import crc32
 from pydantic import ConfigDict, Field, Json, TypeAdapter, ValidationError, create_model
 
 from desim.analysis.metrics import COMMON, Summary, plain
-from desim.study.configurations import Cell
+from desim.study.configurations import Configuration
 
 Status = Literal["ok", "error", "crashed"]
 FORMAT = "2"
@@ -265,7 +265,7 @@ class Store:
             database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(_with_checksum, about.items()))
 
     @_naming_the_file
-    def enter(self, cells: Sequence[Cell]) -> None:
+    def enter(self, cells: Sequence[Configuration]) -> None:
         """Write down configurations, before those that are there."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self._writing() as database:

@@ -21,13 +21,13 @@ from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
 from desim.study.config_hash import code, tables
-from desim.study.configurations import Cell, Grid, cells
+from desim.study.configurations import Configuration, SweepGrid, configurations
 from desim.study.dispatch import drive, simulation
 from desim.study.result import SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 
-Job = tuple[Cell, int]
+Job = tuple[Configuration, int]
 """A configuration and the number of one of its runs."""
 MOST_RUNS = 10_000
 """How many runs of a configuration `until` asks for at most, if no number is given."""
@@ -43,7 +43,7 @@ class SweepPlan:
 
     base: Scenario
     """What is varied."""
-    cells: tuple[Cell, ...]
+    configurations: tuple[Configuration, ...]
     reps: int
     """Runs of each configuration."""
     root: int
@@ -53,7 +53,11 @@ class SweepPlan:
 
     @classmethod
     def of(
-        cls, scenario: Scenario | Source, grid: Grid | None = None, reps: int | None = None, seed: int | None = None
+        cls,
+        scenario: Scenario | Source,
+        grid: SweepGrid | None = None,
+        reps: int | None = None,
+        seed: int | None = None,
     ) -> Self:
         """Return what a scenario's table `sweep` says, or what is given instead of it.
 
@@ -64,7 +68,7 @@ class SweepPlan:
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
-        found = tuple(cells(source, grid))
+        found = tuple(configurations(source, grid))
         return cls(base, found, reps, root, base.sweep.seeds == "common")
 
     def __post_init__(self) -> None:
@@ -76,9 +80,11 @@ class SweepPlan:
     @property
     def about(self) -> dict[str, Any]:
         """What it is a sweep of; a store is of one."""
-        keys = list(self.cells[0].settings)
+        keys = list(self.configurations[0].settings)
         swept = tuple(f"{key}." for key in keys)
-        codes = {name: each for cell in self.cells for name, each in code(cell.scenario).items() if "<" not in name}
+        codes = {
+            name: each for cell in self.configurations for name, each in code(cell.scenario).items() if "<" not in name
+        }
         return {
             "name": self.base.name,
             "grid": keys,
@@ -89,7 +95,7 @@ class SweepPlan:
             **{f"the code of {name}": each for name, each in codes.items()},
         }
 
-    def seed(self, cell: Cell, replication: int) -> int:
+    def seed(self, cell: Configuration, replication: int) -> int:
         """Return the seed of a run: that of the first plus its number, or a hash if configurations share none."""
         if self.common:
             return self.root + replication
@@ -107,7 +113,7 @@ class SweepPlan:
             StoreError: if it is of another, or cannot be written.
         """
         store.tell(self._written())
-        store.enter(self.cells)
+        store.enter(self.configurations)
 
     def _written(self) -> dict[str, str]:
         return {name: json.dumps(each) for name, each in self.about.items()}
@@ -120,13 +126,13 @@ class SweepPlan:
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
-        jobs = [(cell, k) for cell in self.cells for k in range(self.reps)]
+        jobs = [(cell, k) for cell in self.configurations for k in range(self.reps)]
         return jobs[part - 1 :: parts]
 
 
 def sweep(
     scenario: Scenario | Source,
-    grid: Grid | None = None,
+    grid: SweepGrid | None = None,
     reps: int | None = None,
     executor: Executor | int | str = 1,
     *,
@@ -189,12 +195,14 @@ def carry_out(
         check_target(*until)
         if shard != (1, 1):
             raise ValueError("how many runs are needed depends on all of them: `until` and a shard exclude each other")
-    done = {(cell.key, row.replication) for cell in plan.cells for row in store.runs(cell.key, plan.root) if row.ok}
+    done = {
+        (cell.key, row.replication) for cell in plan.configurations for row in store.runs(cell.key, plan.root) if row.ok
+    }
     while True:
         jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until)
         jobs = [(cell, k) for cell, k in jobs if (cell.key, k) not in done]
         if not jobs:
-            return SweepResult.of(store, [cell.key for cell in plan.cells])
+            return SweepResult.of(store, [cell.key for cell in plan.configurations])
         _run(jobs, plan, store, workers, fail_fast, timeout)
         done |= {(cell.key, k) for cell, k in jobs}
 
@@ -230,7 +238,7 @@ def check_target(metric: str, half_width: float) -> None:
 def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
     """Return the runs that a precision takes as far as can be told, those that are there included."""
     jobs: list[Job] = []
-    for cell in plan.cells:
+    for cell in plan.configurations:
         rows = {row.replication: row for row in store.runs(cell.key, plan.root)}
         first = takewhile(rows.__contains__, count())  # without gaps, or the luck of the short ones would count
         values = [getattr(rows[k].summary, metric, None) for k in first]

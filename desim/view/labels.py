@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from desim.analysis.plots import Axes
 from desim.analysis.trace_index import Floats
 
-Place = tuple[float, float]
+LabelPosition = tuple[float, float]
 SIZE = 6.0
 """Of the type, points."""
 WIDTH, HEIGHT = 0.66, 0.85
@@ -22,10 +22,10 @@ MARKER = 2.5
 
 def label_points(
     axes: Axes,
-    places: Sequence[Place],
+    places: Sequence[LabelPosition],
     names: Sequence[str],
     *,
-    avoid: Sequence[Place] = (),
+    avoid: Sequence[LabelPosition] = (),
     **look: Any,
 ) -> list[Text]:
     """Write a short name beside each place, where it covers least: no place, no other name, no edge of the axes.

@@ -44,7 +44,7 @@ LATEST = 2**32 - 1
 """The last tick of a column."""
 DECIDED, HALTED, RELEASED = range(3)
 """Why somebody does something from some time on: it decided so, broke down, or what it chased was captured."""
-Document = dict[str, Any]
+ReplayData = dict[str, Any]
 """What JSON has."""
 
 
@@ -144,7 +144,7 @@ def _column(values: ArrayLike, kind: str) -> str:
     return b64encode(column.tobytes()).decode()
 
 
-def _document(result: Result) -> Document:
+def _document(result: Result) -> ReplayData:
     """Return all that the page shows."""
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = _Ticks.fit(end.t)
@@ -178,7 +178,7 @@ def _arcs(result: Result) -> str | None:
     return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 
-def _reach(result: Result) -> Document:
+def _reach(result: Result) -> ReplayData:
     """Return up to which distance two pursuers that are linked hear each other, m, as the network judges it.
 
     `radius` is that of all (None: any distance), `radii` those of the pairs i < j, where chance was drawn once for each
@@ -186,7 +186,7 @@ def _reach(result: Result) -> Document:
     does not fall with the distance there is no such distance (`known`).
     """
     links, size = result.scenario.network, len(started(result).active)
-    said: Document = {"known": True, "chance": False, "radius": None, "radii": None}
+    said: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
     if not isfinite(links.range):
         return said
     if isinstance(links.reach, Disk):
@@ -239,7 +239,7 @@ def _per_metre(places: Floats) -> float:
     return per_metre
 
 
-def _path(result: Result, ticks: _Ticks) -> Document:
+def _path(result: Result, ticks: _Ticks) -> ReplayData:
     """Return where everyone was, pursuers first: at the start, and by how much that changed until each sample."""
     places = _places(result)
     per_metre = _per_metre(places)
@@ -255,7 +255,7 @@ def _path(result: Result, ticks: _Ticks) -> Document:
     }
 
 
-def _decisions(result: Result, ticks: _Ticks) -> Document:
+def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
     """Return who decided what when; who stays because it broke down, or what it chased was captured, is among them."""
     found = list(_acts(result))
     why = {Decided: DECIDED, BrokeDown: HALTED, Released: RELEASED}
@@ -285,7 +285,7 @@ def _kind(result: Result) -> str:
     return "u1" if len(started(result).evaders) < 255 else "<u2"
 
 
-def _relays(result: Result, ticks: _Ticks) -> Document:
+def _relays(result: Result, ticks: _Ticks) -> ReplayData:
     """Return who came to chase which evader alone, and when."""
     found = handover_events(result)
     return {
@@ -295,14 +295,14 @@ def _relays(result: Result, ticks: _Ticks) -> Document:
     }
 
 
-def _faults(result: Result, ticks: _Ticks) -> list[Document]:
+def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
     """Return what was broken when, in order of time."""
     return [_fault(fault, spell.begin, spell.end, ticks) for fault, spell in outages(result)]
 
 
-def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> Document:
+def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
     """Return a fault that was open for a while, ns."""
-    said: Document
+    said: ReplayData
     if isinstance(fault, Crash):
         said = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
     elif isinstance(fault, Partition):
@@ -312,7 +312,7 @@ def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> Document:
     return {"kind": fault.kind, "begin": ticks.nearest(begin), "end": ticks.nearest(until)} | said
 
 
-def _messages(result: Result, ticks: _Ticks) -> Document:
+def _messages(result: Result, ticks: _Ticks) -> ReplayData:
     """Return what was on its way when: rows of transmissions, in order of time, and of each the messages to one.
 
     A message is in flight from the instant at which it is sent, or begins to wait for its transmitter, until it arrives
@@ -334,7 +334,7 @@ def _messages(result: Result, ticks: _Ticks) -> Document:
     }
 
 
-def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> Document:
+def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
     """Return from when on who had last heard of whom what it does: 0 .. M, or M + 1 for nothing; only what changed.
 
     Of what was heard at one instant, the last counts.

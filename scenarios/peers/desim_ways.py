@@ -50,16 +50,16 @@ class Desim:
 
 
 class Publish(Desim):
-    """Records: `Network.publish` and `Network.heard`."""
+    """Records: `Network.publish` and `Network.latest_records`."""
 
     def read(self, node: int) -> object:
-        return self.network.heard(node)
+        return self.network.latest_records(node)
 
     def broadcast(self, src: int, number: int) -> None:
         self.network.publish(src, number)
 
     def table(self, node: int) -> Table:
-        return {src: record.body for src, (_, record) in self.network.heard(node).items()}
+        return {src: record.body for src, (_, record) in self.network.latest_records(node).items()}
 
 
 class Send(Desim):

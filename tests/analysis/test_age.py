@@ -463,7 +463,7 @@ class Diary:
         while True:
             yield me.sleep(me.rng.exponential(0.05))
             me.assign(me.rng.random() < 0.5)
-            heard = me.heard().items()
+            heard = me.latest_records().items()
             self.pages.append({j: (record.sent, record.body.active) for j, (_, record) in heard})
             me.announce()
 

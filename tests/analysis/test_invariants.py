@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from desim import Scenario, run
-from desim.analysis.invariants import ActiveTime, Motion, Potential, watched
+from desim.analysis.invariants import ActiveTimeWatcher, MotionWatcher, PotentialWatcher, watched
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant
@@ -19,8 +19,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled, Started
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.steering import Steering
 from desim.pursuit.utility import EdgePenalty
-from desim.scenario.scenario import Evader, Recording, Team
-from desim.scenario.scenario import Motion as Moving
+from desim.scenario.scenario import Evader, Motion, Recording, Team
 from desim.simulation.run import Result
 from desim.simulation.world import World
 from protocols.best_response import BestResponse
@@ -61,7 +60,7 @@ def show(watcher, *events):
     ],
 )
 def test_stopwatches_run_while_pursuers_are_active(events, own):
-    watcher = ActiveTime()
+    watcher = ActiveTimeWatcher()
     show(watcher, *events)
     assert watcher.until(3 * S).tolist() == [round(each * S) for each in own]
 
@@ -79,7 +78,7 @@ def breakdown(*watchers):
 
 
 def test_the_metrics_are_the_integrals_of_the_trace():
-    watcher = ActiveTime()
+    watcher = ActiveTimeWatcher()
     watcher.judge(breakdown(watcher))
     assert watcher.until(watcher.end).sum() / S > 2.0
 
@@ -87,7 +86,7 @@ def test_the_metrics_are_the_integrals_of_the_trace():
 @pytest.mark.parametrize(("kind", "words"), [(BrokeDown, "active time"), (Decided, "active time"), (Started, "energy")])
 def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
     """Without the breakdown or the decisions, or with other speeds."""
-    watcher = ActiveTime()
+    watcher = ActiveTimeWatcher()
     result = breakdown(watcher)
     first, *rest = result.trace.events
     if kind is Started:
@@ -176,17 +175,17 @@ def game_of(events):
 
 @pytest.mark.parametrize("events", RIGHT.values(), ids=RIGHT)
 def test_right_motion_passes(events):
-    show(Motion(game_of(events)), *events)
+    show(MotionWatcher(game_of(events)), *events)
 
 
 @pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
 def test_wrong_motion_is_noticed(words, events):
     with pytest.raises(AssertionError, match=f"nobody is faster than it can be.*{words}"):
-        show(Motion(game_of(events)), *events)
+        show(MotionWatcher(game_of(events)), *events)
 
 
 def test_in_a_frozen_game_nobody_moves():
-    watcher = Motion(GAME.model_copy(update={"motion": Moving(frozen=True)}))
+    watcher = MotionWatcher(GAME.model_copy(update={"motion": Motion(frozen=True)}))
     show(watcher, started(1, 1), sampled(1.0, (0.0, 0.0), (4.0, 0.0)))
     with pytest.raises(AssertionError, match="player 0"):
         watcher(sampled(2.0, (0.1, 0.0), (4.0, 0.0)))
@@ -211,10 +210,10 @@ def deaf(_):
 def inert(_):
     """A breakdown that is told, and does not stop anybody."""
 
-    def halt(self, pursuer):
+    def crash(self, pursuer):
         self._trace.append(BrokeDown(self._env.now, pursuer))
 
-    return halt
+    return crash
 
 
 @pytest.mark.parametrize(
@@ -232,7 +231,7 @@ def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, 
 # Potential.
 
 SURE = ConstantTau(value=1e-12)
-FROZEN = Moving(frozen=True)
+FROZEN = Motion(frozen=True)
 
 
 def decide(*decisions, active=(1, 1), motion=FROZEN, sample=None):
@@ -241,7 +240,7 @@ def decide(*decisions, active=(1, 1), motion=FROZEN, sample=None):
     The game has r = 30 s at first, and phi = (0.5 / 0.5, 2.8 / 1.5) s.
     """
     begin = started(*active, pursuers=((0.4, 0.0), (3.9, 0.0)), evader=(1.0, 0.0))
-    watcher = Potential(GAME.model_copy(update={"motion": motion}))
+    watcher = PotentialWatcher(GAME.model_copy(update={"motion": motion}))
     show(watcher, begin, *(Decided(round(t * S), pursuer, action) for t, pursuer, action in decisions))
     show(watcher, *([sample] if sample else []))
     return watcher.judged
@@ -267,15 +266,15 @@ def test_a_decision_that_lowers_the_potential_is_noticed(active, decision, fall)
 def test_in_motion_decisions_are_judged_at_samples_by_positions_and_time_left_of_that_instant(t):
     """At 1 s phi = (2.9 / 0.5, 0.9 / 1.5) s; at 1.5 s nobody knows."""
     sample = sampled(1.0, (-2.0, 0.0), (2.0, 0.0), evader=(1.0, 0.0))
-    assert decide((t, 0, 0), motion=Moving(), sample=sample) == (t == 1.0)
+    assert decide((t, 0, 0), motion=Motion(), sample=sample) == (t == 1.0)
     with pytest.raises(AssertionError, match="lowers") if t == 1.0 else nullcontext():
-        decide((t, 1, 0), motion=Moving(), sample=sample)
+        decide((t, 1, 0), motion=Motion(), sample=sample)
 
 
 def test_the_time_left_runs_in_motion_only():
     """Pursuer 0 with phi = 1 s had better chase while r > 1 s; r = 30 s at any time of a frozen game."""
     late = sampled(29.5, (0.4, 0.0), (3.9, 0.0), evader=(1.0, 0.0))
-    assert decide((29.5, 0, 0), active=(1, 0), motion=Moving(), sample=late) == 1
+    assert decide((29.5, 0, 0), active=(1, 0), motion=Motion(), sample=late) == 1
     with pytest.raises(AssertionError, match="lowers"):
         decide((29.5, 0, 0), active=(1, 0))
 
@@ -300,7 +299,7 @@ def falls(**changes):
     number = 0
     for seed in range(10):
         scenario = serial(seed, **changes)
-        watcher = Potential(scenario)
+        watcher = PotentialWatcher(scenario)
         try:
             run(scenario, None, watcher)
             assert watcher.judged > 20

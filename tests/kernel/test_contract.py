@@ -85,7 +85,7 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
 
     links = Links(latency=Constant(value=latency), range=2.0, range_check=check, medium=medium or Unlimited())
     network = Network(
-        clock, nx.complete_graph(2), links, positions=positions, trace=trace, conditions=FaultState(positions)
+        clock, nx.complete_graph(2), links, positions=positions, trace=trace, fault_state=FaultState(positions)
     )
     inject(faults, clock, network, trace)
     for time in times:
@@ -93,7 +93,7 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
     Instant(clock, nanoseconds(end), Phase.SAMPLE).callbacks.append(lambda _: trace.append(network.message_counts()))
     clock.run(until=nanoseconds(end) + 1)
     tally = network.message_counts()
-    read = 0 in network.heard(1) if way == "publish" else bool(network.inbox(1).drain())
+    read = 0 in network.latest_records(1) if way == "publish" else bool(network.inbox(1).drain())
     return Outcome(fate_of(tally, read), tally[1:6], [event.t for event in trace.of(Lost)])
 
 
@@ -273,13 +273,13 @@ def test_what_becomes_of_a_message(cases, way):
 @pytest.mark.parametrize("memory", [True, False])
 def test_the_receiver_crashes_after_the_arrival(way, memory):
     """It has been delivered in any case; whether it is remembered is another matter."""
-    clock, conditions = Clock(), FaultState()
-    network = Network(clock, nx.complete_graph(2), conditions=conditions)
+    clock, fault_state = Clock(), FaultState()
+    network = Network(clock, nx.complete_graph(2), fault_state=fault_state)
     say(network, way)
     inject([crash(1, 1.0, 2.0, memory=memory)], clock, network)
     clock.run()
     assert network.message_counts()[1:5] == (1, 1, 0, 0)
-    assert (0 in network.heard(1) if way == "publish" else bool(network.inbox(1).drain())) == memory
+    assert (0 in network.latest_records(1) if way == "publish" else bool(network.inbox(1).drain())) == memory
 
 
 def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jamming_and_reach():
@@ -290,12 +290,12 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
     assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "reach"]
 
 
-@pytest.mark.parametrize("conditions", [None, FaultState()])
-def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(conditions):
+@pytest.mark.parametrize("fault_state", [None, FaultState()])
+def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(fault_state):
     """Node 1 speaks at 0 s and its mail takes 2 s; node 0 speaks at 1 s and its mail takes 1 s."""
     clock = Clock()
     links = Links(latency=lambda hops, rng: 2.0 if hops.src else 1.0)
-    network = Network(clock, nx.complete_graph(3), links, conditions=conditions)
+    network = Network(clock, nx.complete_graph(3), links, fault_state=fault_state)
     network.send(1, 2, "first")
     Instant(clock, SECOND, Phase.DECISION).callbacks.append(lambda _: network.send(0, 2, "second"))
     Instant(clock, 2 * SECOND, Phase.SAMPLE)
@@ -345,7 +345,7 @@ def observe(make, graph, links, acts, seed, **options):
             dst = None if what == "send to all" or other == node else other
             network.send(node, dst, number, port=("", "bell")[number % 2])
         elif what == "read":
-            seen.append((clock.now, node, network.heard(node)))
+            seen.append((clock.now, node, network.latest_records(node)))
         elif what == "drain":
             seen.append((clock.now, node, network.inbox(node).drain()))
         else:
@@ -364,7 +364,7 @@ def observe(make, graph, links, acts, seed, **options):
     Instant(clock, SECOND, Phase.SAMPLE)
     clock.run()
     trace.append(network.message_counts())
-    left = [(network.heard(node), network.inbox(node).drain()) for node in graph]
+    left = [(network.latest_records(node), network.inbox(node).drain()) for node in graph]
     return seen, left, list(trace)
 
 
@@ -373,7 +373,7 @@ def observe(make, graph, links, acts, seed, **options):
 @given(histories())
 def test_landing_by_events_is_observationally_equal_to_arriving_without(history):
     """Conditions in which nothing is ever broken change nothing that can be read, counted or traced."""
-    assert observe(Network, *history) == observe(Network, *history, conditions=FaultState())
+    assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
 
 
 def test_the_comparison_notices_a_landing_that_is_a_nanosecond_late():
@@ -387,5 +387,5 @@ def test_the_comparison_notices_a_landing_that_is_a_nanosecond_late():
     for speak, read in [("publish", "read"), ("send", "drain"), ("send to all", "tally")]:
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]
         history = (nx.complete_graph(2), Links(), acts, 0)
-        assert observe(Network, *history) == observe(Network, *history, conditions=FaultState())
-        assert observe(Network, *history) != observe(Late, *history, conditions=FaultState())
+        assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
+        assert observe(Network, *history) != observe(Late, *history, fault_state=FaultState())

@@ -26,7 +26,7 @@ def who_hears_whom(size, *faults, positions=None, until=1.0):
     """Return at which tenths of a second a word of src reaches dst, by (src, dst); everybody speaks at every tenth."""
     clock, trace = Clock(), Trace()
     at = None if positions is None else lambda: positions(clock.now / SECOND)
-    network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, conditions=FaultState(at))
+    network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, fault_state=FaultState(at))
     inject(faults, clock, network, trace)
     heard = {(src, dst): set() for src in range(size) for dst in range(size) if src != dst}
 
@@ -87,7 +87,7 @@ def test_to_the_network_every_crash_is_one_of_the_radio(scope):
 def test_a_node_recovers_with_or_without_what_it_knew(memory):
     """Node 1 knew of 0 and 2 and had mail on two ports; node 2 forgets nothing; what comes later is kept."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), conditions=FaultState())
+    network = Network(clock, nx.complete_graph(3), fault_state=FaultState())
     network.set_initial_belief(2, "presumed")
     network.publish(0, "told")
     for port in ("", "other"):
@@ -96,24 +96,24 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
     Instant(clock, 3 * SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(2, "later"))
     for until, known in ((2 * SECOND, True), (2 * SECOND + 1, memory)):
         clock.run(until=until)
-        assert sorted(network.heard(1)) == ([0, 2] if known else [])
+        assert sorted(network.latest_records(1)) == ([0, 2] if known else [])
     assert [len(network.inbox(1, port).drain()) for port in ("", "other")] == ([1, 1] if memory else [0, 0])
-    assert sorted(network.heard(2)) == [0]
+    assert sorted(network.latest_records(2)) == [0]
     assert len(network.inbox(2).drain()) == 1
     clock.run()
-    assert network.heard(1)[2][1].body == "later"
+    assert network.latest_records(1)[2][1].body == "later"
 
 
 def test_a_node_without_memory_learns_again_what_it_had_heard():
     """A record that is older than what was forgotten is news: it is the newest that is known."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(2), conditions=FaultState())
+    network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
     old, new = network.next_record(0, "old"), network.next_record(0, "new")
-    network.enter(1, new)
+    network.insert(1, new)
     network.crash(1)
-    network.repair(1, memory=False)
-    network.enter(1, old)
-    assert network.heard(1)[0][1] == old
+    network.recover(1, memory=False)
+    network.insert(1, old)
+    assert network.latest_records(1)[0][1] == old
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
 
 def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
     clock, trace, calls = Clock(), Trace(), []
-    network = Network(clock, nx.complete_graph(3), conditions=FaultState())
+    network = Network(clock, nx.complete_graph(3), fault_state=FaultState())
     crash = Crash(node=1, at=0.2, until=0.5)
     cut = Partition(groups=[(0,)], at=0.1, until=0.2)
     inject(
@@ -191,8 +191,10 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
         clock,
         network,
         trace,
-        crashed=lambda fault: calls.append((clock.now, "crashed", fault.node, network.conditions.down(fault.node))),
-        recovered=lambda fault: calls.append((clock.now, "recovered", fault.node, network.conditions.down(fault.node))),
+        crashed=lambda fault: calls.append((clock.now, "crashed", fault.node, network.fault_state.down(fault.node))),
+        recovered=lambda fault: calls.append(
+            (clock.now, "recovered", fault.node, network.fault_state.down(fault.node))
+        ),
     )
     clock.run()
     tenth = SECOND // 10
@@ -212,11 +214,11 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
 
 def test_a_fault_too_short_for_the_clock_begins_and_is_over_at_one_instant():
     clock, trace = Clock(), Trace()
-    network = Network(clock, nx.complete_graph(2), conditions=FaultState())
+    network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
     inject([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
     clock.run()
     assert [type(event) for event in trace] == [FaultStarted, FaultEnded]
-    assert not network.conditions.down(0)
+    assert not network.fault_state.down(0)
 
 
 def downtimes(crashes, horizon):
@@ -322,11 +324,11 @@ def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_
 @pytest.mark.parametrize("size", [1, 2])
 def test_a_random_plan_is_possible_among_few(size):
     clock = Clock()
-    network = Network(clock, nx.complete_graph(size), conditions=FaultState(lambda: np.zeros((size, 2))))
+    network = Network(clock, nx.complete_graph(size), fault_state=FaultState(lambda: np.zeros((size, 2))))
     inject(drawn([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
-    assert not any(network.conditions.down(node) or network.conditions.jammed(node) for node in range(size))
-    assert not network.conditions.cut(0, size - 1)
+    assert not any(network.fault_state.down(node) or network.fault_state.jammed(node) for node in range(size))
+    assert not network.fault_state.cut(0, size - 1)
 
 
 @pytest.mark.parametrize(
@@ -347,19 +349,19 @@ def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
 
 
 @pytest.mark.parametrize(
-    ("fault", "conditions", "why"),
+    ("fault", "fault_state", "why"),
     [
         (Crash(node=3, at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
         (Partition(groups=[(0,), (1, 3)], at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
         (Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0), FaultState(), "positions"),
-        (Crash(node=0, at=1.0), None, "conditions"),
+        (Crash(node=0, at=1.0), None, "fault_state"),
     ],
 )
-def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, conditions, why):
+def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, fault_state, why):
     clock = Clock()
 
     def go():
-        inject([fault], clock, Network(clock, nx.complete_graph(3), conditions=conditions))
+        inject([fault], clock, Network(clock, nx.complete_graph(3), fault_state=fault_state))
         clock.run()
 
     with pytest.raises(ValueError, match=why):
@@ -367,11 +369,11 @@ def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, conditions, w
 
 
 def test_a_node_that_is_not_down_cannot_be_repaired():
-    conditions = FaultState()
-    conditions.crash(0)
-    conditions.repair(0)
+    fault_state = FaultState()
+    fault_state.crash(0)
+    fault_state.recover(0)
     with pytest.raises(ValueError, match="node 0 is not down"):
-        conditions.repair(0)
+        fault_state.recover(0)
 
 
 def test_a_function_is_a_plan():

@@ -58,7 +58,7 @@ RIGHT = {
     "a broadcast to each by itself": [told(1, (5, LOST)), lost(1, dst=2), message_counts(4, 0, 1, loss=1)],
     "a broadcast to one": [told(1, (5,), dst=(2,)), message_counts(5, 1)],
     "a broadcast to nobody": [told(1, (), dst=()), message_counts(5)],
-    "several tallies": [message_counts(0), sent(1, 5), tally(2, 0, 1), tally(5, 1)],
+    "several tallies": [message_counts(0), sent(1, 5), message_counts(2, 0, 1), message_counts(5, 1)],
     "waiting": [queued(1), message_counts(9, 0, 1)],
     "waiting, then delivered": [queued(1, dst=(1, 2)), told(3, (5,), created=1), message_counts(5, 2)],
     "lost while it waits": [queued(1), lost(2, "crash"), message_counts(9, crash=1)],
@@ -68,12 +68,27 @@ RIGHT = {
     "down twice": [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), *[FaultEnded(2, CRASH)] * 2, message_counts(5, 1)],
     "sender down as it arrives": [sent(1, 5, src=1, dst=0), FaultStarted(2, CRASH), message_counts(9, 1)],
     "lost to a crash": [sent(1, 5), FaultStarted(5, CRASH), lost(5, "crash"), message_counts(9, crash=1)],
-    "a partition while it flies": [sent(1, 5), FaultStarted(2, PARTITION), FaultEnded(5, PARTITION), message_counts(9, 1)],
-    "a partition healed as it leaves": [FaultStarted(0, PARTITION), FaultEnded(1, PARTITION), sent(1, 5), message_counts(9, 1)],
+    "a partition while it flies": [
+        sent(1, 5),
+        FaultStarted(2, PARTITION),
+        FaultEnded(5, PARTITION),
+        message_counts(9, 1),
+    ],
+    "a partition healed as it leaves": [
+        FaultStarted(0, PARTITION),
+        FaultEnded(1, PARTITION),
+        sent(1, 5),
+        message_counts(9, 1),
+    ],
     "one of all lost as it arrives": [told(1, (5,)), lost(5, "reach"), message_counts(9, 1, reach=1)],
     "one of all waits no more": [queued(1, dst=(1, 2)), lost(2), told(3, (5,), dst=(2,)), message_counts(9, 1, loss=1)],
     "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), message_counts(6, 1, 1)],
-    "a fault begins as it is lost": [sent(1, LOST, dst=2), FaultStarted(1, CRASH), lost(1, dst=2), message_counts(4, loss=1)],
+    "a fault begins as it is lost": [
+        sent(1, LOST, dst=2),
+        FaultStarted(1, CRASH),
+        lost(1, dst=2),
+        message_counts(4, loss=1),
+    ],
     "within a group": [FaultStarted(0, PARTITION), sent(1, 5, src=1, dst=2), message_counts(9, 1)],
     "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), message_counts(9, 1)],
     "overtaking": [sent(1, 9), sent(2, 5, flight=1), message_counts(9, 2)],
@@ -104,10 +119,16 @@ WRONG = {
     "lost to another": ("on its way", [sent(1, 5), lost(5, dst=2)]),
     "lost after it arrived": ("on its way", [sent(1, 5), lost(6)]),
     "lost while it flies": ("as it arrives", [sent(1, 5), lost(3)]),
-    "down as it arrives": ("reaches 1, whose radio is down", [sent(1, 5), FaultStarted(3, CRASH), message_counts(9, 1)]),
+    "down as it arrives": (
+        "reaches 1, whose radio is down",
+        [sent(1, 5), FaultStarted(3, CRASH), message_counts(9, 1)],
+    ),
     "down from when it arrives": ("reaches 1", [sent(1, 5), FaultStarted(5, CRASH), message_counts(5, 1)]),
     "down until after it arrived": ("reaches 1", [FaultStarted(0, CRASH), sent(1, 5), FaultEnded(6, CRASH)]),
-    "down once more": ("reaches 1", [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), FaultEnded(2, CRASH), message_counts(9, 1)]),
+    "down once more": (
+        "reaches 1",
+        [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), FaultEnded(2, CRASH), message_counts(9, 1)],
+    ),
     "one of all is down": ("reaches 1", [told(1, (5,)), FaultStarted(3, CRASH), message_counts(9, 2)]),
     "sender is down": ("says nothing", [FaultStarted(0, CRASH), sent(1, 5, src=1, dst=0)]),
     "down sender waits": ("says nothing", [FaultStarted(0, Crash(node=0, at=0.0)), queued(1)]),
@@ -182,10 +203,10 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     def positions():
         return places * np.cos(clock.now / SECOND)
 
-    conditions = FaultState(positions) if faults else None
+    fault_state = FaultState(positions) if faults else None
     links = links or Links()
     graph = nx.complete_graph(size)
-    net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, conditions=conditions)
+    net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, fault_state=fault_state)
     inject(drawn(faults, size, 1.0, seed), clock, net, trace)
 
     def speak(node, dst, number):
@@ -235,9 +256,9 @@ class Talkative(Network):
     """Who is down may speak."""
 
     def _hand_over(self, src, *rest, **options):
-        conditions, self._conditions = self._conditions, None
+        fault_state, self._fault_state = self._fault_state, None
         super()._hand_over(src, *rest, **options)
-        self._conditions = conditions
+        self._fault_state = fault_state
 
 
 class Unbreakable(Network):

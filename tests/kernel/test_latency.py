@@ -81,8 +81,8 @@ def departure(draws, cdf):
     return max((steps[1:] - law).max(), (law - steps[:-1]).max()) * sqrt(draws.size)
 
 
-def drawn(model, seeds=SEEDS, hops=MANY):
-    return np.array([model(hops, np.random.default_rng(seed)) for seed in seeds])
+def drawn(model, seeds=SEEDS, context=MANY):
+    return np.array([model(context, np.random.default_rng(seed)) for seed in seeds])
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -166,10 +166,10 @@ def test_propagation_is_distance_over_speed_and_a_fixed_part():
 
 def test_propagation_follows_the_positions():
     at = np.array([[0.0, 0.0], [300.0, 0.0]])
-    hops = hops_at(at, 0, [1])
-    assert Propagation()(hops, None) == pytest.approx(0.2)
+    context = hops_at(at, 0, [1])
+    assert Propagation()(context, None) == pytest.approx(0.2)
     at[1] = 600.0, 0.0
-    assert Propagation()(hops, None) == pytest.approx(0.4)
+    assert Propagation()(context, None) == pytest.approx(0.4)
 
 
 def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
@@ -263,14 +263,14 @@ def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monke
     """Draw by draw, whoever speaks first and to whom, and however many are remembered; the control is another seed."""
     monkeypatch.setattr("desim.kernel.latency.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
-    run, ours, theirs = model.begin(30), np.random.default_rng(2), np.random.default_rng(2)
-    hops = [
+    run, ours, theirs = model.start_run(30), np.random.default_rng(2), np.random.default_rng(2)
+    context = [
         LinkContext(src, np.array(dst), seed=9)
         for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
     ]
-    assert [run(hop, ours).tolist() for hop in hops] == [model(hop, theirs).tolist() for hop in hops]
+    assert [run(hop, ours).tolist() for hop in context] == [model(hop, theirs).tolist() for hop in context]
     assert len(run._own) == min(room // 30, 3)
-    assert model.begin(30)(LinkContext(4, np.array([7]), seed=8), ours) != model(
+    assert model.start_run(30)(LinkContext(4, np.array([7]), seed=8), ours) != model(
         LinkContext(4, np.array([7]), seed=9), ours
     )
 
@@ -279,7 +279,7 @@ def test_a_base_without_quantiles_is_refused():
     with pytest.raises(ValidationError, match=r"quantile\(u\)"):
         PerPair(base=Propagation())
     with pytest.raises(ValidationError, match=r"quantile\(u\)"):
-        PerPair(base=lambda hops, rng: 0.1)
+        PerPair(base=lambda context, rng: 0.1)
 
 
 # Lists in files.
@@ -358,6 +358,6 @@ def test_a_list_needs_at_least_one_time(given):
 
 def test_a_model_of_one_s_own_may_be_a_base():
     """Anything with a call and quantiles."""
-    own = type("Own", (SimpleNamespace,), {"__call__": lambda self, hops, rng: 0.0, "quantile": lambda self, u: u})()
+    own = type("Own", (SimpleNamespace,), {"__call__": lambda self, context, rng: 0.0, "quantile": lambda self, u: u})()
     latencies = PerPair(base=own)(LinkContext(0, np.arange(1, 5)), None)
     assert ((latencies > 0.0) & (latencies < 1.0)).all()

@@ -15,14 +15,14 @@ LINKS = 4000
 SHARE, BURST = 0.2, 5.0
 
 
-def hops(now=0.0, src=0, links=LINKS):
+def context(now=0.0, src=0, links=LINKS):
     return LinkContext(src, np.arange(1, links + 1), now=now)
 
 
 def history(model, times, seed, links=LINKS):
     """Return what each of many links does at each time: (times, links) truths, True where a message is lost."""
-    run, rng = model.begin(links + 1), np.random.default_rng(seed)
-    return np.array([run(hops(now, links=links), rng) for now in times])
+    run, rng = model.start_run(links + 1), np.random.default_rng(seed)
+    return np.array([run(context(now, links=links), rng) for now in times])
 
 
 def errors(hits, trials, probability):
@@ -38,7 +38,7 @@ def test_bernoulli_loses_its_share(p):
     """5 seeds x 10^6 hops, within 5 standard errors; the control, 10 % (of the rarer outcome) off, is not."""
 
     def worst(model, pick):
-        lost = (model(hops(links=10**6), np.random.default_rng(seed)).sum() for seed in SEEDS)
+        lost = (model(context(links=10**6), np.random.default_rng(seed)).sum() for seed in SEEDS)
         return pick(abs(errors(each, 10**6, p)) for each in lost)
 
     assert worst(Bernoulli(p=p), max) < 5
@@ -47,14 +47,14 @@ def test_bernoulli_loses_its_share(p):
 
 def test_bernoulli_draws_ahead_what_it_would_draw_hop_by_hop():
     model, rng, ahead = Bernoulli(p=0.3), np.random.default_rng(1), np.random.default_rng(1)
-    assert [*model(hops(links=7), rng), *model(hops(links=2), rng)] == model.draw(9, ahead).tolist()
+    assert [*model(context(links=7), rng), *model(context(links=2), rng)] == model.draw(9, ahead).tolist()
 
 
 def test_nothing_and_everything_are_certain_and_no_loss_draws_nothing():
     rng = np.random.default_rng(1)
-    assert Bernoulli()(hops(), rng) is Bernoulli(p=0.0)(hops(), rng) is False
+    assert Bernoulli()(context(), rng) is Bernoulli(p=0.0)(context(), rng) is False
     assert rng.random() == np.random.default_rng(1).random()
-    assert Bernoulli(p=1.0)(hops(), rng).all()
+    assert Bernoulli(p=1.0)(context(), rng).all()
 
 
 # Bursts, message by message.
@@ -133,7 +133,7 @@ def test_losses_in_either_state_have_their_mean_and_their_correlation(advance):
 
     assert max(off(model, seed) for seed in SEEDS) < 5
     assert min(off(model.model_copy(update={"loss_bad": 0.8}), seed) for seed in SEEDS) > 5
-    alone = model(hops(links=40_000), np.random.default_rng(0))
+    alone = model(context(links=40_000), np.random.default_rng(0))
     assert abs(errors(alone.sum(), 40_000, 0.28)) < 5
 
 
@@ -207,7 +207,7 @@ def test_links_are_independent_of_each_other_also_the_two_ways(model):
     """Both of two links are bad with probability share^2, binomial over 4000 pairs of links to different receivers and
     1000 pairs there and back; the control is each link with itself.
     """
-    run, rng = model.begin(8001), np.random.default_rng(4)
+    run, rng = model.start_run(8001), np.random.default_rng(4)
     for now in (0.0, 0.01):
         out = run(LinkContext(0, np.arange(1, 8001), now=now), rng)
         back = np.array([run(LinkContext(node, np.array([0]), now=now), rng)[0] for node in range(1, 1001)])
@@ -218,8 +218,8 @@ def test_links_are_independent_of_each_other_also_the_two_ways(model):
 
 def test_a_link_remembers_across_broadcasts_and_single_messages():
     """With a burst of 10^6 messages a link stays as it is, whoever else is spoken to."""
-    run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
-    first = run(hops(links=100), rng)
+    run, rng = GilbertElliott(share=0.5, burst=1e6).start_run(101), np.random.default_rng(0)
+    first = run(context(links=100), rng)
     assert 20 < first.sum() < 80
     assert (run(LinkContext(0, np.arange(51, 101)), rng) == first[50:]).all()
     assert [bool(run(LinkContext(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
@@ -227,7 +227,7 @@ def test_a_link_remembers_across_broadcasts_and_single_messages():
 
 def test_links_that_are_used_later_leave_those_before_as_they_were_and_are_links_of_their_own():
     """With a burst of 10^6 messages: first every third of 100 nodes, then from the far end all."""
-    run, rng = GilbertElliott(share=0.5, burst=1e6).begin(101), np.random.default_rng(0)
+    run, rng = GilbertElliott(share=0.5, burst=1e6).start_run(101), np.random.default_rng(0)
     first = run(LinkContext(0, np.arange(1, 101, 3)), rng)
     assert 5 < first.sum() < 29
     then = run(LinkContext(0, np.arange(100, 0, -1)), rng)[::-1]
@@ -239,7 +239,7 @@ def test_links_that_are_used_later_leave_those_before_as_they_were_and_are_links
 def test_only_links_that_are_used_take_room():
     """A hundred of a million nodes to twenty others each: three arrays of 21 numbers a sender, not of a million."""
     tracemalloc.start()
-    run, rng = GilbertElliott().begin(10**6), np.random.default_rng(0)
+    run, rng = GilbertElliott().start_run(10**6), np.random.default_rng(0)
     for node in range(100):
         run(LinkContext(node, np.arange(200, 220)), rng)
     assert tracemalloc.get_traced_memory()[1] < 500_000
@@ -254,7 +254,7 @@ def test_every_run_begins_anew_and_the_model_stays_as_it_was():
 
 def test_a_model_without_a_run_has_the_stationary_law_and_no_memory():
     """Within 5 standard errors of a binomial; the control is a share 3 % off."""
-    lost = GilbertElliott(share=SHARE, burst=BURST)(hops(links=10**6), np.random.default_rng(0)).sum()
+    lost = GilbertElliott(share=SHARE, burst=BURST)(context(links=10**6), np.random.default_rng(0)).sum()
     assert abs(errors(lost, 10**6, SHARE)) < 5
     assert abs(errors(lost, 10**6, 1.03 * SHARE)) > 5
 
@@ -309,4 +309,4 @@ def test_losses_by_distance_have_their_probability():
 
 def test_loss_by_distance_needs_positions():
     with pytest.raises(ValueError, match="nodes have positions"):
-        ByDistance()(hops(), np.random.default_rng(0))
+        ByDistance()(context(), np.random.default_rng(0))

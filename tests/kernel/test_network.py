@@ -31,9 +31,9 @@ class Uniform:
     def __init__(self, longest, per_hop=1.0):
         self.longest, self.per_hop = longest, per_hop
 
-    def __call__(self, hops: LinkContext, rng):
+    def __call__(self, context: LinkContext, rng):
         alike = self.per_hop < 1.0 and rng.random() >= self.per_hop
-        return np.round(rng.uniform(0.0, self.longest, None if alike else len(hops.dst)), 3)
+        return np.round(rng.uniform(0.0, self.longest, None if alike else len(context.dst)), 3)
 
 
 class EagerNetwork:
@@ -53,10 +53,10 @@ class EagerNetwork:
 
     def publish(self, src, body):
         record = self.next_record(src, body)
-        hops = LinkContext(src, self.topology.neighbours(src))
-        lost = np.broadcast_to(self.links.loss(hops, self.rng["loss"]), len(hops.dst))
-        delay = np.broadcast_to(self.links.latency(hops, self.rng["latency"]), len(hops.dst))
-        for node, gone, wait in zip(hops.dst.tolist(), lost, delay, strict=True):
+        context = LinkContext(src, self.topology.neighbours(src))
+        lost = np.broadcast_to(self.links.loss(context, self.rng["loss"]), len(context.dst))
+        delay = np.broadcast_to(self.links.latency(context, self.rng["latency"]), len(context.dst))
+        for node, gone, wait in zip(context.dst.tolist(), lost, delay, strict=True):
             if not gone:
                 arrival = self.clock.now + round(float(wait) * SECOND)
                 event = Instant(self.clock, arrival, Phase.DELIVERY)
@@ -71,11 +71,11 @@ class EagerNetwork:
         self.seq[src] += 1
         return Record(src, self.seq[src], self.clock.now, body)
 
-    def enter(self, node, record):
+    def insert(self, node, record):
         if record.src != node:
             self.deliver(node, self.clock.now, record)
 
-    def heard(self, node):
+    def latest_records(self, node):
         return dict(self.tables[node])
 
 
@@ -117,8 +117,8 @@ class Marked(Network):
     def __init__(self, *args, **kwargs):
         super().__init__(*args, mark=is_even, **kwargs)
 
-    def heard(self, node):
-        marked, table = self.marked(node), super().heard(node)
+    def latest_records(self, node):
+        marked, table = self.matching(node), super().latest_records(node)
         assert marked == {src: heard for src, heard in table.items() if is_even(heard[1].body)}
         return table
 
@@ -127,7 +127,7 @@ class Glancer(Marked):
     """The same, but its nodes look all the time."""
 
     def publish(self, src, body):
-        self.heard(src)
+        self.latest_records(src)
         super().publish(src, body)
 
 
@@ -144,19 +144,19 @@ def observe(make, graph, links, acts, seed):
         if what in {"publish", "both"}:
             network.publish(node, number)
         elif what == "whisper":
-            network.enter(other, network.next_record(node, number))
+            network.insert(other, network.next_record(node, number))
         elif what == "pass on":
-            for _, record in network.heard(node).values():
-                network.enter(other, record)
+            for _, record in network.latest_records(node).values():
+                network.insert(other, record)
         if what in {"read", "both"}:
-            seen.append((clock.now, node, network.heard(node)))
+            seen.append((clock.now, node, network.latest_records(node)))
 
     for number, (when, node, what) in enumerate(acts):
         event = Instant(clock, when, Phase.DECISION + node)
         event.callbacks.append(lambda _, n=node, w=what, k=number: act(n, w, k))
     Instant(clock, SECOND, Phase.SAMPLE)
     clock.run()
-    return seen + [(SECOND, node, network.heard(node)) for node in graph]
+    return seen + [(SECOND, node, network.latest_records(node)) for node in graph]
 
 
 @settings(max_examples=100, deadline=None)
@@ -185,11 +185,11 @@ def test_a_presumed_record_gives_way_to_the_first_that_arrives():
     network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1e-9)))
     network.set_initial_belief(0, "presumed")
     network.publish(0, "told")
-    assert network.heard(1)[0][1].body == "presumed"
-    assert 0 not in network.heard(0)
+    assert network.latest_records(1)[0][1].body == "presumed"
+    assert 0 not in network.latest_records(0)
     Instant(clock, 1, Phase.MOTION)
     clock.run()
-    assert network.heard(1)[0] == (1, Record(0, 1, 0, "told"))
+    assert network.latest_records(1)[0] == (1, Record(0, 1, 0, "told"))
 
 
 @pytest.mark.parametrize("latency", [Constant(), Uniform(0.0)], ids=["alike", "per receiver"])
@@ -197,25 +197,25 @@ def test_reading_does_not_lend_out_the_networks_own_table(latency):
     network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), mark="a".__eq__)
     network.set_initial_belief(2, "presumed")
     network.publish(0, "a")
-    network.heard(1).clear()
-    network.marked(1).clear()
-    assert [record.body for _, record in network.heard(1).values()] == ["presumed", "a"]
-    assert [record.body for _, record in network.marked(1).values()] == ["a"]
+    network.latest_records(1).clear()
+    network.matching(1).clear()
+    assert [record.body for _, record in network.latest_records(1).values()] == ["presumed", "a"]
+    assert [record.body for _, record in network.matching(1).values()] == ["a"]
 
 
 def test_a_node_without_memory_has_forgotten_what_was_marked_and_presumed_and_may_hear_of_it_again():
-    network = Network(Clock(), nx.complete_graph(3), conditions=FaultState(), mark=bool)
+    network = Network(Clock(), nx.complete_graph(3), fault_state=FaultState(), mark=bool)
     network.set_initial_belief(0, "presumed")
-    network.enter(1, network.next_record(0, "told"))
-    network.enter(1, network.next_record(2, "more"))
-    assert network.marked(1).keys() == {0, 2}
-    for again in (network.heard(2)[0][1], network.next_record(0, "again")):
+    network.insert(1, network.next_record(0, "told"))
+    network.insert(1, network.next_record(2, "more"))
+    assert network.matching(1).keys() == {0, 2}
+    for again in (network.latest_records(2)[0][1], network.next_record(0, "again")):
         network.crash(1)
-        network.repair(1, memory=False)
-        assert network.heard(1) == network.marked(1) == {}
-        network.enter(1, again)
-        assert network.heard(1) == network.marked(1) == {0: (0, again)}
-        assert network.heard(2)[0][1].body == network.marked(2)[0][1].body == "presumed"
+        network.recover(1, memory=False)
+        assert network.latest_records(1) == network.matching(1) == {}
+        network.insert(1, again)
+        assert network.latest_records(1) == network.matching(1) == {0: (0, again)}
+        assert network.latest_records(2)[0][1].body == network.matching(2)[0][1].body == "presumed"
 
 
 def test_a_record_arrives_when_it_first_does():
@@ -224,12 +224,12 @@ def test_a_record_arrives_when_it_first_does():
     network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), mark=bool)
     network.publish(0, "x")
     record = Record(0, 1, 0, "x")
-    network.enter(1, record)
+    network.insert(1, record)
     clock.run(until=2 * SECOND)
     for node in (1, 2):
-        network.enter(node, record)
-    assert [network.heard(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
-    assert [network.marked(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
+        network.insert(node, record)
+    assert [network.latest_records(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
+    assert [network.matching(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
 
 
 def test_a_record_that_waits_for_its_transmitter_does_not_replace_what_was_whispered_meanwhile():
@@ -239,10 +239,10 @@ def test_a_record_that_waits_for_its_transmitter_does_not_replace_what_was_whisp
     network.publish(0, "slow")
     network.publish(0, "slow")
     whispered = network.next_record(0, "whispered")
-    network.enter(1, whispered)
+    network.insert(1, whispered)
     clock.run(until=3 * SECOND)
     assert network.message_counts().delivered == 2
-    assert network.heard(1) == {0: (0, whispered)}
+    assert network.latest_records(1) == {0: (0, whispered)}
 
 
 def run_process(clock, process):
@@ -338,7 +338,7 @@ def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
             network.publish(k % 5, k)
             network.send((k + 1) % 5, None if k % 2 else (k + 2) % 5, k)
             yield Instant(clock, clock.now + SECOND // 1000, Phase.SAMPLE)
-            network.heard((k + 3) % 5)
+            network.latest_records((k + 3) % 5)
             now = clock.now
             arrivals = [a for e in trace.of(Sent) for a in [e.arrival]]
             for e in trace.of(Broadcast):
@@ -356,8 +356,8 @@ def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
 def test_a_latency_that_is_not_a_time_is_refused(bad, many, p):
     """Converted without a check, each of them would be an instant in the past, and be read at once."""
 
-    def latency(hops, rng):
-        return np.full(len(hops.dst), bad) if many else bad
+    def latency(context, rng):
+        return np.full(len(context.dst), bad) if many else bad
 
     network = Network(Clock(), nx.complete_graph(40), Links(latency=latency, loss=Bernoulli(p=p)))
     for tell in (network.publish, lambda src, body: network.send(src, None, body)):
@@ -366,7 +366,7 @@ def test_a_latency_that_is_not_a_time_is_refused(bad, many, p):
 
 
 def test_a_latency_beyond_the_longest_run_is_as_long_as_that():
-    network = Network(Clock(), nx.complete_graph(3), Links(latency=lambda hops, rng: np.array([0.5, 1e300])))
+    network = Network(Clock(), nx.complete_graph(3), Links(latency=lambda context, rng: np.array([0.5, 1e300])))
     network.publish(0, "x")
     assert [network._records.in_flight(), network._travel.arrivals(0, [1, 2], 7, 0, 0)] == [
         2,
@@ -377,11 +377,11 @@ def test_a_latency_beyond_the_longest_run_is_as_long_as_that():
 @pytest.mark.parametrize("latency", [0, 1, np.float32(0.5), np.int64(1), np.array(0.5), 0.5])
 def test_a_latency_may_be_any_kind_of_number(latency):
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), Links(latency=lambda hops, rng: latency))
+    network = Network(clock, nx.complete_graph(3), Links(latency=lambda context, rng: latency))
     network.publish(0, "x")
     Instant(clock, round(float(latency) * SECOND), Phase.SAMPLE)
     clock.run()
-    assert network.heard(1)[0] == (clock.now, Record(0, 1, 0, "x"))
+    assert network.latest_records(1)[0] == (clock.now, Record(0, 1, 0, "x"))
 
 
 @pytest.mark.slow
@@ -398,15 +398,15 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     Instant(clock, clock.now + SECOND, Phase.SAMPLE)
     clock.run()
     assert len(network._records._waiting[4]) < 10_000
-    assert sorted(record.body for _, record in network.heard(4).values()) == [29_996, 29_997, 29_998, 29_999]
+    assert sorted(record.body for _, record in network.latest_records(4).values()) == [29_996, 29_997, 29_998, 29_999]
 
 
 def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_were_sent():
     """The first message of node 0 flies on to node 2 after it has reached node 1; it is still before the second."""
 
     class Longer:
-        def __call__(self, hops, rng):
-            return hops.dst * 0.1 if hops.src == 0 else np.full(len(hops.dst), 0.2)
+        def __call__(self, context, rng):
+            return context.dst * 0.1 if context.src == 0 else np.full(len(context.dst), 0.2)
 
     clock = Clock()
     network = Network(clock, nx.complete_graph(4), Links(latency=Longer()))
@@ -437,7 +437,7 @@ def test_mail_is_read_as_it_arrives_whenever_it_is_read(steps):
 
 def test_mail_that_arrives_before_what_was_sent_before_it_wakes_its_receiver_first():
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), Links(latency=lambda hops, rng: (0.0, 3.0, 1.0)[hops.src]))
+    network = Network(clock, nx.complete_graph(3), Links(latency=lambda context, rng: (0.0, 3.0, 1.0)[context.src]))
     seen = []
     clock.process(listening(clock, network, 0, seen, times=2))
     Instant(clock, 5, Phase.SAMPLE).callbacks.append(lambda _: network.send(1, 0, "slow"))
@@ -495,9 +495,9 @@ def test_a_broadcast_to_nobody_is_recorded_as_such():
 def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, conditions):
     """A transmission to 3 whose model answers for 1, 2 or 4 is refused as it leaves; nothing of it arrives."""
     clock = Clock()
-    links = Links(latency=lambda hops, rng: [0.5] * count)
-    network = Network(clock, nx.complete_graph(4), links, conditions=conditions)
+    links = Links(latency=lambda context, rng: [0.5] * count)
+    network = Network(clock, nx.complete_graph(4), links, fault_state=conditions)
     with pytest.raises(ValueError, match=f"each of 3 hops, got {count}"):
         speak(network)
     clock.run(until=SECOND)
-    assert not any(network.heard(node) or network.inbox(node).drain() for node in range(4))
+    assert not any(network.latest_records(node) or network.inbox(node).drain() for node in range(4))

@@ -60,9 +60,9 @@ def test_the_hops_of_a_transmission_ask_for_its_own_ends_only():
 
 def test_a_jamming_disc_asks_for_the_one_it_may_be_about():
     some = OfSome()
-    conditions = FaultState(some)
-    conditions.jam(((3.0, 3.0), 1.0))
-    assert [conditions.jammed(node) for node in range(4)] == [False, True, False, False]
+    fault_state = FaultState(some)
+    fault_state.jam(((3.0, 3.0), 1.0))
+    assert [fault_state.jammed(node) for node in range(4)] == [False, True, False, False]
     assert some.asked == [1] * 4
 
 

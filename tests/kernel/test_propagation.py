@@ -186,7 +186,7 @@ def test_links_of_their_own_are_those_of_a_whole_network():
     for node in range(3):
         net.publish(node, None)
     clock.run(until=3 * SECOND)
-    heard = [{src: arrival / SECOND for src, (arrival, _) in net.heard(node).items()} for node in range(3)]
+    heard = [{src: arrival / SECOND for src, (arrival, _) in net.latest_records(node).items()} for node in range(3)]
     assert heard == [{2: 1.0}, {0: 2.0, 2: 1.0}, {0: 1.0, 1: 1.0}]
     assert net.message_counts().lost_by == {"loss": 1}
 
@@ -251,7 +251,8 @@ def test_a_link_of_its_own_keeps_its_order_too():
 
 @pytest.mark.parametrize("order", ["fifo", "overtaking"])
 @pytest.mark.parametrize(
-    "model", [Constant(value=0.5), Uniform(low=0.5, high=0.5), PerPair(base=Constant(value=0.5)), lambda hops, rng: 0.5]
+    "model",
+    [Constant(value=0.5), Uniform(low=0.5, high=0.5), PerPair(base=Constant(value=0.5)), lambda context, rng: 0.5],
 )
 @pytest.mark.parametrize("own", [(), (Link(src=0, dst=1, latency=Constant(value=0.5)),)])
 def test_processing_and_airtime_are_added_once_each(model, order, own):
@@ -330,7 +331,7 @@ def test_a_link_that_is_not_in_the_graph_is_refused():
 
 def answering(answer):
     """Return a model that always answers this."""
-    return lambda hops, rng: answer
+    return lambda context, rng: answer
 
 
 @pytest.mark.parametrize("answer", [0.5, np.float64(0.5), np.array(0.5), [0.5] * 3, (0.5,) * 3, np.full(3, 0.5)])

@@ -98,13 +98,13 @@ def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
     """With fading per message, messages 0 to 4 are heard by different nodes, and each by the same again."""
     at = np.column_stack([np.arange(50.0), np.zeros(50)])
 
-    def heard(seed):
+    def latest_records(seed):
         topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), frozen=False, seed=seed)
         return [topology.hearers(0, message) for message in range(5)]
 
-    assert heard(1) == heard(1)
-    assert heard(1) != heard(2)
-    assert len(set(map(tuple, heard(1)))) == 5
+    assert latest_records(1) == latest_records(1)
+    assert latest_records(1) != latest_records(2)
+    assert len(set(map(tuple, latest_records(1)))) == 5
 
 
 # Many nodes: who may be near is looked up, and the answers are those of all distances.

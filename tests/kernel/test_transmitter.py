@@ -63,9 +63,9 @@ def test_a_record_is_heard_after_its_airtime_latency_and_processing():
     clock, net, trace = network(2, BYTE, latency=Constant(value=2.0), processing=Processing(sender=0.5, receiver=1.0))
     net.publish(0, "word", size=3)
     run_until(clock, 6.499999999)
-    assert net.heard(1) == {}
+    assert net.latest_records(1) == {}
     run_until(clock, 6.500000001)
-    assert net.heard(1)[0][0] == 6.5 * SECOND
+    assert net.latest_records(1)[0][0] == 6.5 * SECOND
     assert trace.of(Broadcast)[0].arrival == (6_500_000_000,)
 
 
@@ -359,7 +359,7 @@ def leaving(medium, given, until=20.0):
 def test_a_message_of_which_all_has_left_outlives_its_transmitter(breakdown, heard):
     """Two bytes are on the air until 2 s, and arrive a second later."""
     clock, links = Clock(), Links(medium=BYTE, latency=Constant(value=1.0))
-    radio = Network(clock, nx.complete_graph(2), links, conditions=FaultState())
+    radio = Network(clock, nx.complete_graph(2), links, fault_state=FaultState())
     radio.send(0, 1, "A", size=2)
     later(clock, breakdown, radio.crash, 0)
     run_until(clock, 4.0)

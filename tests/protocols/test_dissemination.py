@@ -54,10 +54,10 @@ def saying(*times, by=0, heard=None):
             for t in times:
                 yield me.at(t)
                 me.assign(True)
-                me.tell()
+                me.broadcast()
         yield me.at(max(9.5, me.now))
         if heard is not None:
-            heard[me.id] = {j: (seconds(arrival), record.seq) for j, (arrival, record) in me.heard().items()}
+            heard[me.id] = {j: (seconds(arrival), record.seq) for j, (arrival, record) in me.latest_records().items()}
 
     return protocol
 
@@ -135,9 +135,9 @@ def test_word_that_is_passed_on_bears_the_time_and_number_of_its_source():
     def protocol(me):
         if me.id == 0:
             yield me.at(1.0)
-            me.tell()
+            me.broadcast()
         yield me.at(5.0)
-        seen.extend(me.heard().values())
+        seen.extend(me.latest_records().values())
 
     play(protocol, nx.path_graph(3), Flooding(jitter=0.0), fault=(ClockSkew(node=1, offset=2.0, drift=0.5),))
     assert [(arrival, record.src, record.seq, record.sent) for arrival, record in seen] == [
@@ -203,7 +203,7 @@ def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_in
         yield me.at(1.0)
         seen[me.id] = me.believed_active()
         me.assign(me.id == 0)
-        me.tell()
+        me.broadcast()
         yield me.at(1.000001)
         later[me.id] = me.believed_active()
 
@@ -237,9 +237,9 @@ def test_gossip_takes_word_one_hop_farther_with_every_announcement():
 
     def protocol(me):
         yield me.at(me.id + 1.0)
-        me.tell()
+        me.broadcast()
         yield me.at(9.5)
-        heard[me.id] = {j: seconds(arrival) for j, (arrival, _) in me.heard().items()}
+        heard[me.id] = {j: seconds(arrival) for j, (arrival, _) in me.latest_records().items()}
 
     result = play(protocol, nx.path_graph(5), Gossip())
     for j, known in heard.items():
@@ -257,10 +257,12 @@ def test_gossip_merges_by_the_newest():
         for t in (1.0, 2.0) if me.id == 0 else (3.0,) if me.id == 1 else ():
             yield me.at(t)
             me.assign(t == 1.0 and me.id == 0)
-            me.tell()
+            me.broadcast()
         for t in (3.2, 3.3, 6.5, 7.5) if me.id == 2 else ():
             yield me.at(t)
-            seen[t] = [(seconds(arrival), record.seq, record.body.active) for arrival, record in me.heard().values()]
+            seen[t] = [
+                (seconds(arrival), record.seq, record.body.active) for arrival, record in me.latest_records().values()
+            ]
 
     play(protocol, graph, Gossip(), network=Links(graph=Edges.of(graph), latency=Constant(value=L)))
     assert seen[3.2] == []
@@ -274,9 +276,9 @@ def test_gossip_tells_nobody_about_itself():
     def protocol(me):
         for t in (1.0, 2.0, 3.0):
             yield me.at(t)
-            me.tell()
+            me.broadcast()
         yield me.at(9.5)
-        heard[me.id] = set(me.heard())
+        heard[me.id] = set(me.latest_records())
 
     result = play(protocol, nx.complete_graph(3), Gossip())
     assert heard == {j: {0, 1, 2} - {j} for j in range(3)}
@@ -301,9 +303,9 @@ def test_flooding_under_loss_uses_every_path():
             for t in times:
                 yield me.at(float(t))
                 if me.id == 0:
-                    me.tell()
-                if me.id == 3 and 0 in me.heard():
-                    reached.append(me.heard()[0][1].seq)
+                    me.broadcast()
+                if me.id == 3 and 0 in me.latest_records():
+                    reached.append(me.latest_records()[0][1].seq)
 
         graph = nx.empty_graph(4)
         graph.add_edges_from(edges)

@@ -222,7 +222,7 @@ class Puppet:
     def time_left(self):
         return 10.0
 
-    def circle(self, scope):
+    def counted_teammates(self, scope):
         return {"neighbours": self.near}[scope]
 
     def believed_chasers(self, evader):

@@ -83,7 +83,7 @@ class Puppet:
     def time_left(self):
         return self.left
 
-    def circle(self, scope):
+    def counted_teammates(self, scope):
         return self.near
 
 
@@ -442,7 +442,7 @@ def test_beliefs_tell_of_all_that_were_heard_and_believed_of_the_active_ones_onl
         for t in (0.25, 0.6, 1.5, 1.500000001):
             yield me.at(t)
             trusted = {j: (r.src, r.body, r.sent) for j, r in me.trusted().items()}
-            seen[t] = me.beliefs(), me.believed_chasers(), me.believed_active(), trusted, len(me.heard())
+            seen[t] = me.beliefs(), me.believed_chasers(), me.believed_active(), trusted, len(me.latest_records())
 
     act(protocol)
     both = {1: Belief(False, pytest.approx(1.9)), 2: Belief(True, pytest.approx(3.9))}, {2: pytest.approx(3.9)}, [2]
@@ -486,7 +486,7 @@ def test_the_gain_counts_whom_the_utility_says(utility, others):
     def protocol(me):
         yield me.at(0.0)
         if me.id == 0:
-            seen.append((me.gain(utility), sorted(set(me.circle(utility.scope)) - {0})))
+            seen.append((me.gain(utility), sorted(set(me.counted_teammates(utility.scope)) - {0})))
 
     seen = []
     act(
@@ -512,7 +512,7 @@ def test_a_claim_is_announced_in_place_of_the_payload_when_its_news_changes():
     def protocol(me):
         if me.id == 0:
             for k, news in enumerate([7, 7, 8]):
-                me.claim(Claim(False, news, f"claim {k}"))
+                me.set_payload(Claim(False, news, f"claim {k}"))
                 me.announce()
                 said.append(me.announcement().text)
                 yield me.sleep(0.25)
@@ -764,7 +764,7 @@ def test_the_others_ignore_who_cannot_capture_even_if_it_chases(kind):
             return
         me.assign(True)
         while True:
-            me.tell()
+            me.broadcast()
             yield me.sleep(0.05)
 
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0), (4.0, 0.0)], speeds=[0.0, 1.0, 1.0])

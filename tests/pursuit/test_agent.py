@@ -66,7 +66,7 @@ def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants_and_nobody_comman
         me.assign(True)
         actions.append(me.action)
         with pytest.raises(ValueError, match="there is no pursuer -1"):
-            me.whole.order(-1, True)
+            me.whole.set_action(-1, True)
 
     actions = []
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=[0.0, 1.0], active_at_start=1.0)
@@ -164,7 +164,7 @@ class Dicing:
     def __init__(self, drawn):
         self._drawn = drawn
 
-    def tell(self, me, news):
+    def broadcast(self, me, news):
         """Say nothing."""
 
     def __call__(self, me):
@@ -191,10 +191,10 @@ def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, kno
     seen = []
 
     def protocol(me):
-        me.tell()
+        me.broadcast()
         yield me.at(1.0)
         if me.id == 2:
-            me.tell()
+            me.broadcast()
         yield me.at(1.5)
         if me.id == 1:
             seen.append(me.team_estimate())
@@ -218,7 +218,13 @@ def test_whose_actions_count_is_who_can_be_heard_or_if_nobody_is_seen_whoever_is
 
     def protocol(me):
         yield me.at(0.5)
-        seen.append((sorted(me.circle("neighbours")), set(me.circle("component")), list(me.circle("heard"))))
+        seen.append(
+            (
+                sorted(me.counted_teammates("neighbours")),
+                set(me.counted_teammates("component")),
+                list(me.counted_teammates("heard")),
+            )
+        )
         seen.append(me.neighbours())
 
     links = Links(graph=Edges.of(nx.DiGraph([(0, 1), (1, 2)])))
@@ -253,8 +259,8 @@ def test_of_a_claim_nobody_learns_where_its_speaker_is():
         seen = []
 
         def protocol(me, seen=seen):
-            me.claim(Claim(True))
-            me.tell()
+            me.set_payload(Claim(True))
+            me.broadcast()
             yield me.at(0.5)
             seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.team_estimate().places[(me.id + 1) % 3]))
 
@@ -274,7 +280,7 @@ def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
 
     def protocol(me):
         if me.id == 0 and not me.restarts:
-            me.claim(Claim(False, 7))
+            me.set_payload(Claim(False, 7))
         yield me.at(9.0)
 
     fault = Crash(node=0, at=0.3, until=0.5, memory=memory)

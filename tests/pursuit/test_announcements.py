@@ -54,7 +54,7 @@ def script(*acts, seen=None):
 
 def chase(me):
     me.assign(True)
-    me.tell()
+    me.broadcast()
 
 
 def stop(me):
@@ -63,7 +63,7 @@ def stop(me):
 
 def withdraw(me):
     me.assign(False)
-    me.tell()
+    me.broadcast()
 
 
 def believed_chasers(me):
@@ -89,7 +89,7 @@ def test_a_payload_decides_what_the_others_believe(payload, reckoning, phi):
     time is 4.9 s, so its gain is (phi - 4.9) / 2.
     """
     seen = {}
-    acts = [(0.5, 1, chase), (1.0, 1, stop), (1.5, 2, lambda me: (believed(me), round(me.gain(), 9)))]
+    acts = [(0.5, 1, chase), (1.0, 1, stop), (1.5, 2, lambda me: (believed_chasers(me), round(me.gain(), 9)))]
     play(script(*acts, seen=seen), {"payload": payload, "reckoning": reckoning}, latency=0.25)
     assert seen[1.5] == ({1: phi}, pytest.approx((phi - 4.9) / 2))
 
@@ -97,7 +97,7 @@ def test_a_payload_decides_what_the_others_believe(payload, reckoning, phi):
 def test_a_time_that_was_told_is_a_commitment_until_something_else_is_told():
     """It stays 2.9 s while the teller comes nearer, and is 1.9 s when it says so 1 s later."""
     seen = {}
-    looks = [(t, 2, believed) for t in (0.7, 0.8, 1.7, 1.8, 2.5)]
+    looks = [(t, 2, believed_chasers) for t in (0.7, 0.8, 1.7, 1.8, 2.5)]
     play(script((0.5, 1, chase), (1.5, 1, chase), *looks, seen=seen), {"payload": "time"}, latency=0.25)
     assert [seen[t] for t in (0.7, 0.8, 1.7, 1.8, 2.5)] == [{}, {1: 2.9}, {1: 2.9}, {1: 1.9}, {1: 1.9}]
 
@@ -123,7 +123,7 @@ def test_the_state_of_who_stands_still_stays_exact(reckoning):
 def test_in_a_frozen_game_all_payloads_say_the_same_for_ever(payload, reckoning):
     seen = {}
     announce = {"payload": payload, "reckoning": reckoning}
-    acts = [(0.5, 0, chase), (0.5, 1, chase), (9.5, 2, believed)]
+    acts = [(0.5, 0, chase), (0.5, 1, chase), (9.5, 2, believed_chasers)]
     play(script(*acts, seen=seen), announce, latency=0.25, motion=Motion(frozen=True))
     assert seen[9.5] == {0: 1.9, 1: 2.9}
 
@@ -157,7 +157,7 @@ def reckonings(order, step, seed, reckoning="exact"):
 
     def look(me):
         world = me._world
-        for j, (_, record) in me.heard().items():
+        for j, (_, record) in me.latest_records().items():
             gap = abs(world.state(1).evader - world.place(j))
             chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
             if chased_since and gap > 3.0 * step + 0.5:
@@ -174,7 +174,7 @@ def reckonings(order, step, seed, reckoning="exact"):
             t = rng.uniform(0.0, 4.0)
             t = step * round(t / step) if k % 3 == 0 else t
             acts.append((t, pursuer, partial(turn, active=bool(rng.random() < 0.6))))
-            acts.append((t + rng.choice([0.0, 0.0, 0.013, 0.4]), pursuer, lambda me: me.tell()))
+            acts.append((t + rng.choice([0.0, 0.0, 0.013, 0.4]), pursuer, lambda me: me.broadcast()))
         acts += [(t, pursuer, look) for t in rng.uniform(0.0, 6.0, 40)]
         acts += [(step * round(t / step), pursuer, look) for t in rng.uniform(0.0, 6.0, 10)]
     places, speeds = rng.uniform(-15.0, 15.0, (5, 2)).tolist(), rng.uniform(1.0, 2.0, 5).tolist()
@@ -208,7 +208,7 @@ def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
     seen = []
 
     def look(me):
-        for _, record in me.heard().values():
+        for _, record in me.latest_records().values():
             _, x, y, speed = record.body
             ahead = abs(me._world.state(1).evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
             seen.append((me.believed_chasers()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
@@ -316,7 +316,7 @@ def last_trusted(announce, latency=0.25, **changes):
             chase(me)
         if me.id == 2:
             yield me.at(1.35)
-            arrival = seconds(me.heard()[0][0])
+            arrival = seconds(me.latest_records()[0][0])
             while me.believed_chasers() and me.now < 9.0:
                 yield me.sleep(0.001)
             seen["until"] = me.now - 0.001 - arrival if me.now < 9.0 else None
@@ -360,7 +360,12 @@ def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
 def test_word_counts_up_to_the_very_end_of_the_memory_and_not_a_nanosecond_longer(announce, memory):
     """It was said at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
     end, seen = 0.75 + memory, {}
-    acts = [(0.75 - 1e-9, 2, believed), (0.75, 2, believed), (end, 2, believed), (end + 1e-9, 2, believed)]
+    acts = [
+        (0.75 - 1e-9, 2, believed_chasers),
+        (0.75, 2, believed_chasers),
+        (end, 2, believed_chasers),
+        (end + 1e-9, 2, believed_chasers),
+    ]
     beating = {"trigger": "heartbeat", "warm_start": False} | announce
     windows = ((0.0, 0.5 - 1e-9), (0.5 + 1e-9, inf))  # its heartbeats are silent
     mute = [Crash(node=0, at=at, until=until, scope="radio") for at, until in windows]
@@ -377,12 +382,12 @@ def test_after_a_warm_start_everybody_knows_who_is_active_at_first(payload, acti
     """Nobody ever says anything; r = 10 s. Warm: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; cold: 10 - 4.9."""
     team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=float(active))
 
-    def heard(me):
-        return {j: record.body.active for j, (_, record) in me.heard().items()}
+    def latest_records(me):
+        return {j: record.body.active for j, (_, record) in me.latest_records().items()}
 
     for warm, others, gain in ((True, {0: 1.9, 1: 2.9}, (2.4 - 4.9) / 3), (False, {}, 5.1)):
         seen, known = {}, others if active else {}
-        acts = [(0.0, 2, lambda me: (believed(me), me.gain(), heard(me))), (9.0, 2, believed)]
+        acts = [(0.0, 2, lambda me: (believed_chasers(me), me.gain(), latest_records(me))), (9.0, 2, believed_chasers)]
         announce = {"payload": payload, "warm_start": warm}
         result = play(script(*acts, seen=seen), announce, team=team, motion=Motion(frozen=True))
         assert seen[0.0] == (known, pytest.approx(gain if active else 5.1), dict.fromkeys(others, active))
@@ -412,6 +417,6 @@ def test_an_older_record_neither_replaces_a_newer_one_nor_prolongs_its_memory(pa
         (chase, {"belief_timeout": 0.7}, [{}, {0: 1.9}, {0: 1.9}, {}]),
     ):
         seen, times = {}, (0.55, 0.65, 1.2, 1.4 if memory else 5.0)
-        acts = script((0.1, 0, chase), (0.5, 0, last), *((t, 2, believed) for t in times), seen=seen)
+        acts = script((0.1, 0, chase), (0.5, 0, last), *((t, 2, believed_chasers) for t in times), seen=seen)
         play(acts, {"payload": payload} | memory, late_at_first, **late)
         assert [seen[t] for t in times] == expected

@@ -255,7 +255,7 @@ def way(*words, dissemination=None, **keys):
             if who == me.id:
                 yield me.at(time)
                 me.assign(action)
-                me.tell()
+                me.broadcast()
 
     said = {} if dissemination is None else {"dissemination": dissemination}
     settings = {

@@ -166,8 +166,8 @@ def test_the_search_goes_round_where_the_evader_was_lost():
 def test_of_two_that_search_each_goes_another_way():
     """Both were told of 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
     rig = Rig(Sensing(radius=3.0, estimate="hold", track_timeout=0.5), evader=HIDDEN)
-    rig.tell(sighting(7.0, 0.0), src=0)
-    rig.tell(sighting(7.0, 0.0), src=1)
+    rig.broadcast(sighting(7.0, 0.0), src=0)
+    rig.broadcast(sighting(7.0, 0.0), src=1)
     rig.until(6.0)
     one, other = (sight.estimate(1).place - 7.0 for sight in (rig.one, rig.other))
     assert abs(one) > 1.0
@@ -298,7 +298,7 @@ class Rig:
         self.clock.run(until=round(time * SECOND))
         return self
 
-    def tell(self, *sightings, src=1):
+    def broadcast(self, *sightings, src=1):
         """Let one report to the other."""
         self.network.send(src, None, sightings, port=PORT)
 
@@ -328,7 +328,7 @@ def test_what_it_has_seen_is_stamped_by_its_own_clock():
 def test_a_sighting_from_the_future_is_of_now(estimate):
     """Whoever saw it has a clock that is 3 s ahead: the evader is not sent 3 s back, nor is the bound any tighter."""
     rig = Rig(Sensing(radius=3.0, estimate=estimate), evader=HIDDEN)
-    rig.tell(sighting(10.0, 3.0, velocity=0.9 + 0j))
+    rig.broadcast(sighting(10.0, 3.0, velocity=0.9 + 0j))
     velocity = 0.9 + 0j if estimate == "constant_velocity" else 0j
     assert rig.one.estimate(1) == EvaderEstimate(10.0 + 0j, velocity, 0.0)
 
@@ -337,21 +337,21 @@ def test_an_older_report_does_not_replace_a_newer_one():
     rig = Rig(Sensing(radius=3.0), evader=HIDDEN)
     newer = sighting(7.0, 0.2)
     for older in (sighting(5.0, 0.1), sighting(6.0, 0.2)):
-        rig.tell(newer)
-        rig.tell(older)
+        rig.broadcast(newer)
+        rig.broadcast(older)
         assert rig.one.newest(1) == newer
-    rig.tell(later := sighting(8.0, 0.3))
+    rig.broadcast(later := sighting(8.0, 0.3))
     assert rig.one.newest(1) == later
 
 
 def test_it_goes_by_the_newest_be_it_its_own_or_reported():
     """Its own is of 1.11 s; what it sees now is newer than all that is reported."""
     rig = Rig(Sensing(radius=3.0)).until(0.5)
-    rig.tell(sighting(7.0, 0.9))
+    rig.broadcast(sighting(7.0, 0.9))
     assert rig.one.newest(1).x == pytest.approx(2.0 + 0.9 * 0.5)
     rig.until(2.0)
     assert (rig.one.newest(1).seen, rig.one.newest(1).x) == (1.11, pytest.approx(2.999))
-    rig.tell(later := sighting(7.0, 1.2))
+    rig.broadcast(later := sighting(7.0, 1.2))
     assert rig.one.newest(1) == later
 
 
@@ -359,9 +359,9 @@ def test_it_goes_by_the_newest_be_it_its_own_or_reported():
 def test_it_forgets_what_was_reported_or_all(heard_only, seen):
     """What has come in but was not read is forgotten too."""
     rig = Rig(Sensing(radius=3.0)).until(2.0)
-    rig.tell(sighting(7.0, 1.2))
+    rig.broadcast(sighting(7.0, 1.2))
     assert rig.one.newest(1).seen == 1.2
-    rig.tell(sighting(8.0, 1.3))
+    rig.broadcast(sighting(8.0, 1.3))
     rig.one.forget(heard_only=heard_only)
     newest = rig.one.newest(1)
     assert (None if newest is None else newest.seen) == seen
@@ -372,7 +372,7 @@ def test_who_passes_on_tells_its_own_and_what_it_heard(pass_on, told):
     """It sees the first of two evaders, and has heard of the other; pursuer 1 has seen none."""
     seen = Evader(position=(2.0, 0.0), speed=0.9, strategy=Still())
     rig = Rig(Sensing(radius=3.0, pass_on=pass_on), evader=(seen, HIDDEN))
-    rig.tell(sighting(7.0, 0.0, evader=2))
+    rig.broadcast(sighting(7.0, 0.0, evader=2))
     rig.one.report()
     assert [tuple(each.evader for each in news) for news in rig.told()] == [told]
     rig.other.report()
@@ -382,7 +382,7 @@ def test_who_passes_on_tells_its_own_and_what_it_heard(pass_on, told):
 def test_the_bound_is_of_any_position():
     """Reported 10 m away 2 s ago: (|10 - 4| + 0.9 x 2 - 0.1) / 0.1 s from 4 m on, (10 + 1.8 - 0.1) / 0.1 s from 0."""
     rig = Rig(Sensing(radius=3.0, estimate="worst_case"), evader=HIDDEN).until(2.0)
-    rig.tell(sighting(10.0, 0.0))
+    rig.broadcast(sighting(10.0, 0.0))
     assert rig.one.capture_time_from(0, 4.0 + 0j, 1) == pytest.approx(77.0)
     assert rig.one.capture_time_from(0, 0j, 1) == rig.one.capture_times(1)[0] == pytest.approx(117.0)
     assert rig.other.capture_time_from(0, 0j, 1) == inf
@@ -393,7 +393,7 @@ def test_a_teammate_that_chases_is_reckoned_towards_where_the_evader_is_believed
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(2.0)
     for exact in (True, False):
         assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == -3.0  # it has not heard of any
-    rig.tell(sighting(7.0, 1.0))
+    rig.broadcast(sighting(7.0, 1.0))
     for exact in (True, False):
         assert rig.one.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == pytest.approx(-1.0)
         assert rig.one.reckoned(-3.0 + 0j, 1.0, 90 * SECOND, 1, exact=exact) == pytest.approx(7.0)
@@ -404,8 +404,8 @@ def caught():
     """Return a rig at 5 s: pursuer 0 captured evader 1, which stood at 2 m, at 1.9 s; pursuer 1 believes it at 60 m."""
     stands = Evader(position=(2.0, 0.0), speed=0.9, strategy=Still())
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=(stands, HIDDEN))
-    rig.world.order(0, 1)
-    rig.until(5.0).tell(sighting(60.0, 4.0), src=0)
+    rig.world.set_action(0, 1)
+    rig.until(5.0).broadcast(sighting(60.0, 4.0), src=0)
     return rig
 
 
@@ -431,8 +431,8 @@ def test_who_chased_what_has_been_captured_is_reckoned_up_to_the_capture(caught)
 def test_an_order_within_a_step_sends_it_to_where_it_believes_the_evader_to_be():
     """5 ms into a step of 10 ms; 3 ms later it has gone 3 mm to the right, where the evader, far above it, is not."""
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(0.005)
-    rig.tell(sighting(10.0, 0.0))
-    rig.world.order(0, 1)
+    rig.broadcast(sighting(10.0, 0.0))
+    rig.world.set_action(0, 1)
     assert rig.until(0.008).world.place(0) == pytest.approx(0.003)
 
 
@@ -440,8 +440,8 @@ def test_an_order_within_a_step_sends_it_to_where_it_believes_the_evader_to_be()
 def test_it_heads_for_where_it_believes_the_evader_to_be_at_the_end_of_the_step(order, aim):
     """Believed to be 10 m to the right and to move up at 0.9 m/s: after the step of 0.1 s, 9 cm higher."""
     rig = Rig(Sensing(radius=3.0), evader=HIDDEN, motion=Motion(step=0.1, order=order))
-    rig.tell(sighting(10.0, 0.0, velocity=0.9j))
-    rig.world.order(0, 1)
+    rig.broadcast(sighting(10.0, 0.0, velocity=0.9j))
+    rig.world.set_action(0, 1)
     assert rig.until(0.05).world.place(0) == pytest.approx(0.05 * aim / abs(aim), abs=1e-12)
 
 
@@ -450,9 +450,9 @@ def test_who_would_be_late_is_judged_by_what_it_believes(x, able):
     """Of 8 s: (0.5 - 0.1) / 0.1 = 4 s are enough, 49 s are not; to where the evader is it would be 399 s."""
     rig = Rig(Sensing(radius=0.2, estimate="hold"), evader=HIDDEN, prune="infeasible")
     assert rig.one.evader(1) is NOWHERE
-    rig.tell(sighting(x, 0.0))
+    rig.broadcast(sighting(x, 0.0))
     assert rig.one.may_chase(0, 1) == able
-    rig.world.order(0, 1)
+    rig.world.set_action(0, 1)
     assert rig.world.action(0) == able
 
 

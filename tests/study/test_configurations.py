@@ -23,8 +23,8 @@ from desim.scenario.scenario import Scenario, Team
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load, read
 from desim.study import configurations as module
-from desim.study.config_hash import code, identity
-from desim.study.configurations import cells, label
+from desim.study.config_hash import code, config_hash
+from desim.study.configurations import configurations, label
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
 from protocols.sap import SpatialAdaptivePlay
@@ -74,7 +74,7 @@ class Plain:
 
 def of(grid, scenario=None):
     """Return the configurations of a grid over a scenario of a script."""
-    return cells(Source.of(scenario or Scenario(horizon=1.0, team=Team(count=2))), grid)
+    return configurations(Source.of(scenario or Scenario(horizon=1.0, team=Team(count=2))), grid)
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def refused(tmp_path):
         path = tmp_path / "f.toml"
         path.write_text(f"{base}[sweep.grid]\n{text}\n")
         with pytest.raises(ScenarioError) as error:
-            cells(read(path))
+            configurations(read(path))
         return str(error.value).replace(str(path), "f").splitlines()
 
     return lines
@@ -116,8 +116,8 @@ def test_the_grid_of_a_file_is_that_of_a_script(tmp_path):
     path.write_text(f'{BASE}[sweep.grid]\n"network.latency.value" = [0.0, 0.1]\nnetwork.range = [4.0, inf]\n')
     grid = {"network.latency.value": [0.0, 0.1], "network.range": [4.0, inf]}
     scenario = Scenario(horizon=1.0, team=Team(count=2), network=Links(latency=Constant(value=0.02)))
-    assert [cell.key for cell in cells(read(path))] == [cell.key for cell in of(grid, scenario)]
-    assert [cell.key for cell in cells(read(path), {"network.range": [1.0]})] == [
+    assert [cell.key for cell in configurations(read(path))] == [cell.key for cell in of(grid, scenario)]
+    assert [cell.key for cell in configurations(read(path), {"network.range": [1.0]})] == [
         cell.key for cell in of({"network.range": [1.0]}, scenario)
     ]
 
@@ -202,7 +202,10 @@ def test_a_preset_is_swept_from_a_script():
 def test_a_preset_is_swept_from_a_file(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text('[network]\npreset = "wifi"\n[sweep.grid]\nnetwork.preset = ["wifi", "lora_sf7"]\n')
-    assert [cell.scenario.network for cell in cells(read(path))] == [Links(preset="wifi"), Links(preset="lora_sf7")]
+    assert [cell.scenario.network for cell in configurations(read(path))] == [
+        Links(preset="wifi"),
+        Links(preset="lora_sf7"),
+    ]
 
 
 def test_functions_and_models_that_are_not_installed_are_swept_and_set_inside():
@@ -234,7 +237,7 @@ def test_a_fault_that_has_no_line_comes_first(tmp_path):
     file = tmp_path / "f.toml"
     file.write_text("sweep.grid.horizon = [-1.0, 1.0]\n")
     with pytest.raises(ScenarioError) as refused:
-        cells(read(file, ["sweep.grid.team.count=[2, 0]"]))
+        configurations(read(file, ["sweep.grid.team.count=[2, 0]"]))
     first, second = str(refused.value).splitlines()
     assert first.startswith("--set sweep.grid.team.count=[2, 0]: ")
     assert second.startswith(f"{file}:1: ")
@@ -297,18 +300,18 @@ def test_the_fields_below_are_all_there_are():
 @pytest.mark.parametrize("change", OTHERS.values(), ids=OTHERS)
 def test_whatever_a_run_depends_on_tells_configurations_apart(change):
     given = {"horizon": 2.0, "team": Team(count=3)}
-    assert identity(Scenario(**given | change)) != identity(SAME)
+    assert config_hash(Scenario(**given | change)) != config_hash(SAME)
 
 
 @pytest.mark.parametrize("change", [{"name": "x"}, {"seed": 9}, {"sweep": Sweep(reps=3, grid={"horizon": [chase]})}])
 def test_name_seed_and_sweep_do_not_tell_configurations_apart(change):
-    assert identity(SAME.model_copy(update=change)) == identity(SAME)
+    assert config_hash(SAME.model_copy(update=change)) == config_hash(SAME)
 
 
 def test_what_is_the_same_in_a_file_and_a_script_is_the_same(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text("horizon = 2\nteam = { count = 3 }\n")
-    assert identity(load(path)) == identity(SAME)
+    assert config_hash(load(path)) == config_hash(SAME)
 
 
 RULE = """
@@ -369,11 +372,11 @@ def typed(text: str, name: str):
 
 def test_what_is_typed_at_a_prompt_counts_with_its_code():
     function = "def rule(me, gain={}):\n    x = {}\n    return iter((x,))"
-    keys = [identity(Scenario(protocol=typed(function.format(*each), "rule"))) for each in [(1, 1), (1, 2), (3, 1)]]
+    keys = [config_hash(Scenario(protocol=typed(function.format(*each), "rule"))) for each in [(1, 1), (1, 2), (3, 1)]]
     assert len(set(keys)) == 3
-    assert identity(Scenario(protocol=typed(function.format(1, 1), "rule"))) == keys[0]
+    assert config_hash(Scenario(protocol=typed(function.format(1, 1), "rule"))) == keys[0]
     model = 'class R(Value):\n    kind: str = "r"\n    def __call__(self, me):\n        return iter(({},))'
-    keys = [identity(Scenario(protocol=typed(model.format(each), "R")())) for each in (1, 2, 1)]
+    keys = [config_hash(Scenario(protocol=typed(model.format(each), "R")())) for each in (1, 2, 1)]
     assert keys[0] == keys[2] != keys[1]
 
 
@@ -403,14 +406,14 @@ HELD = {
 
 @pytest.mark.parametrize(("one", "other"), HELD.values(), ids=HELD)
 def test_what_a_rule_of_a_script_holds_tells_configurations_apart(one, other):
-    assert identity(Scenario(protocol=one)) != identity(Scenario(protocol=other))
+    assert config_hash(Scenario(protocol=one)) != config_hash(Scenario(protocol=other))
 
 
 def test_what_a_rule_of_a_script_holds_does_not_depend_on_where_it_lies():
-    assert identity(Scenario(protocol=made(1.0))) == identity(Scenario(protocol=made(1.0)))
+    assert config_hash(Scenario(protocol=made(1.0))) == config_hash(Scenario(protocol=made(1.0)))
     one, other = made(made(1.0)), made(made(1.0))
-    assert identity(Scenario(protocol=one)) == identity(Scenario(protocol=other))
-    assert identity(Scenario(protocol=Plain(1.0))) == identity(Scenario(protocol=Plain(1.0)))
+    assert config_hash(Scenario(protocol=one)) == config_hash(Scenario(protocol=other))
+    assert config_hash(Scenario(protocol=Plain(1.0))) == config_hash(Scenario(protocol=Plain(1.0)))
 
 
 def test_it_counts_which_of_several_places_holds_what():
@@ -418,7 +421,7 @@ def test_it_counts_which_of_several_places_holds_what():
 
     def of(*levels):
         links = [{"src": 0, "dst": k + 1, "latency": made(level)} for k, level in enumerate(levels)]
-        return identity(Scenario(team=Team(count=4), network=Links(link=links)))
+        return config_hash(Scenario(team=Team(count=4), network=Links(link=links)))
 
     assert len({of(1.0, 2.0), of(2.0, 1.0), of(1.0, 2.0, 1.0), of(1.0, 2.0, 2.0)}) == 4
 
@@ -426,7 +429,7 @@ def test_it_counts_which_of_several_places_holds_what():
 def test_what_cannot_be_told_apart_is_refused_with_its_key():
     lock = threading.Lock()
     with pytest.raises(ScenarioError, match=r"^evader\.strategy: 'lock' objects .*__getstate__"):
-        identity(Scenario(evader={"strategy": lambda state, rng: lock}))
+        config_hash(Scenario(evader={"strategy": lambda state, rng: lock}))
 
 
 def test_the_graph_in_a_file_counts(tmp_path):
@@ -435,17 +438,19 @@ def test_the_graph_in_a_file_counts(tmp_path):
     keys = []
     for edges in ('[{"source": 0, "target": 1}]', "[]"):
         path.write_text(text % edges)
-        keys.append(identity(Scenario(team=Team(count=2), network=Links(graph={"kind": "edges", "file": str(path)}))))
+        keys.append(
+            config_hash(Scenario(team=Team(count=2), network=Links(graph={"kind": "edges", "file": str(path)})))
+        )
     assert keys[0] != keys[1]
 
 
 def test_each_of_several_lambdas_counts():
     """They have one name, that of the pursuers and that of the evader."""
     protocol, flee, circle = lambda me: iter(()), lambda state, rng: 1.0, lambda state, rng: 2.0
-    keys = [identity(Scenario(protocol=protocol, evader={"strategy": each})) for each in (flee, circle)]
+    keys = [config_hash(Scenario(protocol=protocol, evader={"strategy": each})) for each in (flee, circle)]
     assert keys[0] != keys[1]
     other = lambda me: iter((1,))  # noqa: E731
-    assert identity(Scenario(protocol=other, evader={"strategy": flee})) not in keys
+    assert config_hash(Scenario(protocol=other, evader={"strategy": flee})) not in keys
 
 
 def test_the_code_is_named_and_what_is_installed_has_none():

@@ -80,7 +80,7 @@ def test_paired_differences_are_those_of_runs_by_hand():
 
 def independent(seed=5, reps=4, grid=GRID):
     plan = SweepPlan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), grid, reps, seed)
-    return [plan.seed(cell, k) for cell in plan.cells for k in range(reps)]
+    return [plan.seed(cell, k) for cell in plan.configurations for k in range(reps)]
 
 
 def test_independent_seeds_are_all_different_and_the_same_every_time():
@@ -401,7 +401,7 @@ def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
     plan = SweepPlan.of(BASE, GRID, 4)
     jobs = [[(cell.key, k) for cell, k in plan.shard(part, parts)] for part in range(1, parts + 1)]
     assert sorted(each for part in jobs for each in part) == sorted(
-        (cell.key, k) for cell in plan.cells for k in range(4)
+        (cell.key, k) for cell in plan.configurations for k in range(4)
     )
     assert max(map(len, jobs)) - min(map(len, jobs)) <= 1
 
@@ -409,7 +409,7 @@ def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
 def test_a_part_has_every_nth_run_so_that_each_has_some_of_every_configuration():
     plan = SweepPlan.of(BASE, GRID, 3)
     for part in (1, 2, 3):
-        assert plan.shard(part, 3) == [(cell, part - 1) for cell in plan.cells]
+        assert plan.shard(part, 3) == [(cell, part - 1) for cell in plan.configurations]
 
 
 @pytest.mark.parametrize("part", [0, 4])
