@@ -5,14 +5,14 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     received it, so a stamp is always by the clock of whom it is about, and clocks need not agree; a winner of whom no
     newer word comes is given up; at each turn a pursuer chooses and bids anew; wherever bids are compared, of equal
     ones that of the lower id is greater, and all are brought up to date if positions are sensed.
-Parameters: schedule (with Rounds these are the rounds of the paper), patience.
+Parameters: schedule (with Rounds these are the rounds of the paper), winner_timeout.
 Assumes: a connected graph, or there is a winner in each component; and word that is repeated, by heartbeats or at each
     revision. Else the winner seems to have fallen silent, and in the end everybody gives everybody up, and chases.
     Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
     differ by less than word is old, in s, may both chase to the end (`cbaa` has figures, which are the same here; with
     positions sensed 0.9 s on the mean and 2.4 s at worst).
 Messages: announcements of 24 bytes, 16 for each evader and 8 for each pursuer; news is a new winner.
-Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over as soon as patience ends.
+Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over after `winner_timeout`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -50,7 +50,7 @@ class CBBA(Auction):
 
     assumes: ClassVar[tuple[str, ...]] = ("connected", "word_repeated")
     kind: Literal["cbba"] = "cbba"
-    patience: Timeout = 2.0
+    winner_timeout: Timeout = 2.0
     """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
     many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
 
@@ -74,7 +74,7 @@ class CBBA(Auction):
                 heard = [*theirs[:k], seconds(record.sent), *theirs[k + 1 :]]
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))
-            late = [bid.winner != NOBODY and me.now - since[bid.winner] > self.patience for bid in bids]
+            late = [bid.winner != NOBODY and me.now - since[bid.winner] > self.winner_timeout for bid in bids]
             others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
             action, bids = chosen(me, others)
             stamps[me.id] = me.now

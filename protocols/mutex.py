@@ -63,7 +63,7 @@ class LocalMutex(Value):
     """Wishes to decide per second of each pursuer that has none, 1/s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """How often a neighbour that does not answer is asked before it is left out."""
-    floor: Duration = 0.001
+    min_timeout: Duration = 0.001
     """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
@@ -81,7 +81,7 @@ class LocalMutex(Value):
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
-        section = Section(me, self.attempts, self.floor)
+        section = Section(me, self.attempts, self.min_timeout)
         rng = me.stream("mutex")
         while True:
             yield from section.idle(me.now + rng.exponential(1.0 / self.rate))
@@ -100,9 +100,9 @@ def on_air(me: Agent, neighbours: float) -> float:
 class Section:
     """One pursuer's part in the exclusion: it is inside from `enter` to `leave`."""
 
-    def __init__(self, me: Agent, attempts: int, floor: float):
+    def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
-        self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), floor)
+        self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), min_timeout)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request
         self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain

@@ -54,7 +54,7 @@ class SharedSeed(Value):
 
     def without_turns(self) -> dict[str, Any]:
         """Return a schedule under which every slot is everybody's."""
-        return {"kind": "together", "of": self}
+        return {"kind": "synchronous", "schedule": self}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that is one's own."""
@@ -99,19 +99,19 @@ class Rounds(Value):
     kind: Literal["rounds"] = "rounds"
     period: Period = 0.1
     """Time between two rounds, s."""
-    q: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
+    participation: Annotated[float, Field(gt=0, le=1, strict=True)] = 1.0
     """Probability that a pursuer revises in a round, in (0, 1]."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return period / (q N), s."""
-        return self.period / (self.q * me.team_size)
+        return self.period / (self.participation * me.team_size)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each round, or not, by chance."""
         rng = me.stream("rounds")
         for tick in ticks(me, self.period, first=1):
             yield me.at(tick)
-            if rng.random() < self.q:
+            if rng.random() < self.participation:
                 revise()
                 yield me.after_decisions()
                 me.announce()

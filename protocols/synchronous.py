@@ -1,7 +1,7 @@
 """Everybody at once in every slot that another schedule gives to one: what it costs to take turns.
 
 Paper: none; the synchronous learning of Marden & Shamma 2012 in the slots of another schedule.
-Parameters: of, the other schedule.
+Parameters: schedule, the other schedule.
 Assumes: equal clocks.
 Messages: none; those of the other schedule are not sent.
 Robust to loss: yes, for nothing is sent.
@@ -26,16 +26,16 @@ class Synchronous(Value):
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     at_once: ClassVar[bool] = True
-    kind: Literal["together"] = "together"
-    of: Annotated[Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))] = (
-        SharedSeed()
-    )
+    kind: Literal["synchronous"] = "synchronous"
+    schedule: Annotated[
+        Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))
+    ] = SharedSeed()
     """The other schedule, of which there is a round per slot."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return the slot of the other schedule, s."""
-        return self.of.mean_slot(me)
+        return self.schedule.mean_slot(me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot."""
-        yield from Rounds(period=self.of.mean_slot(me))(me, revise)
+        yield from Rounds(period=self.schedule.mean_slot(me))(me, revise)

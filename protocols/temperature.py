@@ -118,7 +118,9 @@ def _first(me: Agent, evader: int) -> int:
     return min([*told, (me.capture_time(evader), me.id)])[1]
 
 
-TEMPERATURES = OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau, takes=("eta",))
+TEMPERATURES = OneOf(
+    PaperTau, ConstantTau, LogarithmicTau, GeometricTau, AdaptiveTau, takes=("eta",), number=("constant", "value")
+)
 
 
 def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:

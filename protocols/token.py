@@ -2,7 +2,7 @@
 
 Paper: TokenRing: Le Lann 1977; on graphs that are not complete the rule "least recently visited" of Malpani, Chen,
     Vaidya & Welch 2005, "Distributed Token Circulation in Mobile Ad Hoc Networks". TokenWalk: Metropolis et al. 1953.
-Parameters: hold (time at each pursuer), attempts (before a neighbour is given up).
+Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up).
 Assumes: a connected graph; each component of it has a token of its own.
 Messages: two per revision, the token and its receipt; what the pursuers announce besides is theirs. The token carries
     what is known of everyone, so it is long.
@@ -27,18 +27,18 @@ class _WithToken(Value):
 
     spreads_to: ClassVar[Literal["all"]] = "all"
     """The token carries what everyone does."""
-    hold: Period = 0.01
+    holding_time: Period = 0.01
     """How long a pursuer has the token; it revises at the end of that time, s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5
     """How often the token is sent to a neighbour that does not answer."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return hold + L + A, s, A the airtime of a token that knows of everyone; to keep it takes hold only."""
-        return self.hold + hop_time(me)
+        return self.holding_time + hop_time(me)
 
     def without_turns(self) -> dict[str, Any]:
         """Return a schedule under which all revise whenever the token would be passed on."""
-        return {"kind": "together", "of": self}
+        return {"kind": "synchronous", "schedule": self}
 
 
 class TokenRing(_WithToken):
@@ -48,7 +48,7 @@ class TokenRing(_WithToken):
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""
-        return circulate(me, revise, self.hold, self.attempts, least_recent)
+        return circulate(me, revise, self.holding_time, self.attempts, least_recent)
 
 
 class TokenWalk(_WithToken):
@@ -58,7 +58,7 @@ class TokenWalk(_WithToken):
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise with the token in hand."""
-        return circulate(me, revise, self.hold, self.attempts, partial(metropolis, me.stream("token walk")))
+        return circulate(me, revise, self.holding_time, self.attempts, partial(metropolis, me.stream("token walk")))
 
 
 def least_recent(me: Agent, token: Token) -> int | None:

@@ -41,7 +41,7 @@ SCHEDULES: dict[str, Callable[[float], Schedule]] = {
     "poisson": lambda slot: Poisson(rate=1.0 / (N * slot)),
     "shared_seed": lambda slot: SharedSeed(slot=slot),
     "rounds": lambda slot: Rounds(period=N * slot),
-    "token_ring": lambda slot: TokenRing(hold=slot),
+    "token_ring": lambda slot: TokenRing(holding_time=slot),
 }
 SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
 """delta of the pursuits, s."""
@@ -78,7 +78,7 @@ def static(schedule: Schedule, latency: float) -> Scenario:
         name="static game",
         horizon=60.0 + 10.0 * latency,
         team=Team(count=N),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule),
         announce=Announcements(trigger="change"),
         network=Links(latency=Constant(value=latency)),

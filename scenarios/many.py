@@ -177,7 +177,7 @@ def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = Non
 def frozen(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
     """Return the game of t = 0, negotiated for a number of slots."""
     return moving(pursuers, evaders, kind).model_copy(
-        update={"motion": Motion(frozen=True), "protocol": protocol(kind, HORIZON / slots, tau)}
+        update={"motion": Motion(static=True), "protocol": protocol(kind, HORIZON / slots, tau)}
     )
 
 

@@ -45,7 +45,7 @@ def measure(options: Options) -> list[SpeedCell]:
     return cells
 
 
-def dissemination(cells: list[SpeedCell], along: str) -> float:
+def spread(cells: list[SpeedCell], along: str) -> float:
     """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
     other = "step" if along == "slot" else "slot"
     ratios = []
@@ -62,7 +62,7 @@ def table(cells: list[SpeedCell], runs: int) -> str:
     for slot in VALUES:
         line = [found[slot, step] for step in VALUES]
         rows.append((f"{slot:g} s", *(f"{cell.active_time:.2f} +- {cell.standard_error:.2f}" for cell in line)))
-    by_slot, by_step = dissemination(cells, "slot"), dissemination(cells, "step")
+    by_slot, by_step = spread(cells, "slot"), spread(cells, "step")
     return (
         f"Sum of active times, s, N = 20, {runs} runs per cell, +- standard error\n"
         + aligned(rows)
@@ -104,8 +104,8 @@ def main(options: Options) -> None:
     cells = measure(options)
     document = {
         "cells": [asdict(cell) for cell in cells],
-        "spread_along_slot": dissemination(cells, "slot"),
-        "spread_along_step": dissemination(cells, "step"),
+        "spread_along_slot": spread(cells, "slot"),
+        "spread_along_step": spread(cells, "step"),
     }
     options.show(document, table(cells, options.runs), lambda: picture(cells))
 

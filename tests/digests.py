@@ -19,7 +19,7 @@ LONG = Scenario(
     horizon=2.1,
     team={"count": 2, "speeds": 1.0},
     evader={"speed": 0.5, "position": (40.0, 0.0)},
-    motion={"frozen": True},
+    motion={"static": True},
     protocol={
         "kind": "sap",
         "schedule": {"kind": "shared_seed", "slot": 1e-4},

@@ -25,7 +25,7 @@ def static_game(protocol, network=None):
         horizon=HORIZON,
         team=Team(positions=[(phi + 0.1, 0.0) for phi in PHI], speeds=1.0),
         evader=Evader(position=(0.0, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=protocol,
         network=network or Links(),
         record=Recording(trajectory=0.0),

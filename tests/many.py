@@ -25,7 +25,7 @@ def at_rest(protocol, pursuers, evaders, seed=0, **changes):
         "horizon": 30.0,
         "team": Team(count=pursuers, speeds=rng.uniform(0.4, 2.0, pursuers).tolist(), active_at_start=0.5),
         "evader": Evader(count=evaders, box=(0.0, 20.0), speed=0.5),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "record": Recording(trajectory=0.0),
     }

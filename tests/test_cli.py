@@ -47,7 +47,7 @@ TALK = """\
 name = "talk"
 horizon = 1.0
 team.count = 3
-motion.frozen = true
+motion.static = true
 announce.trigger = "revision"
 
 [protocol]
@@ -628,17 +628,17 @@ dissemination = { kind = "gossip" }
 [network]
 preset = "wifi"
 latency = { kind = "constant", value = 0.1 }
-reach = { kind = "log_distance" }
+reception = { kind = "log_distance" }
 
 [[fault]]
 kind = "crash"
 node = 0
-at = 1.0
+start = 1.0
 
 [[fault]]
 kind = "crash"
 node = 1
-at = 6.0
+start = 6.0
 """
 
 
@@ -649,9 +649,9 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
     said = [re.match(r"warning: (.*): ([\w.]+): (.*)", line).groups() for line in result.stderr.splitlines()]
     assert {key: (where, why) for where, key, why in said} == {
         "network.latency": (f"{path}:18", "it is given, and is not that of the preset 'wifi'"),
-        "network.reach": (f"{path}:19", "it has no effect while the range is inf"),
+        "network.reception": (f"{path}:19", "it has no effect while the range is inf"),
         "announce.dissemination": (f"{path}:14", "it has no effect, for nothing is ever announced"),
-        "fault.1.at": (f"{path}:29", "it would begin after the horizon"),
+        "fault.1.start": (f"{path}:29", "it would begin after the horizon"),
         "protocol": (f"{path}:8", "sap assumes word_gets_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (
             f"{path}:10",

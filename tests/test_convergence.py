@@ -31,10 +31,10 @@ GREEDY = ConstantTau(value=1e-9)
 SCHEDULES = {
     "poisson": lambda rng, count: Poisson(rate=rng.uniform(2.0, 10.0)),
     "shared_seed": lambda rng, count: SharedSeed(slot=1.0 / (count * rng.uniform(2.0, 10.0))),
-    "rounds": lambda rng, count: Rounds(period=rng.uniform(0.1, 0.5), q=rng.uniform(0.1, 1.0)),
+    "rounds": lambda rng, count: Rounds(period=rng.uniform(0.1, 0.5), participation=rng.uniform(0.1, 1.0)),
     "periodic": lambda rng, count: Periodic(period=rng.uniform(0.1, 0.5), jitter=rng.choice([0.0, 0.5])),
-    "token_ring": lambda rng, count: TokenRing(hold=rng.uniform(0.02, 0.1)),
-    "token_walk": lambda rng, count: TokenWalk(hold=rng.uniform(0.02, 0.1)),
+    "token_ring": lambda rng, count: TokenRing(holding_time=rng.uniform(0.02, 0.1)),
+    "token_walk": lambda rng, count: TokenWalk(holding_time=rng.uniform(0.02, 0.1)),
     "local_mutex": lambda rng, count: LocalMutex(rate=rng.uniform(2.0, 10.0)),
 }
 SLOW = {"token_ring": 6.0, "token_walk": 8.0, "local_mutex": 6.0}
@@ -67,7 +67,7 @@ def case(schedule, number):
         seed=number,
         horizon=HORIZON.get(schedule, 1.0) * (15.0 + 60.0 * mean * SLOW.get(schedule, 1.0)),
         team=Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.2, 0.5, 1.0]))),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=SCHEDULES[schedule](rng, count)),
         announce=Announcements(
             payload=str(rng.choice(["action", "time", "state"])),
@@ -111,7 +111,7 @@ def without_repetition(trigger, seed, horizon):
     scenario = Scenario(
         horizon=horizon,
         team=Team(count=5, active_at_start=0.5),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=Poisson(rate=5.0)),
         announce=Announcements(trigger=trigger, belief_timeout=np.inf),
         network=Links(latency=Constant(value=0.05), loss=Bernoulli(p=0.5)),
@@ -149,7 +149,7 @@ def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(dissem
         horizon=40.0,
         team=Team(positions=[(0.1 + 2.0**k, 0.0) for k in range(6)], speeds=1.0),
         evader=Evader(position=(0.0, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=GREEDY, schedule=Poisson(rate=5.0)),
         announce=Announcements(dissemination=dissemination, warm_start=False, belief_timeout=np.inf),
         network=Links(graph=Edges.of(nx.path_graph(6)), latency=Constant(value=0.02)),

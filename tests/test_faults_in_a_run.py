@@ -66,7 +66,7 @@ def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_r
 
     Repaired at 1.55 s it makes up at once for what was due meanwhile, and chases. The others chase all the while.
     """
-    result = play(chasing, Crash(node=1, at=at, until=1.55), horizon=1.9)
+    result = play(chasing, Crash(node=1, start=at, end=1.55), horizon=1.9)
     assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(BrokeDown)] == [(at, 1)]
     assert [t for t in decided(result, 1) if t > at] == pytest.approx([1.55, 1.6, 1.7, 1.8], abs=1e-5)
     assert len([t for t in decided(result, 0) if 0.75 < t < 1.55]) == 8
@@ -80,7 +80,7 @@ def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_r
 
 
 def test_a_pursuer_whose_radio_alone_is_broken_goes_on_and_is_not_heard():
-    result = play(chasing, Crash(node=1, at=0.75, until=1.55, scope="radio"), horizon=1.9)
+    result = play(chasing, Crash(node=1, start=0.75, end=1.55, scope="radio"), horizon=1.9)
     assert not result.trace.of(BrokeDown)
     assert len(decided(result, 1)) == len(decided(result, 0)) == 19
     t, x = track(result, 1)
@@ -107,7 +107,7 @@ def test_who_is_broken_captures_nobody(scope, capturer, at):
         "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=east),
         "motion": Motion(step=0.25),
     }
-    result = play(lambda me: iter(()), Crash(node=1, at=at, scope=scope), **changes)
+    result = play(lambda me: iter(()), Crash(node=1, start=at, scope=scope), **changes)
     (end,) = result.trace.of(Ended)
     assert (end.reason, end.capturer) == (("captured", 1) if capturer else ("horizon", None))
     if capturer:
@@ -133,7 +133,7 @@ def test_who_breaks_down_just_before_it_would_capture_does_not_and_others_do(at,
         me.assign(me.id < chasers)
 
     team = Team(positions=[(x, 0.0) for x in places], speeds=1.0, active_at_start=0.0)
-    (ended,) = play(protocol, Crash(node=0, at=at), team=team, motion=Motion(step=step)).trace.of(Ended)
+    (ended,) = play(protocol, Crash(node=0, start=at), team=team, motion=Motion(step=step)).trace.of(Ended)
     assert (ended.capturer, ended.t / 1e9) == (end[0], pytest.approx(end[1], abs=1e-6))
 
 
@@ -154,7 +154,7 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
                 log.append((me.now, begun, k, sorted(me.latest_records()), me.believed_active()))
 
     announce = Announcements(trigger="never")
-    play(protocol, Crash(node=1, at=1.0, until=2.0, memory=memory), announce=announce, motion=Motion(frozen=True))
+    play(protocol, Crash(node=1, start=1.0, end=2.0, memory=memory), announce=announce, motion=Motion(static=True))
     known = (sorted({0, 2}), [0])
     if memory:  # what it slept for at 1.5 s is over when it is repaired
         assert log == [(0.75, 0.0, 1, *known), (2.0, 0.0, 2, *known), (2.75, 0.0, 3, *known)]
@@ -180,7 +180,7 @@ def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_o
             yield me.sleep(0.75)
             log.append((me.now, sorted(me.latest_records())))
 
-    play(protocol, Crash(node=1, at=1.0, **crash), horizon=2.8, announce=Announcements(trigger="never"))
+    play(protocol, Crash(node=1, start=1.0, **crash), horizon=2.8, announce=Announcements(trigger="never"))
     assert [t for t, _ in log] == pytest.approx(times, abs=1e-9)
     assert [known for _, known in log] == heard
 
@@ -193,8 +193,8 @@ def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_o
 def test_every_schedule_survives_a_breakdown(schedule, memory):
     """Nothing is decided from 1 s to 2 s; from 2 s to 12 s as often as by the others, within 5 standard errors."""
     protocol = SpatialAdaptivePlay(schedule=schedule)
-    crash = Crash(node=1, at=1.0, until=2.0, memory=memory)
-    result = play(protocol, crash, horizon=12.0, motion=Motion(frozen=True))
+    crash = Crash(node=1, start=1.0, end=2.0, memory=memory)
+    result = play(protocol, crash, horizon=12.0, motion=Motion(static=True))
     made = decided(result, 1)
     assert not [t for t in made if 1.0 <= t < 2.0]
     after, others = (len([t for t in decided(result, j) if t >= 2.0]) for j in (1, 0))
@@ -225,7 +225,7 @@ def relay_breaks_down(announce, seed=0, *faults):
     )
 
 
-CRASH = Crash(node=0, at=1.0)
+CRASH = Crash(node=0, start=1.0)
 
 
 def first_chase_after(result, time):
@@ -268,7 +268,7 @@ def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announ
 
 def test_a_relay_pursuer_with_a_broken_radio_is_doubled_and_captures_all_the_same():
     """Forgotten, it is joined by another; unforgotten it is not."""
-    crash = Crash(node=0, at=1.0, scope="radio")
+    crash = Crash(node=0, start=1.0, scope="radio")
     for announce, crowd in ((Announcements(), 2), (Announcements(belief_timeout=inf), 1)):
         result = relay_breaks_down(announce, 1, crash)
         assert summary(result).capturer == 0
@@ -320,7 +320,7 @@ def slots(*faults, count=4, slot=0.1, horizon=20.05):
     """Return the decisions under a shared seed as (true time in slots, pursuer)."""
     protocol = SpatialAdaptivePlay(schedule=SharedSeed(slot=slot))
     team, record = Team(count=count), Recording(trajectory=0.0)
-    result = play(protocol, *faults, team=team, record=record, horizon=horizon, motion=Motion(frozen=True))
+    result = play(protocol, *faults, team=team, record=record, horizon=horizon, motion=Motion(static=True))
     return [(d.t / 1e9 / slot, d.pursuer) for d in result.trace.of(Decided)]
 
 
@@ -353,7 +353,7 @@ def test_a_shared_seed_drifts_apart():
 def test_a_wrong_clock_neither_bunches_nor_stops_revisions(schedule, offset):
     """The offset is at most what a schedule by common rounds is early or late; nobody decides twice at one instant."""
     protocol = SpatialAdaptivePlay(schedule=schedule)
-    result = play(protocol, ClockSkew(node=1, offset=offset), motion=Motion(frozen=True), horizon=10.0)
+    result = play(protocol, ClockSkew(node=1, offset=offset), motion=Motion(static=True), horizon=10.0)
     times = decided(result, 1)
     assert len(set(times)) == len(times)
     late = 2.0 if offset < 0 and schedule.kind == "rounds" else 0.0
@@ -370,14 +370,14 @@ def test_a_time_that_passed_during_a_breakdown_comes_at_once():
             times[me.id].append(round(me.now, 6))
 
     times = {0: [], 1: [], 2: []}
-    play(timer, Crash(node=0, at=0.25, until=0.55), horizon=1.0)
+    play(timer, Crash(node=0, start=0.25, end=0.55), horizon=1.0)
     assert times[0] == [0.1, 0.2, 0.55, 0.55, 0.55, 0.6, 0.7, 0.8, 0.9]
     assert times[1] == [k / 10 for k in range(1, 10)]
 
 
 def test_the_centre_sends_another_while_the_relay_is_broken_and_the_relay_again_when_it_is_repaired():
     """Pursuer 0 (2 m) is the relay; while it is broken pursuer 1 is, which has come nearer when 0 is repaired."""
-    result = play(Centralised(slot=0.1), Crash(node=0, at=0.55, until=0.85), Crash(node=1, at=0.7), horizon=9.0)
+    result = play(Centralised(slot=0.1), Crash(node=0, start=0.55, end=0.85), Crash(node=1, start=0.7), horizon=9.0)
     orders = [(round(d.t / 1e9, 6), d.pursuer, d.active) for d in result.trace.of(Decided)]
     assert orders == [(0.0, 0, True), (0.6, 1, True), (0.7, 2, True), (0.9, 0, True), (0.9, 2, False)]
     assert result.trace.of(Ended)[0].capturer == 0
@@ -416,8 +416,8 @@ def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offse
 
 def test_nobody_is_captured_in_a_frozen_game_when_somebody_breaks_down():
     near = Team(positions=[(0.0, 0.0), (5.0, 0.0), (6.0, 0.0)], speeds=1.0, active_at_start=0.0)
-    still = {"team": near, "evader": Evader(position=(0.05, 0.0), speed=0.0), "motion": Motion(frozen=True)}
-    result = play(lambda me: iter(()), Crash(node=1, at=1.0, until=2.0), **still)
+    still = {"team": near, "evader": Evader(position=(0.05, 0.0), speed=0.0), "motion": Motion(static=True)}
+    result = play(lambda me: iter(()), Crash(node=1, start=1.0, end=2.0), **still)
     assert result.trace.of(Ended) == [Ended(4 * 10**9, "horizon", None)]
 
 
@@ -432,7 +432,7 @@ def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
         seen[me.id] = (round(me.now, 6), me.believed_active())
 
     seen = {}
-    play(look, Crash(node=1, at=0.2, until=0.6), network=Links(latency=Constant(value=0.1)))
+    play(look, Crash(node=1, start=0.2, end=0.6), network=Links(latency=Constant(value=0.1)))
     assert seen[1] == (0.6, [0])
 
 
@@ -464,10 +464,10 @@ def test_who_was_stopped_by_a_breakdown_announces_that_it_chases_again(announce,
 
     Whether a heartbeat comes between depends on the seed. The control: without the breakdown nothing changed.
     """
-    changes = {"announce": announce, "motion": Motion(frozen=True)}
+    changes = {"announce": announce, "motion": Motion(static=True)}
     protocol = saying_at((1.0, True), (2.0, True))
     for seed in range(6):
-        crash = Crash(node=1, at=1.1, until=1.2, memory=memory)
+        crash = Crash(node=1, start=1.1, end=1.2, memory=memory)
         result = play(protocol, crash, seed=seed, **changes)
         assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(BrokeDown)] == [(1.1, 1)]
         assert told(result)[1.0] == told(result)[2.0] == 1
@@ -481,8 +481,8 @@ def test_an_action_that_nobody_could_hear_of_is_announced_at_the_next_revision(s
     A robot that is down decides nothing meanwhile, is inactive all the same, and tells that once.
     """
     protocol = saying_at((1.0, True), (1.2, False), (2.0, False), (3.0, False))
-    crash = Crash(node=1, at=1.1, until=1.5, scope=scope)
-    changes = {"announce": Announcements(trigger="change"), "motion": Motion(frozen=True)}
+    crash = Crash(node=1, start=1.1, end=1.5, scope=scope)
+    changes = {"announce": Announcements(trigger="change"), "motion": Motion(static=True)}
     result = play(protocol, crash, **changes)
     late = {2.0: False} if scope == "radio" else {1.5: False}
     assert told(result) == {1.0: True} | late
@@ -500,7 +500,7 @@ def test_chance_goes_on_after_a_repair(memory):
             mine.append(me.rng.random())
             yield me.sleep(0.1)
 
-    play(protocol, Crash(node=1, at=1.05, until=2.0, memory=memory))
+    play(protocol, Crash(node=1, start=1.05, end=2.0, memory=memory))
     assert 25 < len(drawn) < 35
     assert drawn == stream(0, "dice", 1).random(len(drawn)).tolist()
     assert mine == stream(0, "decisions", 1).random(len(mine)).tolist()
@@ -509,8 +509,8 @@ def test_chance_goes_on_after_a_repair(memory):
 def test_who_starts_anew_waits_for_new_poisson_times():
     """Waits are the draws of its stream: those before the breakdown, one that it cut short, and then the next."""
     protocol = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
-    crash = Crash(node=1, at=1.0, until=2.0, memory=False)
-    still = {"motion": Motion(frozen=True), "announce": Announcements(trigger="never")}
+    crash = Crash(node=1, start=1.0, end=2.0, memory=False)
+    still = {"motion": Motion(static=True), "announce": Announcements(trigger="never")}
     made = np.array(decided(play(protocol, crash, horizon=8.0, **still), 1))
     waits = stream(0, "poisson", 1).exponential(0.2, size=200)
     before = (np.cumsum(waits) < 1.0).sum()
@@ -532,6 +532,6 @@ def test_restarts_count_how_often_a_protocol_began_anew(scope, memory, restarts)
             yield me.at(3.5)
             last.append(me.restarts)
 
-    play(protocol, *(Crash(node=1, at=t, until=t + 0.5, scope=scope, memory=memory) for t in (1.0, 2.0)))
+    play(protocol, *(Crash(node=1, start=t, end=t + 0.5, scope=scope, memory=memory) for t in (1.0, 2.0)))
     assert begun == restarts
     assert last == [restarts[-1]]

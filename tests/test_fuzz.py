@@ -361,7 +361,7 @@ FOUND = [
         "protocol": {"kind": "sap", "schedule": {"kind": "token_ring", "attempts": 2**31}},
         "network": {"preset": "lora_sf7"},
     },
-    {"fault": [{"kind": "crash", "node": 0, "at": 0.1, "until": 1e308}]},
+    {"fault": [{"kind": "crash", "node": 0, "start": 0.1, "end": 1e308}]},
     {"announce": {"belief_timeout": 1e308}},
 ]
 """What was wrong once, of documents that follow the schema."""
@@ -472,7 +472,7 @@ def try_bytes(content):
 # Overrides and grids.
 
 VALID = json.loads(Scenario().model_dump_json())
-PLACES = sorted({*dict(keys(VALID)), *Scenario.model_fields, "protocol.tau.scale", "fault.0.at", "team.speeds.x"})
+PLACES = sorted({*dict(keys(VALID)), *Scenario.model_fields, "protocol.tau.scale", "fault.0.start", "team.speeds.x"})
 
 
 @st.composite

@@ -32,7 +32,7 @@ def game_of_three(rule, schedule):
         horizon=HORIZON,
         team=TEAM,
         evader=EVADERS,
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=rule(tau=ConstantTau(value=TAU), schedule=schedule),
         record=Recording(trajectory=0.0),
     )

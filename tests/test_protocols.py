@@ -126,7 +126,7 @@ def settled(kind, seed, **changes):
         "seed": seed,
         "horizon": 30.0,
         "team": Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": KINDS[kind](**settings),
         "announce": Announcements(heartbeat=0.5, warm_start=bool(rng.random() < 0.5)),
         "record": Recording(trajectory=0.0),
@@ -174,7 +174,7 @@ def test_in_each_part_of_a_team_that_is_cut_in_two_one_pursuer_chases(kind):
         whole = settled(kind, seed)
         size = whole.team.count
         group = tuple(np.flatnonzero(np.random.default_rng(seed).random(size) < 0.5).tolist()) or (0,)
-        cut = Partition(at=0.0, until=1e6, groups=(group,))
+        cut = Partition(start=0.0, end=1e6, groups=(group,))
         case = whole.model_copy(update={"fault": (cut,), "network": Links(latency=Constant(value=0.02))})
         profile, phi = outcome(case, kind)
         parts = [group, tuple(set(range(size)) - set(group))]

@@ -244,8 +244,8 @@ FAULTS = [
     "[protocol]\nkind = [1]",
     "network.latency = {}",
     "fault = [{ kind = 'crahs' }]",
-    "evader.strategy = { kind = 'listener', then = { kind = 'listener' } }",
-    "evader.strategy = { kind = 'listener', otherwise = { kind = 'zigzag', period = -1.0 } }",
+    "evader.strategy = { kind = 'listener', during_handover = { kind = 'listener' } }",
+    "evader.strategy = { kind = 'listener', normally = { kind = 'zigzag', period = -1.0 } }",
     "network.link = [{ src = 0, dst = 2, latency = { kind = 'constant', value = -2.0 } }]",
     "team.positions = [[1.0, 2.0, 3.0]]",
     "team.positions = [[1.0]]",
@@ -258,8 +258,8 @@ FAULTS = [
     "horizon = 5e-324",
     "network.latency = { kind = 'uniform', low = 2.0, high = 1.0 }",
     "network.loss = { kind = 'gilbert_elliott', share = 0.9, burst = 2.0 }",
-    "fault = [{ kind = 'crash', node = 1, at = 2.0, until = 1.0 }]",
-    "fault = [{ kind = 'partition', at = 1.0, groups = [[0, 1], [1]] }]",
+    "fault = [{ kind = 'crash', node = 1, start = 2.0, end = 1.0 }]",
+    "fault = [{ kind = 'partition', start = 1.0, groups = [[0, 1], [1]] }]",
     "network.latency = { kind = 'empirical' }",
     "network.link = [{ src = 0, dst = 2 }]",
     "team.count = 4\nnetwork.link = [{ src = 0, dst = 2, order = 'fifo' }, { src = 1, dst = 9, order = 'fifo' }]",
@@ -270,7 +270,7 @@ FAULTS = [
     "team.count = 4\nnetwork.graph = { kind = 'edges', edges = [{ src = 0, dst = 4 }] }",
     "team.count = 4\nnetwork.graph = { kind = 'star', centre = 4 }",
     "network.graph = { kind = 'edges', file = 'no.json' }",
-    "fault = [{ kind = 'crash', node = 1, at = 2.0 }, { kind = 'crash', node = 20, at = 2.0 }]",
+    "fault = [{ kind = 'crash', node = 1, start = 2.0 }, { kind = 'crash', node = 20, start = 2.0 }]",
     "[evader]\nposition = [[1.0, 2.0]]",
     "[protocol]\nkind = 'sap'\nsap = 1\ntau = { kind = 'constant', value = -1.0 }",
     "[[evader]]\n\n[[evader]]\nspeed = -0.8\nstrategy = { kind = 'max_min', candidates = 0 }\n"
@@ -303,8 +303,8 @@ GRIDS = [
     "prune = ['inf']\nhorizon = [1.0, 2.0, 1.0]",
     "prune = ['inf']\nhorizon = [1, 2, 1]",
     "prune = ['inf']\nhorizon = [1, 2, 1.0]",
-    'horizon = [1.0, 2.0]\nteam.count = [2, 4]\nfault = [[{ kind = "crash", node = 1, at = 0 }], '
-    '[{ kind = "crash", node = 3, at = 0 }]]',
+    'horizon = [1.0, 2.0]\nteam.count = [2, 4]\nfault = [[{ kind = "crash", node = 1, start = 0 }], '
+    '[{ kind = "crash", node = 3, start = 0 }]]',
 ]
 """Grids that are wrong, over GRID."""
 GRID = 'horizon = 1.0\nteam.count = 2\nnetwork.latency = { kind = "constant", value = 0.02 }\n[sweep.grid]\n'

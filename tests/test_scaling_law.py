@@ -45,7 +45,7 @@ def excess(schedule, latency, runs, duration=40.0):
     scenario = Scenario(
         horizon=60.0,
         team=Team(count=N),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=partial(while_it_settles, greedy, duration),
         announce=Announcements(trigger="change"),  # nothing is lost
         network=Links(latency=Constant(value=latency)),
@@ -91,7 +91,7 @@ def test_the_static_excess_is_that_of_two_prototypes(latency, duration, first, s
 @pytest.mark.parametrize(
     ("schedule", "runs", "duration", "expected"),
     [
-        (TokenRing(hold=DELTA), 20, 2.0, 0.84),
+        (TokenRing(holding_time=DELTA), 20, 2.0, 0.84),
         (SharedSeed(slot=DELTA), 40, 14.0, 1.73),
         (Rounds(period=N * DELTA), 20, 6.0, 1.54),
     ],

@@ -98,13 +98,13 @@ PLACES = {
     "network.latency": "network.latency = {}",
     "network.latency.base": 'network.latency = {{ kind = "per_pair", base = {} }}',
     "network.loss": "network.loss = {}",
-    "network.reach": "network.reach = {}",
+    "network.reception": "network.reception = {}",
     "network.graph": "network.graph = {}",
     "network.medium": "network.medium = {}",
     "network.link.0.latency": "network.link = [{{ src = 0, dst = 1, latency = {} }}]",
     "network.graph.edges.0.loss": 'network.graph = {{ kind = "edges", edges = [{{ src = 0, dst = 1, loss = {} }}] }}',
     "evader.strategy": "evader.strategy = {}",
-    "evader.strategy.then": 'evader.strategy = {{ kind = "listener", then = {} }}',
+    "evader.strategy.during_handover": 'evader.strategy = {{ kind = "listener", during_handover = {} }}',
     "evader.0.strategy": "[[evader]]\nstrategy = {}",
     "team.guidance": "team.guidance = {}",
     "announce.dissemination": "announce.dissemination = {}",
@@ -273,7 +273,7 @@ def test_what_code_is_given_may_lie_beside_the_file(mark, written, tmp_path):
 def ran(written, tmp_path, _no_pictures):
     """Return the folder of a run with a crash."""
     words = ["--set", "record.messages=true", "-o", tmp_path / "ran"]
-    accepted("run", written('fault = [{ kind = "crash", node = 0, at = 0.02, until = 0.05 }]'), *words)
+    accepted("run", written('fault = [{ kind = "crash", node = 0, start = 0.02, end = 0.05 }]'), *words)
     return tmp_path / "ran"
 
 

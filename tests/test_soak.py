@@ -104,12 +104,12 @@ def evaders(dice, **changes):
 
 def faults(dice, size, until):
     """Return a random plan of faults that are over at a time (s), and perhaps clocks that are wrong."""
-    plan = {"kind": "random", "rate": dice.number(0.5, 8.0), "mean_duration": dice.number(0.05, 1.0), "until": until}
+    plan = {"kind": "random", "rate": dice.number(0.5, 8.0), "mean_duration": dice.number(0.05, 1.0), "end": until}
     skew = {"kind": "clock_skew", "offset": dice.number(0.0, 0.3), "drift": dice.number(0.0, 0.1)}
     crashes = {"kind": "random_crashes", "rate": 0.5, "mean_downtime": 0.3, "memory": dice.chance(0.5)}
-    for_ever = {"kind": "crash", "at": 0.4, "node": 0, "scope": dice.one(["radio", "robot"])}
-    partition = {"kind": "partition", "at": 0.3, "until": 0.8, "groups": [[0], [size - 1]] if size > 1 else [[0]]}
-    jamming = {"kind": "jamming", "at": 0.5, "until": until, "centre": [5.0, 5.0], "radius": dice.number(1.0, 5.0)}
+    for_ever = {"kind": "crash", "start": 0.4, "node": 0, "scope": dice.one(["radio", "robot"])}
+    partition = {"kind": "partition", "start": 0.3, "end": 0.8, "groups": [[0], [size - 1]] if size > 1 else [[0]]}
+    jamming = {"kind": "jamming", "start": 0.5, "end": until, "centre": [5.0, 5.0], "radius": dice.number(1.0, 5.0)}
     more = [crashes, for_ever] if until == np.inf else []
     return [plan | {"box": (0.0, 10.0)}, *(each for each in [*more, skew, partition, jamming] if dice.chance(0.3))]
 
@@ -136,24 +136,24 @@ def anything(seed):
         "sensing": {
             "radius": dice.one([np.inf, np.inf, 3.0, 6.0]),
             "estimate": dice.one(["hold", "constant_velocity", "worst_case"]),
-            "pass_on": dice.chance(0.5),
+            "relay": dice.chance(0.5),
             "track_timeout": dice.one([0.2, 5.0]),
             "on_lost": dice.one(["stay", "search"]),
         },
         "capture": {
             "radius": dice.number(0.05, 0.5),
             "test": dice.one(["segment", "sample"]),
-            "needed": dice.one([None, 1]),
+            "captures_to_end": dice.one([None, 1]),
         },
         "motion": {
             "step": dice.one([0.01, 0.037, 0.1]),
             "order": dice.one(["evader_first", "simultaneous"]),
-            "frozen": dice.chance(0.1),
+            "static": dice.chance(0.1),
         },
         "protocol": protocol(dice),
         "announce": {
             "payload": dice.one(["action", "time", "state"]),
-            "reckoning": dice.one(["exact", "cheap"]),
+            "reckoning": dice.one(["exact", "straight_line"]),
             "trigger": dice.one(["change", "heartbeat", "both", "revision", "never"]),
             "heartbeat": dice.one([0.1, 0.3]),
             "belief_timeout": dice.one(["auto", 0.5, np.inf]),
@@ -165,8 +165,8 @@ def anything(seed):
             "link": [link] if graph["kind"] == "complete" and size > 1 and dice.chance(0.3) else [],
             "processing": dice.one([{}, {"sender": 0.01, "receiver": 0.02}]),
             "range": dice.one([np.inf, 4.0]),
-            "reach": dice.kind(RECEPTION_MODELS),
-            "fading": dice.one(["frozen", "message"]),
+            "reception": dice.kind(RECEPTION_MODELS),
+            "fading": dice.one(["per_link", "message"]),
             "range_check": dice.one(["send", "delivery", "both"]),
             "latency": dice.kind(LATENCIES),
             "order": dice.one(["overtaking", "fifo"]),
@@ -187,7 +187,7 @@ def calm_at_last(seed):
     size = table["team"]["count"]
     return table | {
         "horizon": 1.0 + 3.0 * patience(size),
-        "motion": {"frozen": True},
+        "motion": {"static": True},
         "protocol": protocol(dice, learning, schedule=schedule),
         "network": {
             "latency": dice.one([{"kind": "constant"}, {"kind": "uniform", "high": 0.06}, {"kind": "gamma"}]),
@@ -211,11 +211,11 @@ def climbing(seed):
         "record": {"trajectory": 0.02},
     }
     frozen = {
-        "motion": {"frozen": True},
+        "motion": {"static": True},
         "announce": moving["announce"] | {"payload": dice.one(["action", "time", "state"])},
         "record": {"trajectory": 0.0},
     }
-    serial = [{"kind": kind} for kind in SCHEDULES.choices() if kind not in {"rounds", "together"}]
+    serial = [{"kind": kind} for kind in SCHEDULES.choices() if kind not in {"rounds", "synchronous"}]
     slots = {"kind": "shared_seed", "slot": 0.02}
     still = dice.chance(0.5)
     return (frozen if still else moving) | {

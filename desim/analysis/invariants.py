@@ -120,7 +120,7 @@ class MotionWatcher:
     def __init__(self, scenario: Scenario):
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
         self._at_large = np.full(len(self._evader_speeds), np.inf)  # until when, ns
-        self._moves = not scenario.motion.frozen
+        self._moves = not scenario.motion.static
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
 
@@ -178,7 +178,7 @@ class PotentialWatcher:
 
     def __init__(self, scenario: Scenario):
         self._evader_speeds = [evader.speed for evader in scenario.evaders]
-        self._radius, self._frozen = scenario.capture.radius, scenario.motion.frozen
+        self._radius, self._static = scenario.capture.radius, scenario.motion.static
         self._horizon = nanoseconds(scenario.horizon)
         self._active = ActiveTimeWatcher()
         self._pending: list[tuple[Decided, list[int], list[int]]] = []
@@ -202,12 +202,12 @@ class PotentialWatcher:
                     for place, speed in zip(event.evaders, self._evader_speeds, strict=True)
                 ]
             )
-        if self._frozen or isinstance(event, Sampled):
+        if self._static or isinstance(event, Sampled):
             self._judge(event.t)
 
     def _judge(self, t: int) -> None:
         """Judge what was decided at an instant, ns, at which positions are known, and nothing that was before."""
-        left = seconds(self._horizon - (0 if self._frozen else t))
+        left = seconds(self._horizon - (0 if self._static else t))
         for event, before, after in self._pending:
             if event.t == t:
                 fall = welfare(self._phi, before, left) - welfare(self._phi, after, left)

@@ -74,7 +74,7 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured; of several all, or as many as end the run (`capture.needed`)."""
+    """Return whether the evader was captured; of several all, or as many as end the run (`capture.captures_to_end`)."""
     return ended(result).reason == "captured"
 
 

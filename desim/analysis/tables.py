@@ -50,7 +50,7 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(runs)]
     seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
-    several, needed = len(scenario.evaders), scenario.capture.needed
+    several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
     rate = sum(run.messages_sent for run in runs) / wall_time
     return (

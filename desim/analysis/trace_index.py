@@ -76,13 +76,13 @@ def has_several(result: Result) -> bool:
 @remembered
 def positions_known(result: Result) -> bool:
     """Return whether it is on record where everyone was: positions were sampled, or nobody moved."""
-    return result.scenario.motion.frozen or any(isinstance(event, Sampled) for event in result.trace)
+    return result.scenario.motion.static or any(isinstance(event, Sampled) for event in result.trace)
 
 
 @remembered
 def samples(result: Result) -> list[Started | Sampled]:
     """Return all that is known of where everyone was: at the start and, unless nobody moved, at each sample."""
-    return [started(result), *(() if result.scenario.motion.frozen else result.trace.of(Sampled))]
+    return [started(result), *(() if result.scenario.motion.static else result.trace.of(Sampled))]
 
 
 def sampled(result: Result) -> list[Sampled]:

@@ -49,6 +49,7 @@ class OneOf:
         group: of entry points.
         needs: attributes that whatever is taken as it is must have.
         takes: names of the arguments with which it is called.
+        number: the kind, and its key, that a bare number stands for; a bare string stands for a kind.
     """
 
     def __init__(
@@ -57,11 +58,13 @@ class OneOf:
         group: str | None = None,
         needs: tuple[str, ...] = (),
         takes: tuple[str, ...] = (),
+        number: tuple[str, str] | None = None,
     ):
         self.models = models
         self.group = group
         self.needs = needs
         self.takes = takes
+        self.number = number
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return the models by kind, those of this distribution first; all of them are loaded."""
@@ -93,7 +96,10 @@ class OneOf:
         return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return handler(_union(self.choices()))
+        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}]
+        if self.number is not None:
+            bare.append({"type": "number"})
+        return {"anyOf": [handler(_union(self.choices())), *bare]}
 
     def _written(self, value: Any, write: Callable[[Any], Any]) -> Any:
         if self.holds(value):
@@ -115,6 +121,7 @@ class OneOf:
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
             raise ValueError(f"should be an instance: {value.__name__}() instead of {value.__name__}")
+        value = self._as_table(value)
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
         if not callable(value):
@@ -122,6 +129,15 @@ class OneOf:
         if missing := [name for name in self.needs if not hasattr(value, name)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
         self._check_called(value, value)
+        return value
+
+    def _as_table(self, value: Any) -> Any:
+        """Return the table that a bare string or number stands for; any other value as it is."""
+        if isinstance(value, str):
+            return {"kind": value}
+        if self.number is not None and type(value) in {int, float}:
+            kind, key = self.number
+            return {"kind": kind, key: value}
         return value
 
     def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:

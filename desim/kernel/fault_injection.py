@@ -45,8 +45,8 @@ def inject(
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
         end = _open(fault, network, crashed, recovered)
-        if fault.until <= LONGEST:  # no run is longer
-            Instant(env, nanoseconds(fault.until), Phase.FAULT).callbacks.append(partial(finish, fault, end))
+        if fault.end <= LONGEST:  # no run is longer
+            Instant(env, nanoseconds(fault.end), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
         if trace is not None:
@@ -54,7 +54,7 @@ def inject(
         end()
 
     for fault in faults:
-        Instant(env, nanoseconds(fault.at), Phase.FAULT).callbacks.append(partial(begin, fault))
+        Instant(env, nanoseconds(fault.start), Phase.FAULT).callbacks.append(partial(begin, fault))
 
 
 def _named(fault: Fault) -> list[int]:

@@ -22,17 +22,17 @@ from desim.kernel.seeds import stream
 class _Window(Value):
     """What all faults share: they are open for a while."""
 
-    at: Time
+    start: Time
     """When it begins, s."""
-    until: Extent = inf
+    end: Extent = inf
     """When it is over, s; inf = never."""
 
-    @field_validator("until")
+    @field_validator("end")
     @classmethod
-    def _after_it_begins(cls, until: float, info: ValidationInfo) -> float:
-        if until <= info.data.get("at", 0.0):
-            raise ValueError(f"should be later than at (got {until:g} and {info.data['at']:g})")
-        return until
+    def _after_it_begins(cls, end: float, info: ValidationInfo) -> float:
+        if end <= info.data.get("start", 0.0):
+            raise ValueError(f"should be later than start (got {end:g} and {info.data['start']:g})")
+        return end
 
 
 class Crash(_Window):
@@ -131,7 +131,7 @@ class RandomCrashes(Value):
             t = each.exponential(1.0 / self.rate)
             while t < horizon:
                 until = t + max(each.exponential(self.mean_downtime), SHORTEST_FAULT)
-                yield Crash(at=t, until=until, node=node, scope=self.scope, memory=self.memory)
+                yield Crash(start=t, end=until, node=node, scope=self.scope, memory=self.memory)
                 t = until + each.exponential(1.0 / self.rate)
 
 
@@ -143,7 +143,7 @@ class RandomFaults(Value):
     """Faults per second, 1/s."""
     mean_duration: Duration = 1.0
     """Mean duration of a fault, s."""
-    until: Extent = inf
+    end: Extent = inf
     """When the last fault is over at the latest, s."""
     kinds: Annotated[tuple[Literal["crash", "partition", "jamming"], ...], Field(min_length=1)] = (
         "crash",
@@ -156,10 +156,10 @@ class RandomFaults(Value):
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that begin before the horizon, s, in order of time."""
-        t, end = 0.0, min(self.until, horizon)
+        t, end = 0.0, min(self.end, horizon)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - SHORTEST_FAULT:
             duration = max(rng.exponential(self.mean_duration), SHORTEST_FAULT)
-            window = {"at": t, "until": min(t + duration, self.until)}
+            window = {"start": t, "end": min(t + duration, self.end)}
             yield self._fault(self.kinds[rng.integers(len(self.kinds))], size, rng, window)
 
     def _fault(self, kind: str, size: int, rng: np.random.Generator, window: dict[str, float]) -> Fault:

@@ -277,4 +277,14 @@ class _Pairs:
         return own + self._model.jitter(context, rng)
 
 
-LATENCIES = OneOf(Constant, Uniform, ShiftedExponential, Gamma, Lognormal, Empirical, Propagation, PerPair)
+LATENCIES = OneOf(
+    Constant,
+    Uniform,
+    ShiftedExponential,
+    Gamma,
+    Lognormal,
+    Empirical,
+    Propagation,
+    PerPair,
+    number=("constant", "value"),
+)

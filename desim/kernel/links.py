@@ -54,9 +54,9 @@ class Links(Value):
     """Who is linked to whom, before range."""
     range: Extent = inf
     """Distance up to which two nodes hear each other, m; inf = any distance."""
-    reach: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
+    reception: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
     """How reception depends on distance and range."""
-    fading: Literal["frozen", "message"] = "frozen"
+    fading: Literal["per_link", "message"] = "per_link"
     """Whether chance in the reach is drawn once per pair of nodes, or for every message."""
     range_check: Literal["send", "delivery", "both"] = "send"
     """When the reach is judged: as a message leaves, as it arrives, or both."""

@@ -155,4 +155,4 @@ class ByDistance(Value):
         return rng.random(len(context.dst)) < self.probability(context.distances)
 
 
-LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance)
+LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance, number=("bernoulli", "p"))

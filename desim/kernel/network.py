@@ -85,8 +85,8 @@ class Network:
             graph,
             links.range,
             positions,
-            links.reach,
-            frozen=links.fading == "frozen",
+            links.reception,
+            per_link=links.fading == "per_link",
             seed=seed,
             now=lambda: env.now / SECOND,
         )

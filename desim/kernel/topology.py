@@ -32,7 +32,7 @@ class Topology:
         range: of every node, m.
         positions: where the nodes are now; needed if the range is finite.
         reach: the probability of reception at a distance.
-        frozen: whether its chance is drawn once per pair of nodes; if not, for every message.
+        per_link: whether its chance is drawn once per pair of nodes; if not, for every message.
         seed: of that chance.
         now: the time, s; if it is known, many nodes of limited speed are not looked at before they can have moved far.
 
@@ -47,7 +47,7 @@ class Topology:
         positions: PositionSource | None = None,
         reach: ReceptionModel | None = None,
         *,
-        frozen: bool = True,
+        per_link: bool = True,
         seed: int = 0,
         now: Callable[[], float] | None = None,
     ):
@@ -63,7 +63,7 @@ class Topology:
         )
         self._range, self._reach = range, reach or Disk()
         self._certain = isinstance(self._reach, Disk)
-        self._frozen, self._seed = frozen, seed
+        self._per_link, self._seed = per_link, seed
         self._uniform: dict[
             int, Floats
         ] = {}  # by sender, that of its pairs with all; not of more than there is room for
@@ -175,7 +175,7 @@ class Topology:
 
     def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
         """Return the (k,) luck that pairs of nodes have, in (0, 1)."""
-        if not self._frozen:
+        if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
             return pair_uniform(self._seed, "fading", src, dst, message, symmetric=False)

@@ -107,7 +107,7 @@ class Announcements(Value):
     payload: Literal["action", "time", "state"] = "action"
     """action: positions are sensed, the action is heard (the paper); time: the action and the time of capture as of
     sending; state: the action, the position and the speed as of sending."""
-    reckoning: Literal["exact", "cheap"] = "exact"
+    reckoning: Literal["exact", "straight_line"] = "exact"
     """How a moving teammate is extrapolated from its state: along its pursuit of the evader, or straight to it."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
     """When an action is announced: as it changes, every heartbeat, both, at every revision, or never."""

@@ -187,14 +187,14 @@ class Listener(Value):
 
     listens: ClassVar[bool] = True
     kind: Literal["listener"] = "listener"
-    then: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = PureEvasion()
+    during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = PureEvasion()
     """What it does while a hand-over is in flight."""
-    otherwise: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = Still()
+    normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = Still()
     """What it does else."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of the strategy whose turn it is."""
-        return (self.then if state.handover else self.otherwise)(state, rng)
+        return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
 STRATEGIES = OneOf(*SIMPLE, Listener, takes=CALLED_WITH)

@@ -68,14 +68,14 @@ class Kinematics:
     Args:
         env: the clock of the simulation.
         start: (K,) positions as it begins, m.
-        frozen: whether nobody ever moves.
+        static: whether nobody ever moves.
 
     Attributes:
         velocities: (K,) of the present pieces, m/s; not to be written to.
     """
 
-    def __init__(self, env: Clock, start: Points, *, frozen: bool = False):
-        self._env, self._frozen = env, frozen
+    def __init__(self, env: Clock, start: Points, *, static: bool = False):
+        self._env, self._static = env, static
         self.velocities: Points = np.zeros_like(start)
         self._origins, self._since = start, env.now
         self._places, self._read = start, env.now
@@ -84,12 +84,12 @@ class Kinematics:
     @property
     def are_known(self) -> bool:
         """Whether somebody has asked for all positions at this instant."""
-        return self._read == self._env.now or self._frozen
+        return self._read == self._env.now or self._static
 
     def places(self) -> Points:
         """Return the (K,) positions now, m; not to be written to."""
         now = self._env.now
-        if self._read != now and not self._frozen:
+        if self._read != now and not self._static:
             self._places = self._origins + self.velocities * ((now - self._since) / SECOND)
             self._places.setflags(write=False)
             self._read = now
@@ -98,14 +98,14 @@ class Kinematics:
     def place(self, player: int) -> complex:
         """Return the position of one player now, m."""
         now = self._env.now
-        if self._read == now or self._frozen:
+        if self._read == now or self._static:
             return self._places.item(player)
         return self._origins.item(player) + self.velocities.item(player) * ((now - self._since) / SECOND)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return how far some players are from another now, m."""
         now, start, velocity = self._env.now, self._origins.item, self.velocities.item
-        if self._read == now or self._frozen:
+        if self._read == now or self._static:
             place = self._places.item
             here = place(player)
             return [abs(here - place(other)) for other in others]
@@ -115,7 +115,7 @@ class Kinematics:
 
     def places_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
-        if self._read == self._env.now or self._frozen:
+        if self._read == self._env.now or self._static:
             return self._places[players]
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 

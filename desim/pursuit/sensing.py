@@ -43,7 +43,7 @@ class Sensing(Value):
     period: Period = 0.1
     """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `track_timeout` old
     or it hears of a newer one, again and again, for reports are lost as other messages are."""
-    pass_on: Flag = False
+    relay: Flag = False
     """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
     track_timeout: Timeout = 5.0
     """Age T_lost of a sighting from which on the evader is lost, s."""
@@ -203,7 +203,7 @@ class SensedView:
         """Tell the neighbours the newest sightings that are not too old."""
         oldest = self._clock.now - self._sensing.track_timeout
         news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
-        told = tuple(each for each in news if self._sensing.pass_on or each is not self._heard.get(each.evader))
+        told = tuple(each for each in news if self._sensing.relay or each is not self._heard.get(each.evader))
         if told:
             self._network.send(self._id, None, told, port=PORT)
 
@@ -268,7 +268,7 @@ class SensedView:
         if evader not in self._world.evaders():
             return self._world.reckoned(position, speed, age, evader, exact=False, ended=ended)
         estimate = self.estimate(evader)
-        if estimate is None or self._world.frozen:
+        if estimate is None or self._world.static:
             return position
         return nearer(position, estimate.place, speed * seconds(age - ended))
 

@@ -93,7 +93,7 @@ class GlobalState(PursuerView, Protocol):
     """The world as it is, for what makes of it what one pursuer senses."""
 
     @property
-    def frozen(self) -> bool:
+    def static(self) -> bool:
         """Whether nobody moves."""
         ...
 

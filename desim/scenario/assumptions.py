@@ -71,9 +71,9 @@ def word_gets_through(scenario: "Scenario") -> str | None:
         return None
     if trigger == "never":
         return "nothing is ever announced"
-    if network.range < inf and not scenario.motion.frozen:
+    if network.range < inf and not scenario.motion.static:
         return "who comes into range is never told what was said before (`announce.trigger`)"
-    by_chance = network.range < inf and network.fading == "message" and network.reach != Disk()
+    by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     drops = network.medium.half_duplex or network.medium.queue_limit < inf
     travel = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
     if by_chance or drops or scenario.fault or not travel.lossless:
@@ -216,8 +216,8 @@ def _who_hears_whom(scenario: "Scenario") -> "nx.DiGraph[int]":
         network.graph(scenario.team.count),
         network.range,
         lambda: start,
-        network.reach,
-        frozen=network.fading == "frozen",
+        network.reception,
+        per_link=network.fading == "per_link",
         seed=scenario.seed,
     )
     return topology.graph()

@@ -102,8 +102,8 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
         for key in PRESETS[network.preset]:
             if getattr(network, key) != getattr(preset, key):
                 yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
-    if network.range == inf and network.reach != Disk():
-        yield "network.reach", "it has no effect while the range is inf"
+    if network.range == inf and network.reception != Disk():
+        yield "network.reception", "it has no effect while the range is inf"
     if announce.trigger == "never" and getattr(announce.dissemination, "kind", "one_hop") != "one_hop":
         yield "announce.dissemination", "it has no effect, for nothing is ever announced"
     for k, fault in enumerate(scenario.fault):

@@ -137,10 +137,10 @@ class Source:
         """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
         parts = name.split(".")
         within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
-        dissemination = [*within, *key.split(".")]
+        nested = [*within, *key.split(".")]
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts
-        return dissemination if _has(self.tables, dissemination) else [*within, key]
+        return nested if _has(self.tables, nested) else [*within, key]
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:

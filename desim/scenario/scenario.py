@@ -146,7 +146,7 @@ class Evader(Value):
     """Speed v_e, m/s."""
     strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
     """How it flees."""
-    sight: Limit = inf
+    sensing_range: Limit = inf
     """Distance up to which it sees pursuers, m."""
     reaction_delay: Time = 0.0
     """Time by which it is late, s: it sees where pursuers were, and who chased, that long ago."""
@@ -176,7 +176,7 @@ class Evader(Value):
             speed=self.speed,
             speeds=speeds,
             radius=radius,
-            sight=self.sight,
+            sight=self.sensing_range,
             reaction_delay=self.reaction_delay,
         )
 
@@ -198,7 +198,7 @@ class Capture(Value):
     """Distance eps at which the evader is captured, m."""
     test: Literal["segment", "sample"] = "segment"
     """segment: at the very instant the distance falls to the radius; sample: judged at motion steps only."""
-    needed: Annotated[int, Field(ge=1, strict=True)] | None = None
+    captures_to_end: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of captures that end the run; if absent, all evaders."""
 
 
@@ -210,7 +210,7 @@ class Motion(Value):
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it was
     at its beginning."""
-    frozen: Flag = False
+    static: Flag = False
     """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
 
 
@@ -312,9 +312,9 @@ class Scenario(Value):
             for src, dst in link.ways() if not strangers else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
-        if (needed := self.capture.needed) is not None and needed > (number := len(self.evaders)):
+        if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
             yield (
-                ("capture", "needed"),
+                ("capture", "captures_to_end"),
                 f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
             )
         if isinstance(host := getattr(self.protocol, "host", None), int) and host >= count:

@@ -188,8 +188,35 @@ WORDS = {
 """pydantic's words and ours."""
 
 
+RENAMED = {
+    "at": "start",
+    "floor": "min_timeout",
+    "forget_after": "belief_timeout",
+    "frozen": "static",
+    "heeds": "flees_from",
+    "hold": "holding_time",
+    "lost_after": "track_timeout",
+    "needed": "captures_to_end",
+    "of": "schedule",
+    "otherwise": "normally",
+    "pass_on": "relay",
+    "patience": "winner_timeout",
+    "q": "participation",
+    "reach": "reception",
+    "reaction": "reaction_delay",
+    "sight": "sensing_range",
+    "spread": "dissemination",
+    "surprises": "reheat_on",
+    "then": "during_handover",
+    "together": "synchronous",
+    "until": "end",
+    "when_lost": "on_lost",
+}
+"""Former names of keys and kinds, and their names now."""
+
+
 def _suggestion(word: str, allowed: Sequence[str]) -> str:
-    close = get_close_matches(word, allowed, n=1)
+    close = [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
     return f", did you mean {close[0]!r}?" if close else ""
 
 

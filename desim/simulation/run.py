@@ -83,7 +83,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     world = World(env, scenario, seed, trace, radio)
     faults = draw_faults(scenario.fault, world.size, scenario.horizon, seed)
 
-    positions = _Places(world, 0.0 if scenario.motion.frozen else max(scenario.team.all_speeds()))
+    positions = _Places(world, 0.0 if scenario.motion.static else max(scenario.team.all_speeds()))
     network = Network(
         env,
         scenario.network.graph(world.size),

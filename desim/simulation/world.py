@@ -55,7 +55,7 @@ class World:
 
         evaders = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]
         start = complex_points(np.vstack([scenario.team.start(seed), *evaders]))
-        self.players = Kinematics(env, start, frozen=scenario.motion.frozen)
+        self.players = Kinematics(env, start, static=scenario.motion.static)
         self._speeds = np.array(scenario.team.all_speeds())
         radius = scenario.capture.radius
         self._targets = [
@@ -77,7 +77,7 @@ class World:
         self._options: dict[int, tuple[int, ...]] = {}
         self._lone = len(self._targets) == 1
         self._choices = range(len(self._targets) + 1)
-        self._needed = scenario.capture.needed or len(self._targets)
+        self._needed = scenario.capture.captures_to_end or len(self._targets)
         self._step, self._step_end = nanoseconds(scenario.motion.step), 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
@@ -106,7 +106,7 @@ class World:
         self._trace.append(Started(0, evader, _points(self.places()), speeds, tuple(self._profile), others))
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
-        if not self._motion.frozen:
+        if not self._motion.static:
             self._at(0, Phase.MOTION, self._move)
         if self._sampling:
             self._env.process(self._samples(nanoseconds(self._sampling)))
@@ -129,7 +129,7 @@ class World:
 
     def time_left(self, now: int) -> float:
         """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
-        return (self._horizon if self._motion.frozen else self._horizon - now) / SECOND
+        return (self._horizon if self._motion.static else self._horizon - now) / SECOND
 
     def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
         """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
@@ -183,9 +183,9 @@ class World:
         return self._targets[evader - 1].speed
 
     @property
-    def frozen(self) -> bool:
+    def static(self) -> bool:
         """Whether nobody moves."""
-        return self._motion.frozen
+        return self._motion.static
 
     def place(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
@@ -233,7 +233,7 @@ class World:
             exact: whether along its pursuit.
             ended: how long ago it stopped, at most `age`, ns; asked for again with the same start, no longer ago.
         """
-        if self._motion.frozen or age == ended:
+        if self._motion.static or age == ended:
             return position
         target, now = self._targets[evader - 1], self._env.now
         end = now - ended if target.captured is None else min(now - ended, max(target.captured, now - age))
@@ -335,7 +335,7 @@ class World:
     def _foresee_capture(self) -> None:
         """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""
         self._capture_ahead = None
-        if self._motion.frozen:
+        if self._motion.static:
             return
         now, end = self._env.now, self._step_end
         first: tuple[float, int] | None = None

@@ -189,7 +189,7 @@ def _reach(result: Result) -> ReplayData:
     said: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
     if not isfinite(links.range):
         return said
-    if isinstance(links.reach, Disk):
+    if isinstance(links.reception, Disk):
         return said | {"radius": links.range}
     if not _falls(links):
         return said | {"known": False}
@@ -204,7 +204,7 @@ def _falls(links: Links) -> bool:
     """Return whether reception is nowhere likelier than nearer by, as far as can be told."""
     if not isfinite(links.range):
         return True
-    chance = links.reach(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
+    chance = links.reception(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
     return not (np.diff(chance) > 1e-12).any()
 
 
@@ -213,8 +213,8 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     places = np.zeros((size, 2))
     found = np.zeros((size, size))
     graph = Complete()(size)
-    frozen = links.fading == "frozen"
-    topology = Topology(graph, links.range, lambda: places, links.reach, frozen=frozen, seed=seed)
+    frozen = links.fading == "per_link"
+    topology = Topology(graph, links.range, lambda: places, links.reception, per_link=frozen, seed=seed)
     for node in range(size):
         low, high = np.zeros(size), np.full(size, farthest)
         for _ in range(64):

@@ -180,7 +180,7 @@ def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
 
     What arrives as it recovers, at 2 s, is not forgotten, for faults come first: (1 x 1.5 + 2 x 3) / 3.
     """
-    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(at=1.5, until=2.0, node=1, memory=False))
+    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1, memory=False))
     result = by_hand((True, True), 4.0, *words, told(0, 2, 2.5, {1: 3.0}), decided(2.5, 1), decided(3.5, 1))
     mean, peak, at_decision = pair(result)
     assert (mean, at_decision) == (1.25, 1.0)
@@ -190,7 +190,7 @@ def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
 
 
 def test_who_keeps_its_memory_goes_on():
-    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(at=1.5, until=2.0, node=1))
+    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1))
     assert pair(by_hand((True, True), 4.0, *words))[0] == 2.5
 
 
@@ -216,7 +216,7 @@ def test_word_that_does_not_tell_the_action_leaves_the_belief():
 def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_nobody_else():
     """1 forgets at 1 s; at 2 s it hears record number 0 of pursuer 0 again, 2 s old then and 4 s at the end."""
     first = relayed(2, 1, 2.0, 2.0, Record(0, 0, 0, ACTIVE))
-    over = FaultEnded(ns(1.0), Crash(at=0.5, until=1.0, node=1, memory=False))
+    over = FaultEnded(ns(1.0), Crash(start=0.5, end=1.0, node=1, memory=False))
     result = by_hand((True, False, False), 4.0, over, first)
     assert (pair(result)[0], belief_error(result)) == (3.0, 1.0 / (6 * 4))
     result = by_hand((True, False, False), 4.0, first)
@@ -316,7 +316,7 @@ def histories(draw):
         elif kind == "halted":
             events.append(BrokeDown(t, node))
         elif kind == "forgets":
-            events.append(FaultEnded(t, Crash(at=0.0, until=1.0, node=node, memory=False)))
+            events.append(FaultEnded(t, Crash(start=0.0, end=1.0, node=node, memory=False)))
         elif kind == "captured" and len(large) > 1:
             events.append(Captured(t, large.pop(), node))
         if others and draw(truths):
@@ -491,7 +491,7 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
     scenario = Scenario(
         horizon=2.0,
         team=Team(count=6, active_at_start=0.5),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         network=Links(graph=Ring(), latency=Uniform(low=0.0, high=0.1), loss=Bernoulli(p=0.2)),
         announce=Announcements(trigger="revision", dissemination=dissemination, warm_start=warm),
         record=Recording(messages=True),
@@ -529,7 +529,7 @@ def negotiating(schedule, dissemination=None, **links):
     scenario = Scenario(
         horizon=6.0,
         team=Team(count=4),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         network=Links(latency=Uniform(low=0.0, high=0.1), **links),
         announce=Announcements(**trigger),
         record=Recording(messages=True),

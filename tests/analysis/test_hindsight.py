@@ -67,7 +67,7 @@ def by_hand(phi, active, decisions, end, frozen=True, samples=(), more=(), speed
         team=Team(count=len(phi)),
         evader=Evader(speed=1.0),
         capture=Capture(radius=0.5),
-        motion=Motion(frozen=frozen),
+        motion=Motion(static=frozen),
     )
     return Result(scenario, 0, trace)
 
@@ -221,8 +221,8 @@ def test_who_cannot_capture_is_never_right_and_has_no_regret_and_no_part_in_the_
 
 def test_a_robot_that_is_broken_is_not_the_relay_pursuer():
     """0 is broken from 1 to 3 s, twice from 2 s on; 1 chases from 1 s to 3.5 s; a broken radio does not matter."""
-    first, second = Crash(at=1.0, until=2.5, node=0), Crash(at=2.0, until=3.0, node=0)
-    radio = Crash(at=0.0, until=5.0, node=0, scope="radio")
+    first, second = Crash(start=1.0, end=2.5, node=0), Crash(start=2.0, end=3.0, node=0)
+    radio = Crash(start=0.0, end=5.0, node=0, scope="radio")
     events = [
         FaultStarted(0, radio),
         FaultStarted(SECOND, first),
@@ -301,7 +301,7 @@ def test_a_run_without_time_is_neither_right_nor_wrong():
 # Of real runs; that all is what brute force finds is tested with several evaders and with one in test_several.
 
 CASES = {
-    "frozen": {"motion": Motion(frozen=True), "horizon": 3.0},
+    "frozen": {"motion": Motion(static=True), "horizon": 3.0},
     "pursuit": {"horizon": 4.0},
     "crashes": {"horizon": 4.0, "fault": (RandomCrashes(rate=0.5, mean_downtime=0.5),)},
 }

@@ -72,7 +72,7 @@ def breakdown(*watchers):
         team=Team(positions=((0.0, 0.0), (9.0, 0.0)), speeds=2.0),
         evader=Evader(position=(4.0, 0.0), speed=0.5),
         protocol=BestResponse(schedule=Periodic(period=0.1)),
-        fault=(Crash(node=0, at=0.3, until=0.7),),
+        fault=(Crash(node=0, start=0.3, end=0.7),),
     )
     return watched(scenario, 0, *watchers)
 
@@ -185,7 +185,7 @@ def test_wrong_motion_is_noticed(words, events):
 
 
 def test_in_a_frozen_game_nobody_moves():
-    watcher = MotionWatcher(GAME.model_copy(update={"motion": Motion(frozen=True)}))
+    watcher = MotionWatcher(GAME.model_copy(update={"motion": Motion(static=True)}))
     show(watcher, started(1, 1), sampled(1.0, (0.0, 0.0), (4.0, 0.0)))
     with pytest.raises(AssertionError, match="player 0"):
         watcher(sampled(2.0, (0.1, 0.0), (4.0, 0.0)))
@@ -231,7 +231,7 @@ def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, 
 # Potential.
 
 SURE = ConstantTau(value=1e-12)
-FROZEN = Motion(frozen=True)
+FROZEN = Motion(static=True)
 
 
 def decide(*decisions, active=(1, 1), motion=FROZEN, sample=None):
@@ -328,7 +328,7 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
         {"announce": Announcements(trigger="change", warm_start=False)},
         {"announce": Announcements(trigger="change", belief_timeout=0.2)},
         {"announce": Announcements(trigger="never")},
-        {"fault": (Crash(node=0, at=0.1), Crash(node=1, at=0.1), Crash(node=2, at=0.1))},
+        {"fault": (Crash(node=0, start=0.1), Crash(node=1, start=0.1), Crash(node=2, start=0.1))},
     ],
     ids=["hot", "at once", "no reply", "another game", "late", "lossy", "cold", "forgetful", "silent", "broken"],
 )

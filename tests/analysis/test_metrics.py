@@ -223,7 +223,7 @@ def test_a_capture_at_the_start_has_a_time_of_0_and_not_none():
 
 def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     before = summary(relay)
-    relay.trace.append(FaultStarted(0, Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)))
+    relay.trace.append(FaultStarted(0, Jamming(start=0.0, centre=(0.0, 0.0), radius=1.0)))
     assert summary(relay) == before
 
 

@@ -45,7 +45,7 @@ def by_hand(start, *events, end=6.0, captured=False, far=(1.0, 2.0, 4.0)):
         team=Team(count=len(far)),
         evader=Evader(speed=1.0, count=2),
         capture=Capture(radius=0.5),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
     )
     return Result(scenario, 0, trace)
 
@@ -150,8 +150,8 @@ EVADERS = (Evader(speed=0.9), Evader(speed=0.5, box=(5.0, 15.0)), Evader(speed=1
 CASES = {
     "pursuit": {"horizon": 3.0},
     "crashes": {"horizon": 3.0, "fault": (RandomCrashes(rate=0.5, mean_downtime=0.5),)},
-    "frozen": {"motion": Motion(frozen=True), "horizon": 2.0},
-    "short": {"motion": Motion(frozen=True), "horizon": 1.0},
+    "frozen": {"motion": Motion(static=True), "horizon": 2.0},
+    "short": {"motion": Motion(static=True), "horizon": 1.0},
     "late": {"horizon": 1.5},
     "equals": {"horizon": 3.0, "team": Team(count=4, box=(6.0, 14.0), speeds=1.5, active_at_start=0.5)},
 }
@@ -170,7 +170,7 @@ def replayed(result):
     A piece ends where something changes, or everyone's position is known; phi is that of its middle.
     """
     (start,), (end,), scenario = result.trace.of(Started), result.trace.of(Ended), result.scenario
-    known = [start] if scenario.motion.frozen else [start, *result.trace.of(Sampled)]
+    known = [start] if scenario.motion.static else [start, *result.trace.of(Sampled)]
     when = [each.t for each in known]
     actions, large, broken = list(start.active), set(range(1, len(start.evaders) + 1)), [0] * len(start.active)
     pieces, since = [], 0
@@ -187,7 +187,7 @@ def replayed(result):
             evader, speed = where(lambda each, j=j: each.evaders[j - 1], middle), EVADERS[j - 1].speed
             phi[:, j - 1] = capture_time(evader, places, start.speeds, speed, scenario.capture.radius)
         phi[np.array(broken) > 0] = inf
-        left = scenario.horizon - (0.0 if scenario.motion.frozen else middle / SECOND)
+        left = scenario.horizon - (0.0 if scenario.motion.static else middle / SECOND)
         pieces.append((since, until, tuple(map(int, actions)), set(large), phi, left))
 
     for event in result.trace:

@@ -65,8 +65,8 @@ BATCHES = {
     "one capture has no interval": (SCENARIO, [CAUGHT, ESCAPED]),
     "no capture has no time": (SCENARIO, [ESCAPED, ESCAPED]),
     "of several evaders": (PACK, [TAKEN, ONE_OF]),
-    "two of three are needed": (PACK.model_copy(update={"capture": Capture(needed=2)}), [TAKEN, ONE_OF]),
-    "all three are needed": (PACK.model_copy(update={"capture": Capture(needed=3)}), [TAKEN, ONE_OF]),
+    "two of three are needed": (PACK.model_copy(update={"capture": Capture(captures_to_end=2)}), [TAKEN, ONE_OF]),
+    "all three are needed": (PACK.model_copy(update={"capture": Capture(captures_to_end=3)}), [TAKEN, ONE_OF]),
 }  # fmt: skip
 
 

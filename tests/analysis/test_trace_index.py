@@ -31,7 +31,7 @@ def test_where_everyone_was_is_known_at_the_start_and_at_each_sample_or_always_i
     trajectory, frozen, moments
 ):
     """The first sample is of the start, too."""
-    result = ran(trajectory, motion=Motion(frozen=frozen))
+    result = ran(trajectory, motion=Motion(static=frozen))
     assert [each.t for each in samples(result)] == moments
     assert isinstance(samples(result)[0], Started)
     assert positions_known(result) == (frozen or trajectory > 0.0)

@@ -46,9 +46,9 @@ MODELS = {
     "gilbert_elliott": Links(loss=GilbertElliott(share=0.1, burst=5.0)),
     "gilbert_elliott in time": Links(loss=GilbertElliott(share=0.1, burst=5.0, advance="time")),
     "by_distance": Links(loss=ByDistance(distance=FAR)),
-    "disk": Links(range=FAR, reach=Disk()),
-    "quasi_unit_disk": Links(range=FAR, reach=QuasiUnitDisk(certain=1.0)),
-    "log_distance": Links(range=100 * FAR, reach=LogDistance()),
+    "disk": Links(range=FAR, reception=Disk()),
+    "quasi_unit_disk": Links(range=FAR, reception=QuasiUnitDisk(certain=1.0)),
+    "log_distance": Links(range=100 * FAR, reception=LogDistance()),
     "disk at delivery": Links(range=FAR, range_check="delivery"),
 }
 

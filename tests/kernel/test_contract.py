@@ -113,16 +113,16 @@ def fate_of(tally, read):
 
 
 def crash(node, at, until=inf, **options):
-    return Crash(node=node, at=at, until=until, **options)
+    return Crash(node=node, start=at, end=until, **options)
 
 
 def parted(at, until=inf):
-    return Partition(groups=((0,),), at=at, until=until)
+    return Partition(groups=((0,),), start=at, end=until)
 
 
 def jammed(at, until=inf):
     """Return a disc around node 1 alone."""
-    return Jamming(centre=(1.0, 0.0), radius=0.5, at=at, until=until)
+    return Jamming(centre=(1.0, 0.0), radius=0.5, start=at, end=until)
 
 
 def lost(cause, at):
@@ -144,7 +144,7 @@ ON_THE_AIR = {"medium": ONE_SECOND_EACH}
 TWICE = {**ON_THE_AIR, **AT_ONCE, "times": (SPOKEN,) * 2}
 AGAIN = {**ON_THE_AIR, "times": (SPOKEN, SPOKEN, 3.0)}
 QUEUED = {**ON_THE_AIR, **AT_ONCE, "times": (SPOKEN,) * 3}
-PASSED = Jamming(centre=(9.0, 0.0), radius=0.5, at=0.0)
+PASSED = Jamming(centre=(9.0, 0.0), radius=0.5, start=0.0)
 """A disc that node 1 is in while it is away."""
 STORIES = {
     "the receiver leaves the range while it flies": [
@@ -286,7 +286,7 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
     def cause(*faults):
         return tell("send", *faults, away=[(1.1, inf)], check="delivery").fate
 
-    everything = [crash(1, 1.2), parted(1.2), Jamming(centre=(9.0, 0.0), radius=0.5, at=1.2)]
+    everything = [crash(1, 1.2), parted(1.2), Jamming(centre=(9.0, 0.0), radius=0.5, start=1.2)]
     assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "reach"]
 
 

@@ -14,7 +14,16 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomCrashes, RandomFaults, drawn
+from desim.kernel.faults import (
+    Crash,
+    FaultEnded,
+    FaultStarted,
+    Jamming,
+    Partition,
+    RandomCrashes,
+    RandomFaults,
+    draw_faults,
+)
 from desim.kernel.network import Network
 from desim.kernel.seeds import stream
 from desim.scenario.scenario import Team
@@ -57,7 +66,7 @@ ALWAYS = tenths(0, 10)
 def test_a_node_whose_radio_is_down_neither_sends_nor_receives():
     """Node 1 of three is down from 0.3 s until 0.6 s, at which it is up."""
     up = ALWAYS - tenths(3, 6)
-    assert who_hears_whom(3, Crash(node=1, at=0.3, until=0.6)) == {
+    assert who_hears_whom(3, Crash(node=1, start=0.3, end=0.6)) == {
         (0, 1): up,
         (1, 0): up,
         (1, 2): up,
@@ -73,14 +82,14 @@ def test_a_node_whose_radio_is_down_neither_sends_nor_receives():
 )
 def test_a_node_is_up_when_all_its_crashes_are_over(second, down):
     """One from 0.2 s until 0.6 s, and one that overlaps, lies within, follows, is the same, or contains it."""
-    crashes = [Crash(node=0, at=at, until=until) for at, until in ((0.2, 0.6), second)]
+    crashes = [Crash(node=0, start=at, end=until) for at, until in ((0.2, 0.6), second)]
     for order in (crashes, crashes[::-1]):
         assert who_hears_whom(2, *order)[0, 1] == ALWAYS - tenths(*down)
 
 
 @pytest.mark.parametrize("scope", ["radio", "robot"])
 def test_to_the_network_every_crash_is_one_of_the_radio(scope):
-    assert who_hears_whom(2, Crash(node=0, at=0.5, scope=scope))[0, 1] == tenths(0, 5)
+    assert who_hears_whom(2, Crash(node=0, start=0.5, scope=scope))[0, 1] == tenths(0, 5)
 
 
 @pytest.mark.parametrize("memory", [True, False])
@@ -92,7 +101,7 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
     network.publish(0, "told")
     for port in ("", "other"):
         network.send(0, None, "mail", port=port)
-    inject([Crash(node=1, at=1.0, until=2.0, memory=memory)], clock, network)
+    inject([Crash(node=1, start=1.0, end=2.0, memory=memory)], clock, network)
     Instant(clock, 3 * SECOND, Phase.DECISION).callbacks.append(lambda _: network.publish(2, "later"))
     for until, known in ((2 * SECOND, True), (2 * SECOND + 1, memory)):
         clock.run(until=until)
@@ -127,7 +136,7 @@ def test_a_node_without_memory_learns_again_what_it_had_heard():
     ],
 )
 def test_a_partition_separates_its_groups_and_all_others_form_one_more(groups, together):
-    found = who_hears_whom(5, Partition(groups=groups, at=0.0))
+    found = who_hears_whom(5, Partition(groups=groups, start=0.0))
     pairs = {(src, dst) for group in together for src in group for dst in group if src != dst}
     assert {pair for pair, when in found.items() if when} == pairs
 
@@ -135,7 +144,7 @@ def test_a_partition_separates_its_groups_and_all_others_form_one_more(groups, t
 def test_partitions_that_overlap_separate_whom_either_does():
     """{0 1 | 2 3} from 0.2 s until 0.6 s, {0 2 | 1 3} from 0.4 s until 0.8 s; 0 and 3 are separated by both."""
     heard = who_hears_whom(
-        4, Partition(groups=[(0, 1)], at=0.2, until=0.6), Partition(groups=[(0, 2)], at=0.4, until=0.8)
+        4, Partition(groups=[(0, 1)], start=0.2, end=0.6), Partition(groups=[(0, 2)], start=0.4, end=0.8)
     )
     assert heard[0, 1] == heard[3, 2] == ALWAYS - tenths(4, 8)
     assert heard[0, 2] == heard[3, 1] == ALWAYS - tenths(2, 6)
@@ -144,8 +153,8 @@ def test_partitions_that_overlap_separate_whom_either_does():
 
 @pytest.mark.parametrize("inner", [(0.4, 0.6), (0.4, 0.8), (0.2, 0.6)])
 def test_a_partition_within_an_equal_one_heals_only_itself(inner):
-    outer = Partition(groups=[(0,)], at=0.2, until=0.8)
-    heard = who_hears_whom(2, outer, Partition(groups=[(0,)], at=inner[0], until=inner[1]))
+    outer = Partition(groups=[(0,)], start=0.2, end=0.8)
+    heard = who_hears_whom(2, outer, Partition(groups=[(0,)], start=inner[0], end=inner[1]))
     assert heard[0, 1] == ALWAYS - tenths(2, 8)
 
 
@@ -155,7 +164,7 @@ def in_a_row(*xs):
 
 def test_a_jamming_disc_deafens_who_is_inside_and_lets_him_be_heard_outside():
     """Nodes at x = 0, 1, 5 m; a disc of 1 m around the first from 0.3 s until 0.6 s, and its rim belongs to it."""
-    jam = Jamming(centre=(0.0, 0.0), radius=1.0, at=0.3, until=0.6)
+    jam = Jamming(centre=(0.0, 0.0), radius=1.0, start=0.3, end=0.6)
     heard = who_hears_whom(3, jam, positions=in_a_row(0.0, 1.0, 5.0))
     jammed = ALWAYS - tenths(3, 6)
     assert heard == {(0, 1): jammed, (1, 0): jammed, (2, 0): jammed, (2, 1): jammed, (0, 2): ALWAYS, (1, 2): ALWAYS}
@@ -164,7 +173,7 @@ def test_a_jamming_disc_deafens_who_is_inside_and_lets_him_be_heard_outside():
 def test_discs_are_undone_one_by_one_and_deafen_each_its_own():
     """Nodes at x = 0, 5, 9 m; two discs around the first that overlap in time, and one around the last."""
     discs = [(0.0, 0.1, 0.7), (0.0, 0.3, 0.5), (9.0, 0.3, inf)]
-    jams = [Jamming(centre=(x, 0.0), radius=1.0, at=at, until=until) for x, at, until in discs]
+    jams = [Jamming(centre=(x, 0.0), radius=1.0, start=at, end=until) for x, at, until in discs]
     heard = who_hears_whom(3, *jams, positions=in_a_row(0.0, 5.0, 9.0))
     assert heard[0, 1] == heard[2, 1] == ALWAYS
     assert heard[1, 0] == heard[2, 0] == ALWAYS - tenths(1, 7)
@@ -175,7 +184,7 @@ def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
     """Node 0 moves along x at 10 m/s: after k tenths of a second it is at k m; the disc covers 3 m to 5 m."""
     heard = who_hears_whom(
         2,
-        Jamming(centre=(4.0, 0.0), radius=1.0 + 1e-9, at=0.0),
+        Jamming(centre=(4.0, 0.0), radius=1.0 + 1e-9, start=0.0),
         positions=lambda time: np.array([[10.0 * time, 0.0], [99.0, 0.0]]),
     )
     assert heard == {(1, 0): ALWAYS - {3, 4, 5}, (0, 1): ALWAYS}
@@ -184,10 +193,10 @@ def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
 def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
     clock, trace, calls = Clock(), Trace(), []
     network = Network(clock, nx.complete_graph(3), fault_state=FaultState())
-    crash = Crash(node=1, at=0.2, until=0.5)
-    cut = Partition(groups=[(0,)], at=0.1, until=0.2)
+    crash = Crash(node=1, start=0.2, end=0.5)
+    cut = Partition(groups=[(0,)], start=0.1, end=0.2)
     inject(
-        [crash, cut, Crash(node=2, at=0.3)],
+        [crash, cut, Crash(node=2, start=0.3)],
         clock,
         network,
         trace,
@@ -215,7 +224,7 @@ def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
 def test_a_fault_too_short_for_the_clock_begins_and_is_over_at_one_instant():
     clock, trace = Clock(), Trace()
     network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
-    inject([Crash(node=0, at=0.1, until=0.1 + 1e-12)], clock, network, trace)
+    inject([Crash(node=0, start=0.1, end=0.1 + 1e-12)], clock, network, trace)
     clock.run()
     assert [type(event) for event in trace] == [FaultStarted, FaultEnded]
     assert not network.fault_state.down(0)
@@ -226,7 +235,7 @@ def downtimes(crashes, horizon):
     number, down = Counter(), Counter()
     for crash in crashes:
         number[crash.node] += 1
-        down[crash.node] += min(crash.until, horizon) - crash.at
+        down[crash.node] += min(crash.end, horizon) - crash.start
     nodes = range(max(number) + 1)
     return np.array([number[node] for node in nodes]), np.array([down[node] for node in nodes])
 
@@ -239,7 +248,7 @@ def test_random_crashes_follow_the_alternating_renewal_process(seed):
     Within 5 standard errors; without regard to downtime (a T crashes, a m T down) it would be far off."""
     rate, mean, horizon, nodes = 0.3, 2.0, 40.0, 3000
     plan = RandomCrashes(rate=rate, mean_downtime=mean)
-    number, down = downtimes(drawn([plan], nodes, horizon, seed), horizon)
+    number, down = downtimes(draw_faults([plan], nodes, horizon, seed), horizon)
     share, speed = rate * mean / (1 + rate * mean), rate + 1 / mean
     time_down = share * (horizon - (1 - exp(-speed * horizon)) / speed)
 
@@ -256,24 +265,24 @@ def test_random_crashes_follow_the_alternating_renewal_process(seed):
 def test_the_share_of_downtime_in_the_long_run_is_rate_times_downtime_over_one_plus_it():
     """0.5 1/s and 1 s make 1/3; 200 nodes over 1000 s, within 5 standard errors and far from 1/2."""
     horizon = 1000.0
-    _, down = downtimes(drawn([RandomCrashes(rate=0.5, mean_downtime=1.0)], 200, horizon, 0), horizon)
+    _, down = downtimes(draw_faults([RandomCrashes(rate=0.5, mean_downtime=1.0)], 200, horizon, 0), horizon)
     share, error = down.mean() / horizon, down.std(ddof=1) / horizon / np.sqrt(200)
     assert abs(share - 1 / 3) < 5 * error < 0.02
 
 
 def test_random_crashes_of_a_node_do_not_overlap_and_begin_before_the_horizon():
     plan = RandomCrashes(rate=5.0, mean_downtime=0.1, scope="radio", memory=False)
-    for crashes in [[c for c in drawn([plan], 4, 20.0, 7) if c.node == node] for node in range(4)]:
+    for crashes in [[c for c in draw_faults([plan], 4, 20.0, 7) if c.node == node] for node in range(4)]:
         assert len(crashes) > 20
-        assert all(before.until < after.at for before, after in pairwise(crashes))
-        assert all(crash.at < 20.0 and crash.scope == "radio" and not crash.memory for crash in crashes)
+        assert all(before.end < after.start for before, after in pairwise(crashes))
+        assert all(crash.start < 20.0 and crash.scope == "radio" and not crash.memory for crash in crashes)
 
 
 def test_the_crashes_of_a_node_depend_neither_on_how_many_there_are_nor_on_the_horizon():
     plan = RandomCrashes(rate=1.0)
-    many = drawn([plan], 5, 50.0, 3)
-    assert drawn([plan], 2, 50.0, 3) == [crash for crash in many if crash.node < 2]
-    assert drawn([plan], 5, 10.0, 3) == [crash for crash in many if crash.at < 10.0]
+    many = draw_faults([plan], 5, 50.0, 3)
+    assert draw_faults([plan], 2, 50.0, 3) == [crash for crash in many if crash.node < 2]
+    assert draw_faults([plan], 5, 10.0, 3) == [crash for crash in many if crash.start < 10.0]
 
 
 KINDS = ("crash", "partition", "jamming")
@@ -282,12 +291,12 @@ KINDS = ("crash", "partition", "jamming")
 @pytest.mark.parametrize("until", [inf, 8.0])
 @pytest.mark.parametrize("kinds", [KINDS, ("crash",), ("partition", "jamming")])
 def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
-    plan = RandomFaults(rate=20.0, mean_duration=2.0, until=until, kinds=kinds, box=(-3.0, 7.0))
-    faults = drawn([plan], 5, 10.0, 11)
+    plan = RandomFaults(rate=20.0, mean_duration=2.0, end=until, kinds=kinds, box=(-3.0, 7.0))
+    faults = draw_faults([plan], 5, 10.0, 11)
     assert {fault.kind for fault in faults} == set(kinds)
-    assert [fault.at for fault in faults] == sorted(fault.at for fault in faults)
-    assert all(fault.at < fault.until <= until and fault.at < 10.0 for fault in faults)
-    assert max(fault.at for fault in faults) > min(until, 10.0) - 1.0
+    assert [fault.start for fault in faults] == sorted(fault.start for fault in faults)
+    assert all(fault.start < fault.end <= until and fault.start < 10.0 for fault in faults)
+    assert max(fault.start for fault in faults) > min(until, 10.0) - 1.0
     for fault in faults:
         if fault.kind == "crash":
             assert 0 <= fault.node < 5
@@ -300,32 +309,32 @@ def test_a_random_plan_keeps_to_its_kinds_its_box_and_its_end(kinds, until):
 
 def test_a_random_plan_has_faults_at_its_rate():
     """20 1/s over 100 s are 2000 faults with a standard deviation of 45; and a mean duration of 0.5 s."""
-    faults = drawn([RandomFaults(rate=20.0, mean_duration=0.5)], 5, 100.0, 2)
-    durations = np.array([fault.until - fault.at for fault in faults])
+    faults = draw_faults([RandomFaults(rate=20.0, mean_duration=0.5)], 5, 100.0, 2)
+    durations = np.array([fault.end - fault.start for fault in faults])
     assert abs(len(faults) - 2000) < 5 * 45
     assert abs(durations.mean() - 0.5) < 5 * 0.5 / np.sqrt(len(faults))
 
 
 @pytest.mark.parametrize("plan", [RandomFaults(rate=5.0), RandomCrashes(rate=1.0)])
 def test_equal_seeds_draw_equal_plans_and_others_do_not(plan):
-    assert drawn([plan], 4, 10.0, 5) == drawn([plan], 4, 10.0, 5)
-    assert drawn([plan], 4, 10.0, 5) != drawn([plan], 4, 10.0, 6)
+    assert draw_faults([plan], 4, 10.0, 5) == draw_faults([plan], 4, 10.0, 5)
+    assert draw_faults([plan], 4, 10.0, 5) != draw_faults([plan], 4, 10.0, 6)
 
 
 def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_given():
-    first, second, given = RandomFaults(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, at=1.0)
-    alone = drawn([first], 4, 10.0, 5)
-    assert drawn([given, first], 4, 10.0, 5) == [given, *alone]
-    assert drawn([first, second], 4, 10.0, 5)[: len(alone)] == alone
-    assert drawn([first, first], 4, 10.0, 5)[len(alone) :] != alone
-    assert drawn([first], 4, 10.0, 5) == list(first(4, 10.0, stream(5, "faults", 0)))
+    first, second, given = RandomFaults(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, start=1.0)
+    alone = draw_faults([first], 4, 10.0, 5)
+    assert draw_faults([given, first], 4, 10.0, 5) == [given, *alone]
+    assert draw_faults([first, second], 4, 10.0, 5)[: len(alone)] == alone
+    assert draw_faults([first, first], 4, 10.0, 5)[len(alone) :] != alone
+    assert draw_faults([first], 4, 10.0, 5) == list(first(4, 10.0, stream(5, "faults", 0)))
 
 
 @pytest.mark.parametrize("size", [1, 2])
 def test_a_random_plan_is_possible_among_few(size):
     clock = Clock()
     network = Network(clock, nx.complete_graph(size), fault_state=FaultState(lambda: np.zeros((size, 2))))
-    inject(drawn([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
+    inject(draw_faults([RandomFaults(rate=20.0)], size, 5.0, 0), clock, network)
     clock.run()
     assert not any(network.fault_state.down(node) or network.fault_state.jammed(node) for node in range(size))
     assert not network.fault_state.cut(0, size - 1)
@@ -334,11 +343,11 @@ def test_a_random_plan_is_possible_among_few(size):
 @pytest.mark.parametrize(
     ("model", "fields", "about"),
     [
-        (Crash, {"node": 0, "at": 1.0, "until": 1.0}, "until"),
-        (Crash, {"node": 0, "at": 1.0, "until": 0.5}, "until"),
-        (Partition, {"groups": [(0, 1), (1, 2)], "at": 0.0}, "disjoint"),
-        (Partition, {"groups": [(0, 0)], "at": 0.0}, "disjoint"),
-        (Partition, {"groups": [], "at": 0.0}, "groups"),
+        (Crash, {"node": 0, "start": 1.0, "end": 1.0}, "end"),
+        (Crash, {"node": 0, "start": 1.0, "end": 0.5}, "end"),
+        (Partition, {"groups": [(0, 1), (1, 2)], "start": 0.0}, "disjoint"),
+        (Partition, {"groups": [(0, 0)], "start": 0.0}, "disjoint"),
+        (Partition, {"groups": [], "start": 0.0}, "groups"),
         (RandomFaults, {"kinds": ()}, "kinds"),
         (RandomFaults, {"box": (1.0, 0.0)}, "box"),
     ],
@@ -351,10 +360,10 @@ def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
 @pytest.mark.parametrize(
     ("fault", "fault_state", "why"),
     [
-        (Crash(node=3, at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
-        (Partition(groups=[(0,), (1, 3)], at=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
-        (Jamming(centre=(0.0, 0.0), radius=1.0, at=1.0), FaultState(), "positions"),
-        (Crash(node=0, at=1.0), None, "fault_state"),
+        (Crash(node=3, start=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Partition(groups=[(0,), (1, 3)], start=0.0), FaultState(), r"there is no node 3: the nodes are 0 \.\. 2"),
+        (Jamming(centre=(0.0, 0.0), radius=1.0, start=1.0), FaultState(), "positions"),
+        (Crash(node=0, start=1.0), None, "fault_state"),
     ],
 )
 def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, fault_state, why):
@@ -382,9 +391,9 @@ def test_a_function_is_a_plan():
 
     def plan(size, horizon, rng):
         asked.append((size, horizon, rng.random()))
-        return [Crash(node=2, at=1.0, until=1.5), Partition(at=0.5, groups=((0,),))]
+        return [Crash(node=2, start=1.0, end=1.5), Partition(start=0.5, groups=((0,),))]
 
-    scenario = Scenario(horizon=2.0, team=Team(count=4), fault=(Crash(node=0, at=0.2), plan, RandomCrashes(), plan))
+    scenario = Scenario(horizon=2.0, team=Team(count=4), fault=(Crash(node=0, start=0.2), plan, RandomCrashes(), plan))
     result = run(scenario, 6)
     assert asked == [(4, 2.0, stream(6, "faults", k).random()) for k in (0, 2)]
     began = Counter((began.t / SECOND, began.fault.kind) for began in result.trace.of(FaultStarted))

@@ -46,7 +46,7 @@ def message_counts(t, delivered=0, in_flight=0, **lost_by):
     return MessageCounts(t, delivered + total + in_flight, delivered, total, in_flight, lost_by, 1, 24, 0.0)
 
 
-CRASH, PARTITION = Crash(node=1, at=0.0), Partition(groups=((0,),), at=0.0)
+CRASH, PARTITION = Crash(node=1, start=0.0), Partition(groups=((0,),), start=0.0)
 
 RIGHT = {
     "delivered": [sent(1, 5), message_counts(5, 1)],
@@ -90,7 +90,7 @@ RIGHT = {
         message_counts(4, loss=1),
     ],
     "within a group": [FaultStarted(0, PARTITION), sent(1, 5, src=1, dst=2), message_counts(9, 1)],
-    "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, at=0.0)), sent(1, 5), message_counts(9, 1)],
+    "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, start=0.0)), sent(1, 5), message_counts(9, 1)],
     "overtaking": [sent(1, 9), sent(2, 5, flight=1), message_counts(9, 2)],
 }
 
@@ -131,13 +131,13 @@ WRONG = {
     ),
     "one of all is down": ("reaches 1", [told(1, (5,)), FaultStarted(3, CRASH), message_counts(9, 2)]),
     "sender is down": ("says nothing", [FaultStarted(0, CRASH), sent(1, 5, src=1, dst=0)]),
-    "down sender waits": ("says nothing", [FaultStarted(0, Crash(node=0, at=0.0)), queued(1)]),
+    "down sender waits": ("says nothing", [FaultStarted(0, Crash(node=0, start=0.0)), queued(1)]),
     "left across a partition": ("leaves across", [FaultStarted(0, PARTITION), sent(1, 5)]),
     "arrives across a partition": ("across", [sent(1, 5), FaultStarted(2, PARTITION), message_counts(9, 1)]),
     "arrives as a partition begins": ("across", [sent(1, 5), FaultStarted(5, PARTITION), message_counts(9, 1)]),
     "across a partition of named groups": (
         "across",
-        [FaultStarted(0, Partition(groups=((0, 2), (1,)), at=0.0)), sent(1, 5, src=2)],
+        [FaultStarted(0, Partition(groups=((0, 2), (1,)), start=0.0)), sent(1, 5, src=2)],
     ),
     "over, never begun": ("began", [FaultEnded(1, CRASH)]),
     "over twice": ("began", [FaultStarted(0, CRASH), FaultEnded(1, CRASH), FaultEnded(1, CRASH)]),
@@ -226,7 +226,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     return trace
 
 
-PLANS = [(), (RandomFaults(rate=20.0, mean_duration=0.1),), (Crash(node=0, at=0.0, until=inf), RandomFaults(rate=5.0))]
+PLANS = [(), (RandomFaults(rate=20.0, mean_duration=0.1),), (Crash(node=0, start=0.0, end=inf), RandomFaults(rate=5.0))]
 
 
 @pytest.mark.slow

@@ -84,8 +84,8 @@ def scattered(size, seed, side=30.0):
     return np.random.default_rng(seed).uniform(0.0, side, (size, 2))
 
 
-def topology(at, model, seed=0, *, frozen=True, reach=10.0):
-    return Topology(nx.complete_graph(len(at)), reach, lambda: at, model, frozen=frozen, seed=seed)
+def topology(at, model, seed=0, *, per_link=True, reach=10.0):
+    return Topology(nx.complete_graph(len(at)), reach, lambda: at, model, per_link=per_link, seed=seed)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -151,14 +151,14 @@ def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
     at, rounds = np.column_stack([np.arange(21.0), np.zeros(21)]), 4000
     p = model(np.arange(1.0, 21.0), 10.0)
 
-    def received(frozen):
-        links = topology(at, model, 3, frozen=frozen)
+    def received(per_link):
+        links = topology(at, model, 3, per_link=per_link)
         found = np.zeros((rounds, 20))
         for message, row in enumerate(found):
             row[np.array(links.hearers(0, message), dtype=int) - 1] = 1.0
         return found
 
-    found, fixed = received(frozen=False), received(frozen=True)
+    found, fixed = received(per_link=False), received(per_link=True)
     error = np.sqrt(p * (1 - p) / rounds) + 1e-12
     assert (np.abs(found.mean(axis=0) - p) / error).max() < 5
     pairs, square = found[::2] * found[1::2], p**2
@@ -169,7 +169,7 @@ def test_links_drawn_per_message_have_their_probability_and_no_memory(model):
 
 def test_a_single_message_is_drawn_like_a_broadcast():
     """At the range every second of 4000 messages arrives, +- sqrt(1000) = 32; the control is 60 % of them."""
-    links = topology(np.array([[0.0, 0.0], [10.0, 0.0]]), LogDistance(), 1, frozen=False)
+    links = topology(np.array([[0.0, 0.0], [10.0, 0.0]]), LogDistance(), 1, per_link=False)
     count = sum(links.reaches(0, 1, message) for message in range(4000))
     assert abs(count - 2000) < 5 * 32
     assert abs(count - 2400) > 5 * 32
@@ -178,7 +178,7 @@ def test_a_single_message_is_drawn_like_a_broadcast():
 def test_a_message_meets_with_the_same_luck_whenever_it_is_judged():
     """As it leaves and as it arrives: twelve nodes at one place fare alike both times, and differ between messages."""
     at = np.vstack([[0.0, 0.0], np.tile([10.0, 0.0], (12, 1))])
-    links = topology(at, LogDistance(), 1, frozen=False)
+    links = topology(at, LogDistance(), 1, per_link=False)
     heard = [links.hearers(0, message) for message in range(40)]
     for message, nodes in enumerate(heard):
         assert nodes == [node for node in range(1, 13) if links.reaches(0, node, message)]
@@ -187,7 +187,7 @@ def test_a_message_meets_with_the_same_luck_whenever_it_is_judged():
 
 def test_with_fading_per_message_the_neighbours_are_those_with_even_chance_or_more():
     """Whatever message is asked about: at 10 m the chance is 1/2 just so, at 11 m it is less."""
-    links = topology(np.array([[0.0, 0.0], [4.0, 0.0], [10.0, 0.0], [11.0, 0.0]]), LogDistance(), 1, frozen=False)
+    links = topology(np.array([[0.0, 0.0], [4.0, 0.0], [10.0, 0.0], [11.0, 0.0]]), LogDistance(), 1, per_link=False)
     assert [links.neighbours(0).tolist() for _ in range(50)] == [[1, 2]] * 50
 
 

@@ -99,7 +99,7 @@ def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
     at = np.column_stack([np.arange(50.0), np.zeros(50)])
 
     def latest_records(seed):
-        topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), frozen=False, seed=seed)
+        topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), per_link=False, seed=seed)
         return [topology.hearers(0, message) for message in range(5)]
 
     assert latest_records(1) == latest_records(1)
@@ -154,13 +154,13 @@ def answers(topology, message):
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("frozen", [True, False])
+@pytest.mark.parametrize("per_link", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
 @pytest.mark.parametrize("knows", ["speed", "all", "in place"])
-def test_the_answers_about_many_nodes_are_those_about_few(model, frozen, knows):
+def test_the_answers_about_many_nodes_are_those_about_few(model, per_link, knows):
     flying, shown = Flying(scattered(60)), scattered(60)
     tell = {"speed": flying, "all": flying.__call__, "in place": lambda: shown}[knows]
-    given = {"frozen": frozen, "seed": 3, "now": lambda: flying.now}
+    given = {"per_link": per_link, "seed": 3, "now": lambda: flying.now}
     few = Topology(nx.complete_graph(60), 6.0, tell, model, **given)
     with many():
         lots = Topology(Complete()(60), 6.0, tell, model, **given)
@@ -212,7 +212,9 @@ def test_a_model_whose_reach_has_no_bound_is_asked_about_everybody():
 def test_no_model_is_asked_about_a_node_and_itself():
     """A probability of (R / d)^2 has no value at d = 0."""
     at = np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0]])
-    topology = Topology(nx.complete_graph(3), 2.0, lambda: at, lambda d, r: np.minimum((r / d) ** 2, 1.0), frozen=False)
+    topology = Topology(
+        nx.complete_graph(3), 2.0, lambda: at, lambda d, r: np.minimum((r / d) ** 2, 1.0), per_link=False
+    )
     assert topology.neighbours(0).tolist() == [1]
 
 

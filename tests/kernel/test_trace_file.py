@@ -111,7 +111,7 @@ NASTY = st.recursive(
     | st.sampled_from(
         [nan, inf, -inf, 1e300, -0.0, np.float64(0.1), np.float64(nan), np.int64(3), np.bool_(True), np.arange(2)]
     )
-    | st.sampled_from([Unknown(), {1}, b"x", 1j, Crash(node=1, at=2.0), (), [], {}]),
+    | st.sampled_from([Unknown(), {1}, b"x", 1j, Crash(node=1, start=2.0), (), [], {}]),
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.lists(inner, max_size=3).map(tuple)
@@ -125,7 +125,7 @@ NASTY = st.recursive(
 WRITTEN = st.one_of(
     EVENTS,
     st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, NASTY),
-    st.builds(FaultStarted, TIMES, st.just(Crash(node=1, at=2.0))),
+    st.builds(FaultStarted, TIMES, st.just(Crash(node=1, start=2.0))),
     st.builds(Started, TIMES, st.tuples(st.floats(), st.floats()), st.just(()), st.just((1.0,)), st.just((True, 2))),
     st.builds(Started, TIMES, st.just((0.0, 1.0)), st.just(()), st.just(()), st.just(()), st.just(((nan, 2.0),))),
     st.builds(Decided, TIMES, NODES, st.booleans() | NODES),

@@ -40,10 +40,10 @@ from tests.many import times as times_of_all
 AUCTIONS = [CBAA, CBBA]
 SCHEDULES = {
     "rounds": Rounds(period=0.1),
-    "some_rounds": Rounds(period=0.1, q=0.3),
+    "some_rounds": Rounds(period=0.1, participation=0.3),
     "poisson": Poisson(rate=5.0),
     "shared_seed": SharedSeed(slot=0.02),
-    "token_ring": TokenRing(hold=0.02),
+    "token_ring": TokenRing(holding_time=0.02),
 }
 BIDS = st.builds(Bid, st.integers(0, 5), st.sampled_from([-3.0, -2.0, -1.0])) | st.just(NO_BID)
 HORIZON = 8.0
@@ -59,7 +59,7 @@ def frozen(protocol, seed=0, until=inf, **changes):
         "horizon": HORIZON,
         "team": Team(positions=[(4.1, 0.0), (1.1, 0.0), (2.1, 0.0), (3.1, 0.0)], speeds=1.0, active_at_start=0.0),
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "announce": Announcements(warm_start=False),
         "record": Recording(trajectory=0.0, messages=True),
@@ -395,7 +395,7 @@ def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
 @pytest.mark.parametrize("warm", [False, True])
 def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):
     """0 and 3 cannot hear 1 and 2 until 3 s: 3 (phi = 3 s) and 1 (1 s) win, then 1 alone."""
-    cut = Partition(groups=((0, 3),), at=0.0, until=3.0)
+    cut = Partition(groups=((0, 3),), start=0.0, end=3.0)
     for schedule in SCHEDULES.values():
         result = frozen(auction(schedule=schedule), fault=(cut,), announce=Announcements(warm_start=warm))
         assert chasing(result, 2.9) == [1, 3]
@@ -405,7 +405,7 @@ def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(aucti
 @pytest.mark.parametrize(("auction", "cut_off"), [(CBAA, []), (CBBA, [3])])
 def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(auction, cut_off):
     """From 2 s on 0 and 3 hear neither 1, the winner, nor 2; after 2 s of patience 3 takes over. At 6 s they meet."""
-    cut = Partition(groups=((0, 3),), at=2.0, until=6.0)
+    cut = Partition(groups=((0, 3),), start=2.0, end=6.0)
     result = frozen(auction(schedule=Rounds(period=0.1)), fault=(cut,))
     assert chasing(result, 3.8) == [1]
     assert chasing(result, 5.9) == [1, *cut_off]
@@ -421,7 +421,7 @@ def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(au
 @pytest.mark.parametrize("node", [1, 2])
 def test_who_starts_anew_without_memory_learns_who_wins_and_may_win_again(auction, schedule, node):
     """Pursuer 1, the winner, or 2 breaks down from 2 to 3 s and has forgotten everything."""
-    crash = Crash(node=node, at=2.0, until=3.0, memory=False)
+    crash = Crash(node=node, start=2.0, end=3.0, memory=False)
     result = frozen(auction(schedule=SCHEDULES[schedule]), fault=(crash,))
     assert chasing(result, 1.9) == chasing(result) == [1]
 
@@ -432,7 +432,7 @@ def test_the_auction_without_stamps_warns_of_crashes_and_both_of_graphs_in_parts
             team=Team(count=2),
             protocol=auction(),
             network=Links(graph=Edges(nodes=2)),
-            fault=(Crash(node=1, at=2.0),),
+            fault=(Crash(node=1, start=2.0),),
         )
         assert {why.split(",")[0] for _, why in broken(scenario)} == {f"{auction().kind} assumes {x}" for x in names}
 
@@ -574,7 +574,7 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
     """
     phi = (13, 4, 7, 10) if moving else (4, 1, 2, 3)
     team = Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=1.0, active_at_start=0.0)
-    for crash in ((), (Crash(node=1, at=0.8),), (Crash(node=1, at=0.8, until=1.2, memory=False),)):
+    for crash in ((), (Crash(node=1, start=0.8),), (Crash(node=1, start=0.8, end=1.2, memory=False),)):
         decided, said = [], []
         for payload in ("action", *UNSENSED):
             result = frozen(
@@ -582,7 +582,7 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
                 team=team,
                 fault=crash,
                 announce=Announcements(payload=payload),
-                motion=Motion(step=0.02, frozen=not moving),
+                motion=Motion(step=0.02, static=not moving),
             )
             decided.append([(d.t, d.pursuer, d.active) for d in result.trace.of(Decided)])
             said.append([(word.t, word.src, word.body) for word in result.trace.of(Broadcast)])

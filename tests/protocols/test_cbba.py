@@ -148,15 +148,15 @@ def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedu
     Nobody else chases until patience ends, counted from when it was last read; its successors begin at their next turns
     and agree on 2 soon. The control: with patience for ever nobody does.
     """
-    crash = Crash(node=1, at=3.0)
-    result = frozen(CBBA(schedule=SCHEDULES[schedule], patience=patience), seed=1, fault=(crash,), horizon=12.0)
+    crash = Crash(node=1, start=3.0)
+    result = frozen(CBBA(schedule=SCHEDULES[schedule], winner_timeout=patience), seed=1, fault=(crash,), horizon=12.0)
     begun = min(d.t / 1e9 for d in result.trace.of(Decided) if d.active and d.t > 3e9)
     slack = 0.2 if schedule in {"rounds", "token_ring"} else 1.0
     assert 3.0 + patience - slack - 0.1 <= begun <= 3.0 + patience + slack
     assert chasing(result, 2.9) == [1]
     assert chasing(result, begun - 0.01) == []
     assert chasing(result, begun + 2.0) == chasing(result) == [2]
-    for stubborn in (CBBA(schedule=SCHEDULES[schedule], patience=inf), CBAA(schedule=SCHEDULES[schedule])):
+    for stubborn in (CBBA(schedule=SCHEDULES[schedule], winner_timeout=inf), CBAA(schedule=SCHEDULES[schedule])):
         assert chasing(frozen(stubborn, seed=1, fault=(crash,), horizon=12.0)) == []
 
 
@@ -164,10 +164,10 @@ def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedu
 def test_when_the_winner_of_one_of_several_evaders_breaks_down_the_others_agree_without_it():
     """A winner breaks down at 1 s; its successor may come from another evader, and so on."""
     for seed in range(3):
-        protocol = CBBA(schedule=Rounds(period=0.1), patience=0.5)
+        protocol = CBBA(schedule=Rounds(period=0.1), winner_timeout=0.5)
         before = run(at_rest(protocol, 6, 3, seed), None, lambda event: event.t > 0.9e9)
         winner = min(chased(before))
-        case = at_rest(protocol, 6, 3, seed, fault=(Crash(node=winner, at=1.0),))
+        case = at_rest(protocol, 6, 3, seed, fault=(Crash(node=winner, start=1.0),))
         result = run(case, None, lambda event: event.t > 4e9)
         left = times(result)
         assert chased(result, 0.9) == greedy_assignment(by_evader(left), 30.0)
@@ -179,7 +179,7 @@ def test_when_the_winner_of_one_of_several_evaders_breaks_down_the_others_agree_
 def test_a_winner_that_comes_back_wins_again():
     """Pursuer 1 breaks down from 2 to 6 s, with its memory or without: until then 2 takes over."""
     for memory in (True, False):
-        crash = Crash(node=1, at=2.0, until=6.0, memory=memory)
+        crash = Crash(node=1, start=2.0, end=6.0, memory=memory)
         result = frozen(CBBA(schedule=Rounds(period=0.1)), fault=(crash,))
         assert chasing(result, 5.9) == [2]
         assert chasing(result) == [1]
@@ -192,12 +192,12 @@ def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
     """
     line = Team(positions=[(1.1 + k, 0.0) for k in range(8)], speeds=1.0, active_at_start=0.0)
     result = frozen(
-        CBBA(schedule=Rounds(period=0.1), patience=1.0),
+        CBBA(schedule=Rounds(period=0.1), winner_timeout=1.0),
         team=line,
         horizon=12.0,
         network=Links(graph=Edges.of(nx.path_graph(8))),
         announce=Announcements(trigger="revision", warm_start=False),
-        fault=(Crash(node=0, at=5.05),),
+        fault=(Crash(node=0, start=5.05),),
     )
     believed = {
         (round(word.t / 1e8), word.src): word.body.winner for word in result.trace.of(Broadcast) if word.t >= 5e9
@@ -214,7 +214,9 @@ def test_patience_outlasts_what_is_lost(schedule):
     """Half of all heartbeats are lost; in 60 s the winner, once alone, is never given up. With 0.15 s it often is."""
     given_up = {}
     for patience in (2.0, 0.15):
-        result = frozen(CBBA(schedule=schedule, patience=patience), horizon=60.0, network=Links(loss=Bernoulli(p=0.5)))
+        result = frozen(
+            CBBA(schedule=schedule, winner_timeout=patience), horizon=60.0, network=Links(loss=Bernoulli(p=0.5))
+        )
         late = [d for d in result.trace.of(Decided) if d.t > 5e9]
         given_up[patience] = len([d for d in late if d.active and d.pursuer != 1])
         assert all(d.active for d in late if d.pursuer == 1)
@@ -256,7 +258,7 @@ def test_stamps_are_by_the_clock_of_whom_they_are_about():
     line = Team(positions=[(1.1 + k, 0.0) for k in range(4)], speeds=1.0, active_at_start=0.0)
     skews = tuple(ClockSkew(node=j, offset=offset) for j, offset in enumerate([4000.0, -5000.0, 0.0, 9000.0]))
     for wrong in ((), skews):
-        for crash in ((), (Crash(node=0, at=4.0),)):
+        for crash in ((), (Crash(node=0, start=4.0),)):
             result = frozen(
                 CBBA(schedule=Poisson(rate=10.0)),
                 team=line,

@@ -53,7 +53,7 @@ def test_who_is_broken_is_not_sent_to_any_evader():
         2,
         team=Team(positions=[(0.0, 0.0), (2.0, 0.0)], speeds=1.0),
         evader=tuple(Evader(position=(x, 0.0), speed=0.0) for x in (1.0, 5.0)),
-        fault=(Crash(node=0, at=1.0),),
+        fault=(Crash(node=0, start=1.0),),
     )
     assert chased(run(scenario), 0.9) == {0: 1, 1: 2}
     assert chased(run(scenario)) == {1: 1}

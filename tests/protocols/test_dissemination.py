@@ -34,7 +34,7 @@ def play(protocol, graph, dissemination, *watchers, **changes):
     given = {
         "horizon": 10.0,
         "team": Team(count=len(graph), active_at_start=0.0, speeds=1.0),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "network": Links(graph=Edges.of(graph), latency=Constant(value=L)),
         "announce": Announcements(trigger="never", warm_start=False, dissemination=dissemination),
@@ -110,7 +110,7 @@ def test_flooding_is_breadth_first_search(graph, hops, breakable):
 
     Whether something may break does not matter (it lets messages take another way through the simulator).
     """
-    faults = (Crash(node=0, at=9.9),) if breakable else ()
+    faults = (Crash(node=0, start=9.9),) if breakable else ()
     when, result = arrivals(graph, Flooding(hops=hops, jitter=0.0), fault=faults)
     distance = nx.single_source_shortest_path_length(graph, 0)
     assert when == {j: 1.0 + L * d for j, d in distance.items() if 0 < d <= hops}
@@ -190,7 +190,7 @@ def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
 # Within an instant.
 
 
-@pytest.mark.parametrize("faults", [(), (Crash(node=1, at=9.9),)], ids=["noted at sending", "settled on arrival"])
+@pytest.mark.parametrize("faults", [(), (Crash(node=1, start=9.9),)], ids=["noted at sending", "settled on arrival"])
 @pytest.mark.parametrize("latency", [0.0, 1e-9])
 def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_instant(latency, faults):
     """Everybody decides at 1 s, in order of ids, on a path of 8: the first chases, and all others hear of it in time.

@@ -118,7 +118,7 @@ def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(
         given = {
             "speeds": [0.8, *rng.uniform(*((0.8, 3.0) if frozen else (0.90999, 0.91001)), 11).tolist()],
             "horizon": 9.0 if frozen else 2000.0,
-            "motion": Motion(step=0.05, frozen=frozen),
+            "motion": Motion(step=0.05, static=frozen),
             "announce": Announcements(payload=payload, belief_timeout=np.inf),
             "prune": prune,
         }
@@ -156,7 +156,7 @@ def test_who_would_be_late_is_never_the_owner():
                 horizon=horizon,
                 team=Team(positions=places, speeds=speeds),
                 evader=Evader(position=(0.0, 0.0)),
-                motion=Motion(frozen=True),
+                motion=Motion(static=True),
                 protocol=Voronoi(),
             )
             expected = tuple(owner is not None and j == owner + shift for j in range(pursuers))
@@ -168,7 +168,7 @@ def test_of_equals_the_lowest_id_is_the_owner():
     team = Team(positions=[(3.0, 0.0), (0.0, 2.0), (2.0, 0.0)], speeds=1.5)
     evader = Evader(position=(0.0, 0.0))
     for protocol in (Voronoi(), Argmin(), Argmin(by="intercept_time")):
-        result = run(Scenario(team=team, evader=evader, motion=Motion(frozen=True), protocol=protocol, horizon=9.0))
+        result = run(Scenario(team=team, evader=evader, motion=Motion(static=True), protocol=protocol, horizon=9.0))
         assert owners(result) == [1]
 
 
@@ -371,7 +371,7 @@ def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
     """10 pursuers, 5 s: a heartbeat of 0.5 s from a random phase is 10 announcements each; changes come on top."""
     announce = Announcements(payload="state", trigger=trigger, heartbeat=0.5)
     scenario = scattered(
-        Voronoi(slot=0.05), 0, count=10, speeds=9.0, horizon=5.0, motion=Motion(frozen=True), announce=announce
+        Voronoi(slot=0.05), 0, count=10, speeds=9.0, horizon=5.0, motion=Motion(static=True), announce=announce
     )
     beats, told = 10 * 10 * 9, 9 * 9  # nine stop chasing at once
     expected = {"both": beats + told, "change": told, "heartbeat": beats, "never": 0}[trigger]
@@ -386,7 +386,7 @@ def test_two_that_each_hold_themselves_for_the_owner_find_out():
             horizon=99.0,
             team=Team(positions=[(10.5, 0.0), (10.0, 0.0)], speeds=2.0, active_at_start=1.0),
             evader=Evader(position=(0.0, 0.0)),
-            motion=Motion(frozen=True),
+            motion=Motion(static=True),
             protocol=Argmin(hysteresis=0.2, slot=0.1),
             announce=Announcements(payload=payload, warm_start=False, heartbeat=0.5),
             network=Links(latency=Constant(value=0.3)),
@@ -409,7 +409,7 @@ def test_random_static_games_end_in_the_relay_profile(payload):
         scenario = Scenario(
             horizon=30.0,
             team=Team(count=count, speeds=speeds, active_at_start=float(rng.choice([0.0, 0.5, 1.0]))),
-            motion=Motion(frozen=True),
+            motion=Motion(static=True),
             protocol=protocol,
             announce=Announcements(payload=payload, heartbeat=0.5, belief_timeout=np.inf, warm_start=bool(seed % 2)),
             network=Links(latency=Lognormal(mean=0.2, cv=1.0), loss=Bernoulli(p=0.3)),
@@ -442,7 +442,7 @@ def test_its_assumptions():
         scenario = Scenario(team=Team(count=5, speeds=given.pop("speeds", 1.0)), protocol=protocol, **given)
         return sorted(reason.split()[2].rstrip(",") for _, reason in broken(scenario))
 
-    crash, skew = (Crash(node=1, at=1.0),), (ClockSkew(offset=0.01),)
+    crash, skew = (Crash(node=1, start=1.0),), (ClockSkew(offset=0.01),)
     assert why(Voronoi()) == why(Argmin()) == why(Argmin(hysteresis=0.1, by="intercept_time")) == []
     assert why(Voronoi(), speeds={"last": 2.0}) == ["equal_speeds"]
     assert why(Argmin(), speeds={"last": 2.0}) == []
@@ -468,9 +468,9 @@ def test_who_was_broken_down_goes_on_as_soon_as_it_is_repaired(protocol):
         horizon=99.0,
         team=team,
         evader=Evader(position=(0.0, 0.0), speed=0.5),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=protocol,
-        fault=(Crash(node=0, at=1.0, until=2.03),),
+        fault=(Crash(node=0, start=1.0, end=2.03),),
         record=Recording(trajectory=0.0),
     )
     decided = run(scenario.model_copy(update={"horizon": 9.0})).trace.of(Decided)

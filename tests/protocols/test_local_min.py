@@ -33,7 +33,7 @@ def static_game(protocol, graph, phi, seed=0, horizon=10.0, **changes):
         "horizon": horizon,
         "team": Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=1.0, active_at_start=0.5),
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "announce": Announcements(trigger="change"),
         "network": Links(graph=Edges.of(graph)),
@@ -88,7 +88,7 @@ ANY_CLOCK = {
     "poisson": Poisson(rate=5.0),
     "shared_seed": SharedSeed(slot=0.02),
     "rounds": Rounds(period=0.2),
-    "some_of_a_round": Rounds(period=0.2, q=0.5),
+    "some_of_a_round": Rounds(period=0.2, participation=0.5),
     "periodic": Periodic(period=0.2),
     "local_mutex": LocalMutex(rate=5.0),
 }

@@ -173,7 +173,7 @@ def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistake
 def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_it_is_back():
     """Ten requests in vain take 10 x 2.5 L = 1.25 s; after that nobody waits for it."""
     log = []
-    fault = Crash(at=2.0, until=8.0, node=3, scope="radio")
+    fault = Crash(start=2.0, end=8.0, node=3, scope="radio")
     graph = Complete()(4)
     protocol = flips(LocalMutex(), log, graph)
     result = run(frozen(protocol, count=4, latency=0.05, horizon=20.0, faults=(fault,)), 0)
@@ -192,7 +192,7 @@ def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_
 @pytest.mark.parametrize("attempts", [1, 4])
 def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(attempts):
     """Once it is known to be silent, each later request is made once."""
-    fault = Crash(at=2.0, node=3, scope="radio")
+    fault = Crash(start=2.0, node=3, scope="radio")
     schedule = LocalMutex(attempts=attempts)
     result = run(frozen(flips(schedule), count=4, latency=0.02, faults=(fault,)), 0)
     for src in range(3):
@@ -204,7 +204,7 @@ def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(att
 @pytest.mark.slow
 def test_after_a_partition_all_exclude_each_other_again():
     log = []
-    fault = Partition(at=1.0, until=5.0, groups=((0, 2, 5),))
+    fault = Partition(start=1.0, end=5.0, groups=((0, 2, 5),))
     result = run(frozen(flips(LocalMutex(), log, Complete()(7)), latency=0.03, horizon=15.0, faults=(fault,)), 0)
     apart, again = ([d for d in result.trace.of(Decided) if a < d.t / SECOND < b] for a, b in ((3.0, 5.0), (7.0, 15.0)))
     assert {d.pursuer for d in apart} == {d.pursuer for d in again} == set(range(7))
@@ -225,7 +225,7 @@ def test_no_storm_ends_in_a_deadlock():
         rng = np.random.default_rng([seed, 6])
         count, graph = int(rng.integers(2, 8)), (Complete(), Grid(columns=3), Star())[rng.integers(3)]
         latency = (Lognormal(mean=0.02, cv=1.0), Constant(value=0.02), Constant())[rng.integers(3)]
-        plan = RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=3.0)
+        plan = RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, end=3.0)
         log = []
         story = {
             "latency": latency,

@@ -419,7 +419,7 @@ def act(protocol, **changes):
         "horizon": 10.0,
         "team": Team(positions=[(1.0, 0.0), (2.0, 0.0), (4.0, 0.0)], speeds=1.0, active_at_start=0.0),
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "announce": Announcements(trigger="never", warm_start=False, belief_timeout=1.0),
         "record": Recording(trajectory=0.0),
@@ -538,7 +538,7 @@ def test_something_is_done_after_a_while_without_waiting_for_it():
         done.append((me.id, "at once", me.now))
         yield me.at(100.0)
 
-    crashes = [Crash(node=1, at=0.5, until=0.6, memory=False), Crash(node=2, at=0.5, until=0.6, memory=True)]
+    crashes = [Crash(node=1, start=0.5, end=0.6, memory=False), Crash(node=2, start=0.5, end=0.6, memory=True)]
     act(protocol, fault=crashes, horizon=0.9)
     told = [(i, what, t) for i, what, t in done if t < 0.6]
     assert told == [(i, what, t) for what, t in (("at once", 0.25), ("soon", 0.375)) for i in range(3)]

@@ -30,7 +30,7 @@ def frozen(network, count=8, p0=0.5):
     return Scenario(
         horizon=30.0,
         team=Team(count=count, active_at_start=p0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(schedule=Poisson(rate=20.0)),
         network=network,
         record={"trajectory": 0.0},

@@ -25,7 +25,7 @@ def decisions(schedule, count, horizon, seed=0):
     scenario = Scenario(
         horizon=horizon,
         team=Team(count=count),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(schedule=schedule),
         record={"trajectory": 0.0},
     )
@@ -93,7 +93,7 @@ def test_poisson_waits_are_exponential():
 @pytest.mark.slow
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team():
     for schedule in (
-        *(SharedSeed(slot=0.004), Poisson(rate=50.0), Rounds(period=0.02), Rounds(period=0.01, q=0.5)),
+        *(SharedSeed(slot=0.004), Poisson(rate=50.0), Rounds(period=0.02), Rounds(period=0.01, participation=0.5)),
         *(Periodic(period=0.02), Periodic(period=0.02, jitter=0.0)),
     ):
         made = len(decisions(schedule, 5, 16.0))
@@ -115,7 +115,7 @@ def rounds(seed, latency, p0=0.5, count=7):
     scenario = Scenario(
         horizon=30.0,
         team=Team(count=count, speeds=np.linspace(1.0, 2.0, count).tolist(), active_at_start=p0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=Rounds(period=0.1)),
         network={"latency": {"kind": "constant", "value": latency}},
         record={"trajectory": 0.0},
@@ -166,7 +166,7 @@ def test_word_that_takes_longer_than_a_round_is_of_the_round_before_last():
 
 def test_a_share_q_of_the_rounds_of_each_is_a_revision():
     """4 pursuers, 2,000 rounds, q = 0.3: standard error sqrt(q (1 - q) / 8000) = 0.005; chances are independent."""
-    made = decisions(Rounds(period=0.01, q=0.3), 4, 20.005, seed=1)
+    made = decisions(Rounds(period=0.01, participation=0.3), 4, 20.005, seed=1)
     revised = np.zeros((2000, 4))
     for decision in made:
         assert decision.t % 10_000_000 == 0

@@ -56,7 +56,7 @@ def static(protocol, *, count=6, latency=0.0, loss=0.0, horizon=5.0, seed=0, **g
         "horizon": horizon,
         "team": Team(positions=[(1.1 + j, 0.0) for j in range(count)], speeds=1.0),
         "evader": Evader(position=(0.0, 0.0), speed=0.0),
-        "motion": Motion(frozen=True),
+        "motion": Motion(static=True),
         "protocol": protocol,
         "network": Links(latency=model, loss=Bernoulli(p=loss)),
         "record": Recording(trajectory=0.0, messages=True),
@@ -232,7 +232,7 @@ def test_who_is_not_heard_any_more_is_left_out(period):
 
     The first report of another that comes later makes the order to pursuer 1, which obeys it 0.05 s later.
     """
-    scenario = static(Server(host=5, period=period), latency=0.05, fault=(Crash(node=0, at=1.25),))
+    scenario = static(Server(host=5, period=period), latency=0.05, fault=(Crash(node=0, start=1.25),))
     ((t, pursuer, active),) = [change for change in changes(run(scenario)) if change[0] > 1.25 * SECOND]
     last, *_ = (
         phase(0, period=period) + k * period for k in range(99, -1, -1) if phase(0, period=period) + k * period < 1.25
@@ -248,7 +248,7 @@ def test_without_the_host_nobody_leads_and_repaired_it_leads_again():
     Without its memory it waits for reports: one comes soon after 4.02 s, and then one better after another, within
     a period and two latencies that of pursuer 1.
     """
-    faults = (Crash(node=5, at=1.0, until=4.02, memory=False), Crash(node=0, at=2.0))
+    faults = (Crash(node=5, start=1.0, end=4.02, memory=False), Crash(node=0, start=2.0))
     scenario = static(Server(host=5), latency=0.05, fault=faults, horizon=6.0)
     result = run(scenario)
     after = [change for change in changes(result) if change[0] > SECOND]
@@ -263,7 +263,7 @@ def test_without_the_host_nobody_leads_and_repaired_it_leads_again():
 
 def test_a_repaired_pursuer_obeys_the_order_as_it_is_repeated():
     """Pursuer 0 is down from 1 to 1.18 s, for less than it is remembered."""
-    result = run(static(Server(host=5), latency=0.05, fault=(Crash(node=0, at=1.0, until=1.18),)))
+    result = run(static(Server(host=5), latency=0.05, fault=(Crash(node=0, start=1.0, end=1.18),)))
     arrivals = [sent.arrival for sent in orders(result) if sent.dst == 0 and sent.arrival > 1.18 * SECOND]
     after = [change for change in changes(result) if change[0] >= SECOND]
     assert after == [(SECOND, 0, False), (min(arrivals), 0, True)]
@@ -296,7 +296,7 @@ def test_reports_of_one_instant_make_one_decision():
 
 def test_who_is_repaired_does_not_make_up_for_the_reports_that_it_missed():
     """Pursuer 0 is down from 1 to 2.03 s: a single one is made up for as it is back, with the state of then."""
-    result = run(static(Server(host=5), fault=(Crash(node=0, at=1.0, until=2.03),), horizon=2.45))
+    result = run(static(Server(host=5), fault=(Crash(node=0, start=1.0, end=2.03),), horizon=2.45))
     times = [sent.t / 1e9 for sent in result.trace.of(Sent) if sent.src == 0]
     due = [0.0, *(phase(0) + k * 0.1 for k in range(25))]
     expected = [*(t for t in due if t < 1.0), 2.03, *(t for t in due if 2.03 < t < 2.45)]
@@ -304,7 +304,9 @@ def test_who_is_repaired_does_not_make_up_for_the_reports_that_it_missed():
 
 
 def test_a_host_that_is_left_alone_leads_itself():
-    result = run(static(Server(host=2), count=3, latency=0.05, fault=(Crash(node=0, at=1.0), Crash(node=1, at=1.0))))
+    result = run(
+        static(Server(host=2), count=3, latency=0.05, fault=(Crash(node=0, start=1.0), Crash(node=1, start=1.0)))
+    )
     when = [t for t, pursuer, active in changes(result) if pursuer == 2 and active]
     assert profile(result) == (False, False, True)
     last = 0.9 + max(phase(0), phase(1)) + 0.05
@@ -326,7 +328,7 @@ def test_random_static_games_end_in_the_relay_profile():
         scenario = Scenario(
             horizon=20.0,
             team=Team(count=count, speeds=rng.uniform(0.8, 2.0, count).tolist(), active_at_start=0.5),
-            motion=Motion(frozen=True),
+            motion=Motion(static=True),
             protocol=Server(host=int(rng.integers(count))),
             network=Links(latency=Lognormal(mean=0.1, cv=1.0), loss=Bernoulli(p=0.25)),
             announce=Announcements(belief_timeout=np.inf, payload=str(rng.choice(["action", "time", "state"]))),
@@ -411,6 +413,6 @@ def test_its_assumptions():
         "as it begins 4 of 5 are out of reach of pursuer 2"
     ]
     assert why(protocol=Server(), network=Links(graph=Ring())) == ["as it begins 3 of 5 are out of reach of pursuer 0"]
-    assert why(protocol=Server(), fault=(Crash(node=1, at=1.0),)) == ["pursuers break down"]
-    parted = (Partition(at=1.0, until=2.0, groups=((0,),)),)
+    assert why(protocol=Server(), fault=(Crash(node=1, start=1.0),)) == ["pursuers break down"]
+    parted = (Partition(start=1.0, end=2.0, groups=((0,),)),)
     assert why(protocol=Server(), fault=parted) == ["a partition cuts the team in parts"]

@@ -31,7 +31,7 @@ def frozen(schedule, count=6, rule=BestResponse, latency=0.0):
     return Scenario(
         horizon=3.0,
         team=Team(count=count, speeds=2.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=rule(schedule=schedule),
         network=Links(latency=Constant(value=latency)),
         record=Recording(messages=True),
@@ -55,35 +55,35 @@ def in_rounds(period, count=6, horizon=3.0):
     [
         (SharedSeed(slot=SLOT), 0.0),
         (SharedSeed(slot=SLOT), 0.1),
-        (TokenRing(hold=SLOT), 0.0),
-        (TokenRing(hold=0.15), 0.1),
-        (TokenWalk(hold=0.15), 0.1),
+        (TokenRing(holding_time=SLOT), 0.0),
+        (TokenRing(holding_time=0.15), 0.1),
+        (TokenWalk(holding_time=0.15), 0.1),
     ],
     ids=lambda each: getattr(each, "kind", each),
 )
 def test_all_six_decide_in_each_slot_of_the_team(other, latency):
     """At 0.25, 0.5, ..., 2.75 s, and 3 s is the end; a token is passed on every hold + L = 0.15 + 0.1 s."""
-    assert decisions(Synchronous(of=other), latency=latency) == in_rounds(SLOT)
+    assert decisions(Synchronous(schedule=other), latency=latency) == in_rounds(SLOT)
 
 
-@pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(hold=SLOT), TokenWalk(hold=SLOT)])
+@pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(holding_time=SLOT), TokenWalk(holding_time=SLOT)])
 def test_each_decides_as_often_as_all_did_taking_turns(other):
     """In the same slots, six for one."""
-    alone, together = decisions(other), decisions(Synchronous(of=other))
+    alone, together = decisions(other), decisions(Synchronous(schedule=other))
     assert [t for t, _ in alone] == pytest.approx([SLOT * k for k in range(1, 12)])
     assert [t for t, _ in together] == pytest.approx([t for t, _ in alone for _ in range(6)])
 
 
 def test_it_is_rounds_of_that_period():
-    assert decisions(Synchronous(of=SharedSeed(slot=SLOT))) == decisions(Rounds(period=SLOT))
-    assert decisions(Synchronous(of=SharedSeed(slot=SLOT))) != decisions(Rounds(period=2 * SLOT))
+    assert decisions(Synchronous(schedule=SharedSeed(slot=SLOT))) == decisions(Rounds(period=SLOT))
+    assert decisions(Synchronous(schedule=SharedSeed(slot=SLOT))) != decisions(Rounds(period=2 * SLOT))
 
 
 def test_no_token_is_sent():
     """Announcements are broadcast, tokens and receipts are sent."""
-    ring = TokenRing(hold=SLOT)
+    ring = TokenRing(holding_time=SLOT)
     assert run(frozen(ring), 1).trace.of(Sent)
-    assert not run(frozen(Synchronous(of=ring)), 1).trace.of(Sent)
+    assert not run(frozen(Synchronous(schedule=ring)), 1).trace.of(Sent)
 
 
 def test_temperatures_go_by_the_slot_of_the_other_schedule():
@@ -97,10 +97,10 @@ def test_temperatures_go_by_the_slot_of_the_other_schedule():
                 yield 0
 
     seen = []
-    run(frozen(Synchronous(of=SharedSeed(slot=0.5)), rule=Slots), 1)
+    run(frozen(Synchronous(schedule=SharedSeed(slot=0.5)), rule=Slots), 1)
     assert set(seen) == {0.5}
     seen.clear()
-    run(frozen(Synchronous(of=TokenRing(hold=0.4)), rule=Slots, latency=0.1), 1)
+    run(frozen(Synchronous(schedule=TokenRing(holding_time=0.4)), rule=Slots, latency=0.1), 1)
     assert seen == [pytest.approx(0.5)] * len(seen) != []
     seen.clear()
     run(frozen(Rounds(period=SLOT), rule=Slots), 1)
@@ -111,22 +111,24 @@ def test_temperatures_go_by_the_slot_of_the_other_schedule():
 @pytest.mark.parametrize("seed", range(6))
 def test_all_at_once_end_in_the_relay_profile_too(seed, latency):
     """The game is dominance solvable: who should leave, leaves in whatever order (Nisan, Schapira & Zohar 2008)."""
-    case = frozen(Synchronous(of=SharedSeed(slot=SLOT)), latency=latency).model_copy(update={"seed": seed})
+    case = frozen(Synchronous(schedule=SharedSeed(slot=SLOT)), latency=latency).model_copy(update={"seed": seed})
     profile, phi = outcome(case, case.protocol.kind)
     assert profile == relay_profile(phi, 3.0)
 
 
-@pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(hold=0.2, attempts=3), TokenWalk(hold=0.2)])
+@pytest.mark.parametrize(
+    "other", [SharedSeed(slot=SLOT), TokenRing(holding_time=0.2, attempts=3), TokenWalk(holding_time=0.2)]
+)
 def test_it_takes_a_schedule_with_slots_also_from_a_file(other):
-    scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=Synchronous(of=other)))
+    scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=Synchronous(schedule=other)))
     assert Scenario.model_validate(scenario.plain()) == scenario
 
 
-@pytest.mark.parametrize("kind", ["poisson", "rounds", "periodic", "local_mutex", "together", "no_such"])
+@pytest.mark.parametrize("kind", ["poisson", "rounds", "periodic", "local_mutex", "synchronous", "no_such"])
 def test_a_file_cannot_have_one_without_slots(kind):
     """A slot that is an average of independent clocks is nobody's, and all at once are so already."""
     with pytest.raises(ValidationError, match="'shared_seed', 'token_ring', 'token_walk'"):
-        Synchronous.model_validate({"kind": "together", "of": {"kind": kind}})
+        Synchronous.model_validate({"kind": "synchronous", "schedule": {"kind": kind}})
 
 
 def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
@@ -143,10 +145,10 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
     assert not dict(broken(frozen(SharedSeed(), rule=Alone)))
 
 
-@pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(hold=0.2), TokenWalk(hold=0.2)])
+@pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(holding_time=0.2), TokenWalk(holding_time=0.2)])
 def test_it_is_what_schedules_with_slots_are_without_turns(other):
     scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=other))
-    assert without_turns(scenario).protocol == SpatialAdaptivePlay(schedule=Synchronous(of=other))
+    assert without_turns(scenario).protocol == SpatialAdaptivePlay(schedule=Synchronous(schedule=other))
     assert without_turns(without_turns(scenario)) == without_turns(scenario)
 
 

@@ -98,7 +98,7 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
             horizon=until,
             team=Team(positions=[(2.1, 0.0)] * count, speeds=1.0, active_at_start=0.0),
             evader=Evader(position=(0.0, 0.0), speed=0.0),
-            motion=Motion(frozen=True),
+            motion=Motion(static=True),
             protocol=protocol,
             announce=Announcements(payload="time", trigger="never", belief_timeout=0.35, warm_start=False),
             fault=fault,
@@ -219,5 +219,5 @@ def test_a_clock_that_is_behind_counts_no_slots_below_zero(tau):
             seen.append(next(slots))
 
     skew = ClockSkew(node=0, offset=-3.0)
-    run(Scenario(team=Team(count=1), protocol=protocol, fault=(skew,), horizon=9.5, motion=Motion(frozen=True)))
+    run(Scenario(team=Team(count=1), protocol=protocol, fault=(skew,), horizon=9.5, motion=Motion(static=True)))
     assert seen == pytest.approx([0, 0, 0, 0, 10, 20, 30, 40, 50, 60])

@@ -68,7 +68,7 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_that_knows_of_everyone():
     slots = set()
 
     def protocol(me):
-        slots.add(TokenRing(hold=0.01).mean_slot(me))
+        slots.add(TokenRing(holding_time=0.01).mean_slot(me))
         yield me.sleep(0.0)
 
     run(frozen(protocol, count=20, latency=0.1, horizon=0.1, medium=Bitrate(bitrate=9600.0)), 0)
@@ -79,7 +79,7 @@ def test_the_mean_slot_counts_the_airtime_of_a_token_that_knows_of_everyone():
 @pytest.mark.parametrize("latency", [0.0, 0.05, 1.0])
 def test_the_ring_decides_in_cyclic_order_every_hold_and_latency(latency):
     """The k-th decision is that of pursuer k mod N, after k + 1 holds and k hops."""
-    result = run(frozen(flips(TokenRing(hold=0.01)), latency=latency), 1)
+    result = run(frozen(flips(TokenRing(holding_time=0.01)), latency=latency), 1)
     slot = round((0.01 + latency) * SECOND)
     decisions = decided(result)
     assert [d.pursuer for d in decisions] == [k % 5 for k in range(len(decisions))]
@@ -139,7 +139,7 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("schedule", [TokenRing(hold=0.004), TokenWalk(hold=0.004)])
+@pytest.mark.parametrize("schedule", [TokenRing(holding_time=0.004), TokenWalk(holding_time=0.004)])
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
     """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, whoever revises one at a time, within 4 s.e.
 
@@ -285,7 +285,7 @@ def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hol
     def late(hops, rng):
         return np.full(len(hops.dst), 0.34 if 0.04 < hops.now < 0.06 else 0.1)
 
-    result = run(frozen(flips(TokenRing(hold=0.05)), latency=late), 0)
+    result = run(frozen(flips(TokenRing(holding_time=0.05)), latency=late), 0)
     assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2
     assert [d.t for d in decided(result)][:2] == [0.05 * SECOND, 0.44 * SECOND]
 
@@ -293,7 +293,7 @@ def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hol
 def test_a_neighbour_that_does_not_answer_is_left_out_and_taken_in_again():
     """A radio fails for a second: 5 tries of 2.5 L cost 0.625 s once, then the ring goes on without it, and with it."""
     group = Circulation({0, 1, 2, 4})
-    fault = Crash(at=1.0, until=4.0, node=3, scope="radio")
+    fault = Crash(start=1.0, end=4.0, node=3, scope="radio")
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0, group)
     others = [d for d in decided(result, 2.5, 4.0) if d.pursuer != 3]
     assert np.diff([d.t for d in others]) == pytest.approx(0.06 * SECOND)
@@ -307,7 +307,7 @@ def test_a_neighbour_that_does_not_answer_is_left_out_and_taken_in_again():
 def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
     """Pursuer 2 has the token from 0.12 to 0.13 s. There is one new epoch, and nobody acts upon the old one."""
     everyone = Circulation(range(5))
-    fault = Crash(at=0.125, until=5.0, node=2, memory=memory)
+    fault = Crash(start=0.125, end=5.0, node=2, memory=memory)
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0, everyone)
     silence = np.diff([0, *(d.t for d in decided(result))]) / SECOND
     rounds = 3 * 5 * 0.06
@@ -321,7 +321,7 @@ def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
 
 def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
     """After a partition heals two tokens meet; without an answer the older one would be sent again and again."""
-    fault = Partition(at=0.5, until=4.0, groups=((0, 1, 2), (3, 4)))
+    fault = Partition(start=0.5, end=4.0, groups=((0, 1, 2), (3, 4)))
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0)
     answers = {(sent.src, sent.dst, sent.t): sent.body.epoch for sent in bodies(result, Receipt)}
     newest, outdated = defaultdict(tuple), []
@@ -353,7 +353,7 @@ def test_a_new_epoch_is_newer_than_all_that_who_makes_it_has_heard_of(seed):
 
 def test_a_robot_does_not_act_on_the_token_that_it_had_before_a_long_sleep():
     """It wakes at 5 s with an old token in hand: its next decision follows a token that reached it."""
-    fault = Crash(at=0.125, until=5.0, node=2)
+    fault = Crash(start=0.125, end=5.0, node=2)
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0)
     (first, *_) = [d for d in decided(result) if d.pursuer == 2]
     arrivals = {sent.arrival for sent in bodies(result, Token) if sent.dst == 2 and sent.arrival > 5.0 * SECOND}
@@ -363,7 +363,7 @@ def test_a_robot_does_not_act_on_the_token_that_it_had_before_a_long_sleep():
 @pytest.mark.parametrize("memory", [True, False])
 def test_a_robot_without_memory_gives_the_token_that_it_gets_an_epoch_of_its_own(memory):
     """It may have had this very token already. Pursuer 2 is down from 0.2 to 0.3 s, while the token is elsewhere."""
-    fault = Crash(at=0.2, until=0.3, node=2, memory=memory)
+    fault = Crash(start=0.2, end=0.3, node=2, memory=memory)
     result = run(frozen(flips(TokenRing()), latency=0.05, horizon=3.0, faults=(fault,)), 0)
     epochs = dict.fromkeys(sent.body.epoch[:2] for sent in bodies(result, Token))
     assert list(epochs) == ([(1, 0)] if memory else [(1, 0), (2, 2)])
@@ -371,7 +371,7 @@ def test_a_robot_without_memory_gives_the_token_that_it_gets_an_epoch_of_its_own
 
 def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
     """Who is left alone keeps the token for 0.01 s at each hop, and greets the other at the first hop after 2.5 L."""
-    fault = Crash(at=1.0, node=1, scope="radio")
+    fault = Crash(start=1.0, node=1, scope="radio")
     result = run(frozen(flips(TokenRing()), count=2, latency=0.1, horizon=7.0, faults=(fault,)), 0)
     times = [sent.t for sent in bodies(result, Sign) if sent.src == 0 and sent.body.asks]
     assert len(times) > 5
@@ -382,7 +382,7 @@ def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 def test_a_partition_in_the_middle_of_a_round_has_two_tokens_and_one_when_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
-    fault = Partition(at=1.03, until=8.0, groups=((0, 2, 4),))
+    fault = Partition(start=1.03, end=8.0, groups=((0, 2, 4),))
     watchers = [Circulation(group) for group in (*groups, range(6))]
     scenario = frozen(flips(schedule), count=6, latency=0.05, horizon=16.0, faults=(fault,))
     for seed in range(5):
@@ -394,7 +394,7 @@ def test_a_partition_in_the_middle_of_a_round_has_two_tokens_and_one_when_it_hea
 
 
 def test_a_pursuer_without_a_radio_goes_on_alone():
-    fault = Crash(at=1.0, until=8.0, node=1, scope="radio")
+    fault = Crash(start=1.0, end=8.0, node=1, scope="radio")
     everyone = Circulation(range(4))
     result = run(frozen(flips(TokenRing()), count=4, latency=0.05, horizon=16.0, faults=(fault,)), 0, everyone)
     assert np.diff([d.t for d in decided(result, 6.0, 8.0) if d.pursuer == 1]) == pytest.approx(0.01 * SECOND)
@@ -413,7 +413,7 @@ def soak(seed):
     rng = np.random.default_rng([seed, 5])
     count, storm, hold = int(rng.integers(2, 8)), 3.0, 0.02
     graph = (Complete(), Ring(), Star(), Grid(columns=3))[rng.integers(4)]
-    schedule = (TokenRing(hold=hold), TokenWalk(hold=hold))[rng.integers(2)]
+    schedule = (TokenRing(holding_time=hold), TokenWalk(holding_time=hold))[rng.integers(2)]
     latency = (
         ShiftedExponential(offset=0.01, mean=0.02),
         Lognormal(mean=0.03, cv=1.0),
@@ -422,15 +422,15 @@ def soak(seed):
     )[rng.integers(4)]
     mean = 0.0 if isinstance(latency, Constant) else 0.03
     patience = 5 * count * (mean + hold) + 5 * max(2.5 * mean, hold)
-    faults = [RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, until=storm)]
+    faults = [RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, end=storm)]
     links = nx.Graph(graph(count))
     if rng.random() < 0.5:
         cut = sorted(rng.permutation(count)[: rng.integers(1, count)].tolist())
-        faults.append(Partition(at=float(rng.uniform(0.0, storm)), groups=(tuple(cut),)))
+        faults.append(Partition(start=float(rng.uniform(0.0, storm)), groups=(tuple(cut),)))
         links.remove_edges_from(list(nx.edge_boundary(links, cut)))
     if rng.random() < 0.3:
         node, scope = int(rng.integers(count)), ("radio", "robot")[rng.integers(2)]
-        faults.append(Crash(at=float(rng.uniform(0.0, storm)), node=node, scope=scope))
+        faults.append(Crash(start=float(rng.uniform(0.0, storm)), node=node, scope=scope))
         links.remove_edges_from(list(links.edges(node)))
         if scope == "robot":
             links.remove_node(node)

@@ -17,7 +17,7 @@ def standing(protocol, *, count, horizon=10.0, latency=0.0, faults=(), trigger="
     return Scenario(
         horizon=horizon,
         team=Team(count=count, speeds=2.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=protocol,
         network=Links(latency=model, **links),
         announce=Announcements(trigger=trigger),

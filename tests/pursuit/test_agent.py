@@ -239,7 +239,7 @@ def test_who_hears_a_faster_one_that_does_not_hear_it_leaves_the_chase_to_that_o
         horizon=5.0,
         team=Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=1.0),
         evader=Evader(position=(0.0, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         protocol=BestResponse(schedule=Poisson(rate=10.0), utility=utility),
         network=Links(graph=Edges.of(nx.DiGraph([(0, 1)]))),
     )
@@ -283,7 +283,7 @@ def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
             me.set_payload(Claim(False, 7))
         yield me.at(9.0)
 
-    fault = Crash(node=0, at=0.3, until=0.5, memory=memory)
+    fault = Crash(node=0, start=0.3, end=0.5, memory=memory)
     record = Recording(trajectory=0.0, messages=True)
     result = play(protocol, announce=Announcements(heartbeat=0.1), fault=(fault,), record=record, horizon=1.0)
     said = [(event.t > 0.4e9, event.body) for event in result.trace.of(Broadcast) if event.src == 0]
@@ -321,7 +321,7 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, dissemin
             protocol=protocol,
             network=Links(graph=Ring(), latency=Lognormal(mean=0.03, cv=1.0), loss=Bernoulli(p=0.3)),
             announce=Announcements(payload=payload, dissemination=dissemination, belief_timeout=0.2, warm_start=warm),
-            fault=(Crash(node=1, at=1.0, until=2.0, memory=False, scope=scope),),
+            fault=(Crash(node=1, start=1.0, end=2.0, memory=False, scope=scope),),
         )
     )
     assert len(checked) > 200

@@ -31,7 +31,7 @@ from desim.scenario.toml import load
 ARENA = (-10.0, 10.0)
 FLEEING = [PureEvasion(), WeightedFlee(), MaxMin(), Zigzag(), VoronoiVertex(arena=ARENA)]
 WANDERING = [Diffusion(), ConstantHeading(), ConstantHeading(angle=1.0)]
-ALL = [*FLEEING, *WANDERING, Still(), Listener(), Listener(then=WeightedFlee(), otherwise=Diffusion())]
+ALL = [*FLEEING, *WANDERING, Still(), Listener(), Listener(during_handover=WeightedFlee(), normally=Diffusion())]
 WITH = {"flees_from": "active"}
 
 
@@ -288,7 +288,7 @@ def test_who_is_still_draws_nothing_and_stays():
 @pytest.mark.parametrize("handover", [True, False])
 def test_a_listener_does_one_thing_while_a_hand_over_is_in_flight_and_another_else(handover):
     assert heading_of(Listener(), -1j, handover=handover) == (1j if handover else 0j)
-    other = Listener(then=ConstantHeading(angle=0.0), otherwise=PureEvasion())
+    other = Listener(during_handover=ConstantHeading(angle=0.0), normally=PureEvasion())
     assert heading_of(other, -1j, handover=handover) == (1 + 0j if handover else 1j)
 
 
@@ -376,8 +376,8 @@ def test_every_strategy_is_tested():
 
 
 def test_a_listener_holds_strategies_of_its_own(written):
-    file = written('strategy = { kind = "listener", then = { kind = "zigzag", amplitude = 0.5 } }')
-    assert load(file).evader.strategy == Listener(then=Zigzag(amplitude=0.5), otherwise=Still())
+    file = written('strategy = { kind = "listener", during_handover = { kind = "zigzag", amplitude = 0.5 } }')
+    assert load(file).evader.strategy == Listener(during_handover=Zigzag(amplitude=0.5), normally=Still())
 
 
 # Points.

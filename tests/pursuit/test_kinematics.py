@@ -137,7 +137,7 @@ def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
             evader=Evader(position=(5000.0, 3.0), speed=0.0, strategy=Still()),
             protocol=protocol,
             network=Links(range=12.0),
-            motion=Motion(step=0.1, frozen=frozen),
+            motion=Motion(step=0.1, static=frozen),
         )
     )
     for k, near in seen.items():

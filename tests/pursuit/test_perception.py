@@ -260,7 +260,7 @@ def way(*words, dissemination=None, **keys):
     said = {} if dissemination is None else {"dissemination": dissemination}
     settings = {
         "team": APART,
-        "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(then=ConstantHeading(angle=0.0))),
+        "evader": Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(during_handover=ConstantHeading(angle=0.0))),
         "network": Links(latency=Constant(value=LATENCY)),
         "announce": Announcements(trigger="never", **said),
     }
@@ -293,7 +293,7 @@ def test_what_everybody_does_at_first_is_known():
 
 
 def test_to_chase_another_evader_is_a_change():
-    listens = Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(then=ConstantHeading(angle=0.0)))
+    listens = Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(during_handover=ConstantHeading(angle=0.0)))
     two = (listens, Evader(position=(0.0, 90.0), speed=1.0, strategy=Still()))
     assert way((1.0, 0, 1), (2.0, 0, 2), (3.0, 0, 2), evader=two) == 2 * LATENCY
 

@@ -55,7 +55,7 @@ def test_who_sees_everything_does_as_who_is_not_limited(kind, payload):
     protocol = desim.scenario.scenario.PROTOCOLS.choices()[kind]()
     keys = {"protocol": protocol, "network": Links(latency=Constant(value=0.05))}
     # An evader that a sender has not told everybody of is reckoned on along its path only without limits.
-    keys["announce"] = Announcements(payload=payload, reckoning="cheap")
+    keys["announce"] = Announcements(payload=payload, reckoning="straight_line")
     unlimited = desim.run(scenario(Sensing(), **keys))
     assert pursuit(desim.run(scenario(Sensing(radius=1e6), **keys))) == pursuit(unlimited)
     assert pursuit(desim.run(scenario(Sensing(radius=2.0), **keys))) != pursuit(unlimited)
@@ -174,14 +174,14 @@ def test_of_two_that_search_each_goes_another_way():
     assert one == pytest.approx(-other)
 
 
-def on_a_line(count, *, pass_on):
+def on_a_line(count, *, relay):
     """Return when each of a team on a line first had an estimate; only pursuer 0 sees the evader, which stands."""
     behaviour, found = looks(lambda me: me.may_chase(), period=0.01)
     graph = Edges.of(nx.path_graph(count))
     team = Team(positions=tuple((10.0 * k, 0.0) for k in range(count)), active_at_start=0.0, speeds=1.0)
     desim.run(
         scenario(
-            Sensing(radius=3.0, pass_on=pass_on),
+            Sensing(radius=3.0, relay=relay),
             team=team,
             evader=Evader(position=(0.0, 2.0), strategy=Still()),
             network=Links(graph=graph, latency=Constant(value=0.05)),
@@ -194,12 +194,12 @@ def on_a_line(count, *, pass_on):
 
 def test_sightings_travel_as_messages_hop_by_hop_or_not_at_all_if_nobody_passes_on():
     """Each hop takes the latency and, on the way, what is left of a period; who does not see does not know before."""
-    known = on_a_line(5, pass_on=True)
+    known = on_a_line(5, relay=True)
     hops = np.diff(known)
     assert known[0] == 0.01
     assert (hops >= 0.05 - 1e-9).all()
     assert (hops <= 0.15 + 0.01 + 1e-9).all()
-    known = on_a_line(5, pass_on=False)
+    known = on_a_line(5, relay=False)
     assert known[1] < 0.2
     assert known[2:] == [inf] * 3
 
@@ -229,7 +229,7 @@ def test_a_report_has_its_size_and_tells_the_newest():
 )
 def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, scope, memory, knows):
     """The sighting is of 1.11 s and told until 3.11 s; nobody tells it again after the crash."""
-    crash = Crash(node=who, at=2.5, until=4.0, memory=memory, scope=scope)
+    crash = Crash(node=who, start=2.5, end=4.0, memory=memory, scope=scope)
     straight, sensing = ConstantHeading(angle=0.0), Sensing(radius=3.0, track_timeout=2.0 if who else inf)
     answers = seen_once(sensing, straight, lambda me: me.may_chase(), who=who, fault=(crash,))
     assert answers[2.0]
@@ -238,7 +238,7 @@ def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, 
 
 def test_a_report_that_is_lost_is_told_again_until_it_is_too_old():
     """Cut off until 4 s, pursuer 1 hears within a period of 0.1 s of what was seen at 1.11 s, if that is still told."""
-    cut = Partition(at=1e-4, until=4.0, groups=((0,),))
+    cut = Partition(start=1e-4, end=4.0, groups=((0,),))
     for track_timeout, knows in ((5.0, True), (2.0, False)):
         sensing = Sensing(radius=3.0, track_timeout=track_timeout, on_lost="search")
         answers = seen_once(sensing, ConstantHeading(angle=0.0), lambda me: me.evader(), who=1, fault=(cut,))
@@ -266,7 +266,7 @@ def test_who_is_broken_sees_nothing():
         evader=Evader(position=(-5.0, 1.0), speed=2.0, strategy=ConstantHeading(angle=0.0)),
         protocol=behaviour,
     )
-    for fault, knows in ((), True), ((Crash(node=0, at=1.0, until=5.0),), False):
+    for fault, knows in ((), True), ((Crash(node=0, start=1.0, end=5.0),), False):
         found.clear()
         desim.run(base.model_copy(update={"fault": fault}))
         assert {able for t, _, able in found if t > 5.05} == {knows}
@@ -367,11 +367,11 @@ def test_it_forgets_what_was_reported_or_all(heard_only, seen):
     assert (None if newest is None else newest.seen) == seen
 
 
-@pytest.mark.parametrize(("pass_on", "told"), [(True, (1, 2)), (False, (1,))])
-def test_who_passes_on_tells_its_own_and_what_it_heard(pass_on, told):
+@pytest.mark.parametrize(("relay", "told"), [(True, (1, 2)), (False, (1,))])
+def test_who_passes_on_tells_its_own_and_what_it_heard(relay, told):
     """It sees the first of two evaders, and has heard of the other; pursuer 1 has seen none."""
     seen = Evader(position=(2.0, 0.0), speed=0.9, strategy=Still())
-    rig = Rig(Sensing(radius=3.0, pass_on=pass_on), evader=(seen, HIDDEN))
+    rig = Rig(Sensing(radius=3.0, relay=relay), evader=(seen, HIDDEN))
     rig.broadcast(sighting(7.0, 0.0, evader=2))
     rig.one.report()
     assert [tuple(each.evader for each in news) for news in rig.told()] == [told]

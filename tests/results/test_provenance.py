@@ -556,8 +556,8 @@ belief_timeout = inf
 [[fault]]
 kind = "crash"
 node = 1
-at = 0.1
-until = inf
+start = 0.1
+end = inf
 
 [sweep.grid]
 "network.range" = [4.0, inf]

@@ -301,11 +301,11 @@ MISFITS = {
     "start": (twice("Started"), "is a second Started"),
     "end": (twice("MessageCounts"), "is a second Tally"),
     "broken": (
-        with_field("FaultStarted", fault={"kind": "crash", "at": 0.0, "node": 99}),
+        with_field("FaultStarted", fault={"kind": "crash", "start": 0.0, "node": 99}),
         "is of a node that is not one of",
     ),
     "repaired": (
-        with_field("FaultEnded", fault={"kind": "crash", "at": 0.9, "node": 1}),
+        with_field("FaultEnded", fault={"kind": "crash", "start": 0.9, "node": 1}),
         "ends a fault that did not begin",
     ),
     "kind of fault": (with_field("FaultStarted", fault={"kind": "cats"}), "fault: Input tag 'cats'"),

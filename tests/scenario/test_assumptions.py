@@ -41,7 +41,7 @@ from protocols.token import TokenRing, TokenWalk
 
 FOUR = Team(positions=[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
 """On a line, 1 m apart."""
-HALVES = Partition(at=1.0, until=2.0, groups=((0, 1),))
+HALVES = Partition(start=1.0, end=2.0, groups=((0, 1),))
 TWO_PAIRS = nx.Graph([(0, 1), (2, 3)])
 FLOODED = Announcements(dissemination=Flooding())
 
@@ -63,7 +63,7 @@ def four(graph=None, **given):
         (four(nx.DiGraph([(0, 1), (1, 2), (2, 3)])), "several components"),
         (four(nx.DiGraph([(0, 1), (1, 2), (2, 3), (3, 0)])), None),
         (four(fault=[HALVES]), "partition"),
-        (four(fault=[Jamming(at=0.0, centre=(0.0, 0.0), radius=1.0)]), None),
+        (four(fault=[Jamming(start=0.0, centre=(0.0, 0.0), radius=1.0)]), None),
     ],
 )
 def test_all_are_connected_over_any_number_of_hops_or_not(scenario, why):
@@ -144,11 +144,11 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ({"network": Links(medium=Bitrate(bitrate=1e6))}, False),
         ({"network": Links(medium=Bitrate(bitrate=1e6, half_duplex=True))}, True),
         ({"network": Links(medium=Bitrate(bitrate=1e6, queue_limit=4))}, True),
-        ({"network": Links(range=50.0), "motion": Motion(frozen=True)}, False),
-        ({"network": Links(range=50.0, reach=QuasiUnitDisk()), "motion": Motion(frozen=True)}, False),
-        ({"network": Links(range=50.0, fading="message"), "motion": Motion(frozen=True)}, False),
+        ({"network": Links(range=50.0), "motion": Motion(static=True)}, False),
+        ({"network": Links(range=50.0, reception=QuasiUnitDisk()), "motion": Motion(static=True)}, False),
+        ({"network": Links(range=50.0, fading="message"), "motion": Motion(static=True)}, False),
         (
-            {"network": Links(range=50.0, reach=QuasiUnitDisk(), fading="message"), "motion": Motion(frozen=True)},
+            {"network": Links(range=50.0, reception=QuasiUnitDisk(), fading="message"), "motion": Motion(static=True)},
             True,
         ),
     ],
@@ -178,7 +178,7 @@ def test_word_gets_through_if_it_travels_with_the_messages_of_the_schedule(trigg
     ("scenario", "why"),
     [
         (four(protocol=BestResponse(schedule=Rounds())), "at once"),
-        (four(protocol=BestResponse(schedule=Rounds(q=0.5))), "at once"),
+        (four(protocol=BestResponse(schedule=Rounds(participation=0.5))), "at once"),
         (Scenario(team=Team(count=2), protocol=BestResponse(schedule=Rounds())), "at once"),
         (Scenario(team=Team(count=1), protocol=BestResponse(schedule=Rounds())), None),
         *((four(protocol=BestResponse(schedule=s)), None) for s in (SharedSeed(), Poisson(), Periodic(), TokenRing())),
@@ -194,11 +194,11 @@ def test_one_decides_at_a_time_or_everybody_at_once(scenario, why):
     [
         ([], False, False),
         ([HALVES], False, False),
-        ([Crash(at=0.0, node=0)], True, False),
+        ([Crash(start=0.0, node=0)], True, False),
         ([RandomCrashes()], True, False),
         ([RandomFaults()], True, False),
         ([ClockSkew(offset=0.1)], False, True),
-        ([HALVES, ClockSkew(offset=0.1), Crash(at=0.0, node=0)], True, True),
+        ([HALVES, ClockSkew(offset=0.1), Crash(start=0.0, node=0)], True, True),
     ],
 )
 def test_pursuers_break_down_and_clocks_differ_or_not(fault, crashes, skewed):
@@ -339,7 +339,7 @@ def test_a_function_may_assume_something_too():
     def mine(me):
         yield from ()
 
-    assert not list(broken(four(fault=[Crash(at=0.0, node=0)], protocol=mine)))
+    assert not list(broken(four(fault=[Crash(start=0.0, node=0)], protocol=mine)))
     mine.assumes = ("no_crashes",)
-    scenario = four(fault=[Crash(at=0.0, node=0)], protocol=mine)
+    scenario = four(fault=[Crash(start=0.0, node=0)], protocol=mine)
     assert list(broken(scenario)) == [("protocol", "the protocol assumes no_crashes, but pursuers break down")]

@@ -39,7 +39,7 @@ def test_the_default_is_not_warned_of():
         ({"team": Team(count=2, speeds=(0.5, 0.9))}, "team.speeds", "the fastest moves at 0.9 m/s, the evader at 0.9"),
         ({"sensing": Sensing(estimate="hold")}, "sensing.estimate", "no effect while the radius is inf"),
         ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "nobody sees an evader before it is captured"),
-        ({"network": Links(reach=QuasiUnitDisk())}, "network.reach", "no effect while the range is inf"),
+        ({"network": Links(reception=QuasiUnitDisk())}, "network.reception", "no effect while the range is inf"),
         (
             {"network": Links(preset="lte", latency={"kind": "constant"})},
             "network.latency",
@@ -50,7 +50,7 @@ def test_the_default_is_not_warned_of():
             "announce.dissemination",
             "nothing is ever announced",
         ),
-        ({"fault": [Crash(at=1.0, node=0), Crash(at=30.0, node=0)]}, "fault.1.at", "begin after the horizon"),
+        ({"fault": [Crash(start=1.0, node=0), Crash(start=30.0, node=0)]}, "fault.1.start", "begin after the horizon"),
         (
             {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.08)},
             "announce.heartbeat",
@@ -110,13 +110,13 @@ def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key
     "given",
     [
         {"team": Team(count=2, speeds=(0.5, 0.91))},
-        {"network": Links(range=1e6, reach=QuasiUnitDisk())},
+        {"network": Links(range=1e6, reception=QuasiUnitDisk())},
         {"sensing": Sensing(radius=0.11, estimate="hold")},
         {"network": Links(preset="lte")},
         {"network": Links(preset="lte", range=1e6)},
         {"announce": Announcements(trigger="revision", dissemination=Flooding())},
         {"announce": Announcements(dissemination=Flooding())},
-        {"fault": [Crash(at=29.9, node=0), RandomCrashes()]},
+        {"fault": [Crash(start=29.9, node=0), RandomCrashes()]},
         {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.1)},
         {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.05, trigger="revision")},
         {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=2), "announce": {"heartbeat": 0.2}},
@@ -239,13 +239,13 @@ def test_each_thing_is_warned_of_in_one_go():
         key
         for key, _ in warned(
             team=Team(count=2, speeds=0.5),
-            network=Links(reach=QuasiUnitDisk()),
+            network=Links(reception=QuasiUnitDisk()),
             protocol=SpatialAdaptivePlay(schedule=Rounds()),
             fault=[ClockSkew(offset=1.0)],
             motion=Motion(step=31.0),
         )
     ]
-    assert keys == ["team.speeds", "network.reach", "protocol", "protocol.schedule", "motion.step"]
+    assert keys == ["team.speeds", "network.reception", "protocol", "protocol.schedule", "motion.step"]
 
 
 def test_a_protocol_from_a_script_has_nothing_to_be_warned_of():

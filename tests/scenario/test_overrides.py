@@ -118,7 +118,7 @@ def test_a_table_of_another_kind_keeps_what_the_kind_has_and_loses_what_it_has_n
     assert changed(scenario, protocol__kind="best_response").protocol == BestResponse(schedule=Poisson(rate=3.0))
     dissemination = Scenario(network=Links(latency=Constant(value=0.3)))
     assert changed(dissemination, network__latency__kind="lognormal").network.latency == Lognormal()
-    crashed = Scenario(fault=(Crash(node=1, at=0.5, until=1.0),))
+    crashed = Scenario(fault=(Crash(node=1, start=0.5, end=1.0),))
     (fault,) = changed(crashed, fault__0__kind="random_crashes").fault
     assert fault == RandomCrashes()
 
@@ -175,8 +175,8 @@ def test_a_key_of_a_function_is_refused():
 
 
 def test_an_item_of_a_list_that_is_empty_is_refused():
-    with pytest.raises(ScenarioError, match=r"^fault\.0\.at: the list fault is empty$"):
-        Source.of(Scenario()).set("fault.0.at", 1.0, "the test")
+    with pytest.raises(ScenarioError, match=r"^fault\.0\.start: the list fault is empty$"):
+        Source.of(Scenario()).set("fault.0.start", 1.0, "the test")
 
 
 # Where a key was set.

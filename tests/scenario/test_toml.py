@@ -223,7 +223,7 @@ def written(tmp_path):
         ('name="5"', {"name": "5"}),
         ("name=a=b", {"name": "a=b"}),
         ("network.range=inf", {"network": {"range": inf}}),
-        ("motion.frozen=true", {"motion": {"frozen": True}}),
+        ("motion.static=true", {"motion": {"static": True}}),
         ("team.speeds=[1.0, 2.0]", {"team": {"count": 2, "speeds": [1.0, 2.0]}}),
         ("team={ count = 3 }", {"team": {"count": 3}}),
         ("a.b.c.d=1", {"a": {"b": {"c": {"d": 1}}}}),
@@ -400,7 +400,7 @@ SCENARIO_VALUES = st.builds(
     team=teams(),
     evader=st.builds(Evader, position=st.none() | POINTS, box=BOXES, speed=SPEEDS),
     capture=st.builds(Capture, radius=TIMES, test=st.sampled_from(["segment", "sample"])),
-    motion=st.builds(Motion, step=TIMES, order=st.sampled_from(["evader_first", "simultaneous"]), frozen=st.booleans()),
+    motion=st.builds(Motion, step=TIMES, order=st.sampled_from(["evader_first", "simultaneous"]), static=st.booleans()),
     protocol=PROTOCOLS,
     network=st.builds(
         Links,

@@ -38,7 +38,7 @@ def endless(me):
 
 
 def scenario(protocol):
-    return Scenario(team=Team(count=3), protocol=protocol, motion=Motion(frozen=True), horizon=9.0)
+    return Scenario(team=Team(count=3), protocol=protocol, motion=Motion(static=True), horizon=9.0)
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf"), 1e300])

@@ -145,7 +145,7 @@ def test_a_frozen_game_stands_still_and_its_time_does_not_run():
             seen.append((me.time_left(), me.capture_time()))
             me.assign(True)
 
-    scenario = still(protocol=protocol, motion=Motion(frozen=True))
+    scenario = still(protocol=protocol, motion=Motion(static=True))
     result = run(scenario)
     assert sorted(set(seen)) == [(2.5, 2.9), (2.5, 5.9)]
     assert all(at == positions(result)[0.0] for at in positions(result).values())
@@ -304,7 +304,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
 
 
 @pytest.mark.parametrize(
-    ("payload", "reckoning", "steps"), [("action", "exact", 0), ("state", "cheap", 0), ("state", "exact", 3)]
+    ("payload", "reckoning", "steps"), [("action", "exact", 0), ("state", "straight_line", 0), ("state", "exact", 3)]
 )
 def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payload, reckoning, steps):
     """Steps begin at 0, 1 and 2 s of 2.5 s."""

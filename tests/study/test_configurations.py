@@ -105,9 +105,9 @@ def test_each_combination_is_a_configuration_and_the_last_key_changes_fastest():
 @pytest.mark.slow
 @given(st.lists(st.floats(0.1, 9.0), min_size=1, max_size=3, unique=True), st.booleans())
 def test_a_configuration_is_the_scenario_that_one_would_write(values, frozen):
-    found = of({"horizon": values, "motion.frozen": [frozen]})
+    found = of({"horizon": values, "motion.static": [frozen]})
     assert [cell.scenario for cell in found] == [
-        Scenario(horizon=each, team=Team(count=2), motion={"frozen": frozen}) for each in values
+        Scenario(horizon=each, team=Team(count=2), motion={"static": frozen}) for each in values
     ]
 
 
@@ -161,8 +161,8 @@ def test_integers_of_numpy_and_ranges_are_integers(counts):
 
 
 def test_truths_points_and_tables_may_hold_what_numpy_makes():
-    (cell,) = of({"motion.frozen": [np.bool_(True)], "team.positions": np.zeros((1, 2, 2))})
-    assert cell.scenario.motion.frozen is True
+    (cell,) = of({"motion.static": [np.bool_(True)], "team.positions": np.zeros((1, 2, 2))})
+    assert cell.scenario.motion.static is True
     assert cell.scenario.team.positions == ((0.0, 0.0), (0.0, 0.0))
     (cell,) = of({"network.latency": [{"kind": "constant", "value": np.float64(0.5)}]})
     assert cell.scenario.network.latency == Constant(value=0.5)
@@ -250,7 +250,7 @@ def test_of_many_faults_the_first_are_told(refused):
 
 
 def test_what_does_not_fit_elsewhere_is_told_with_the_settings(refused):
-    base = BASE + 'fault = [{ kind = "crash", node = 1, at = 0.5 }]\n'
+    base = BASE + 'fault = [{ kind = "crash", node = 1, start = 0.5 }]\n'
     (line,) = refused("horizon = [1.0, 2.0]\nteam.count = [2, 1]", base)
     assert line == "f:4: fault.0.node: there is no pursuer 1: they are 0 .. 0 (with team.count = 1)"
 

@@ -53,7 +53,7 @@ BAD = GOOD.model_copy(
     update={
         "horizon": 3.0,
         "network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5), range=12.0),
-        "fault": (Crash(node=0, at=0.5, until=3.0), Crash(node=1, at=1.0)),
+        "fault": (Crash(node=0, start=0.5, end=3.0), Crash(node=1, start=1.0)),
         "protocol": SpatialAdaptivePlay(schedule=SharedSeed(slot=0.1)),
         "announce": Announcements(trigger="heartbeat", heartbeat=0.3, warm_start=False),
         "sensing": Sensing(radius=4.0),
@@ -83,11 +83,11 @@ SPOILT = {
     "latency": {"network": Links(latency=Constant(value=0.7))},
     "loss": {"network": Links(loss=Bernoulli(p=1.0))},
     "range limit": {"network": Links(range=2.0)},
-    "faults": {"fault": tuple(Crash(node=node, at=0.1, until=1.5) for node in range(5))},
+    "faults": {"fault": tuple(Crash(node=node, start=0.1, end=1.5) for node in range(5))},
     "stale knowledge": {"announce": Announcements(trigger="heartbeat", heartbeat=0.7, warm_start=False)},
     "limited sight": {"sensing": Sensing(radius=3.0)},
 }
-TURNS = [SharedSeed(slot=0.1), TokenRing(hold=0.05), TokenWalk(hold=0.05), LocalMutex(rate=2.0)]
+TURNS = [SharedSeed(slot=0.1), TokenRing(holding_time=0.05), TokenWalk(holding_time=0.05), LocalMutex(rate=2.0)]
 ONLY = [
     *(
         pytest.param(GOOD.model_copy(update={"protocol": rule, **spoilt}), name, id=f"{kind}-{name}")
@@ -527,7 +527,7 @@ horizon = 1.0
 team.count = 4
 motion.step = 0.1
 network.latency = { kind = "constant", value = 0.3 }
-fault = [{ kind = "crash", node = 0, at = 0.5 }]
+fault = [{ kind = "crash", node = 0, start = 0.5 }]
 """
 FAILING = """
 def always(me):

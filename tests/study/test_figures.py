@@ -75,9 +75,9 @@ def test_the_other_key_makes_lines_whose_error_bars_stand_side_by_side():
 
 
 def test_lines_over_several_other_keys_are_named_by_all_of_them():
-    axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.frozen": [True, False]})
+    axes, lines = drawn({"prune": ["inf", "none"], "network.range": [1.0, 2.0], "motion.static": [True, False]})
     assert len(lines) == 4
-    assert axes.get_legend().get_texts()[0].get_text() == "prune = inf, motion.frozen = true"
+    assert axes.get_legend().get_texts()[0].get_text() == "prune = inf, motion.static = true"
     assert axes.get_xlabel() == "network.range (m)"
 
 

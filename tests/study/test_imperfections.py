@@ -46,7 +46,7 @@ from scenarios.study import SCENARIOS
 
 FILES = sorted(SCENARIOS.glob("*.toml"))
 LATE, LOSSY = Constant(value=0.5), Bernoulli(p=0.25)
-RING = TokenRing(hold=0.03, attempts=2)
+RING = TokenRing(holding_time=0.03, attempts=2)
 WORST = Scenario(
     name="worst",
     seed=7,
@@ -70,7 +70,7 @@ WORST = Scenario(
             directed=True,
         ),
         range=5.0,
-        reach=QuasiUnitDisk(certain=0.5, p=0.25),
+        reception=QuasiUnitDisk(certain=0.5, p=0.25),
         fading="message",
         range_check="both",
         latency=Lognormal(mean=0.1, cv=0.5),
@@ -82,7 +82,7 @@ WORST = Scenario(
     ),
     announce=Announcements(
         payload="time",
-        reckoning="cheap",
+        reckoning="straight_line",
         trigger="heartbeat",
         heartbeat=0.7,
         belief_timeout=inf,
@@ -90,9 +90,9 @@ WORST = Scenario(
         dissemination=Gossip(),
     ),
     fault=(
-        Crash(node=1, at=0.5),
-        Partition(at=1.0, groups=((0, 1),)),
-        Jamming(at=1.0, centre=(5.0, 5.0), radius=3.0),
+        Crash(node=1, start=0.5),
+        Partition(start=1.0, groups=((0, 1),)),
+        Jamming(start=1.0, centre=(5.0, 5.0), radius=3.0),
         ClockSkew(offset=0.1),
         RandomCrashes(),
         RandomFaults(),
@@ -142,8 +142,8 @@ CHANGES = {
     "range limit": {
         "network.preset": None,
         "network.range": "Infinity",
-        "network.reach.kind": "disk",
-        **below("network.reach", "certain", "p"),
+        "network.reception.kind": "disk",
+        **below("network.reception", "certain", "p"),
     },
     "faults": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.")},
     "serial decisions": {
@@ -337,9 +337,9 @@ def test_who_is_linked_to_whom_is_no_imperfection(graph):
     assert removed(scenario).network == Links(graph=graph)
 
 
-@pytest.mark.parametrize("network", [Links(range=3.0), Links(reach=QuasiUnitDisk())], ids=["range", "reach"])
+@pytest.mark.parametrize("network", [Links(range=3.0), Links(reception=QuasiUnitDisk())], ids=["range", "reach"])
 def test_range_and_reach_are_each_removed(network):
-    assert without_range(Scenario(network=network)).network == Links(range=inf, reach=Disk())
+    assert without_range(Scenario(network=network)).network == Links(range=inf, reception=Disk())
 
 
 @pytest.mark.parametrize("medium", [Bitrate(bitrate=1000.0), LoRa(shared=True)])
@@ -395,7 +395,7 @@ class NoModel:
         NoModel(),
         *(
             SpatialAdaptivePlay(schedule=each)
-            for each in (Rounds(period=0.2), Poisson(), Periodic(), Synchronous(of=RING), Own())
+            for each in (Rounds(period=0.2), Poisson(), Periodic(), Synchronous(schedule=RING), Own())
         ),
     ],
     ids=lambda each: getattr(getattr(each, "schedule", each), "kind", type(each).__name__),
@@ -417,9 +417,9 @@ SAID = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
 @pytest.mark.parametrize(
     ("schedule", "free", "trigger"),
     [
-        (SharedSeed(slot=0.25), Synchronous(of=SharedSeed(slot=0.25)), "change"),
-        (RING, Synchronous(of=RING), "both"),
-        (TokenWalk(hold=0.2), Synchronous(of=TokenWalk(hold=0.2)), "both"),
+        (SharedSeed(slot=0.25), Synchronous(schedule=SharedSeed(slot=0.25)), "change"),
+        (RING, Synchronous(schedule=RING), "both"),
+        (TokenWalk(holding_time=0.2), Synchronous(schedule=TokenWalk(holding_time=0.2)), "both"),
         (LocalMutex(rate=3.0, attempts=2), Poisson(rate=3.0), "both"),
         (OwnTurns(), Rounds(period=0.25), "change"),
     ],
@@ -427,9 +427,9 @@ SAID = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
 )
 def test_who_takes_turns_loses_them_and_says_itself_what_the_messages_of_the_schedule_said(schedule, free, trigger):
     """Nothing else of the rule or of what is announced changes."""
-    scenario = Scenario(protocol=CBBA(schedule=schedule, patience=7.0), announce=SAID)
+    scenario = Scenario(protocol=CBBA(schedule=schedule, winner_timeout=7.0), announce=SAID)
     found = without_turns(scenario)
-    assert found.protocol == CBBA(schedule=free, patience=7.0)
+    assert found.protocol == CBBA(schedule=free, winner_timeout=7.0)
     assert found.announce == SAID.model_copy(update={"trigger": trigger})
     assert found == scenario.model_copy(update={"protocol": found.protocol, "announce": found.announce})
     assert without_turns(found) == found

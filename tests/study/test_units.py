@@ -15,7 +15,7 @@ from desim.study.figures import unit_of
         ("team.speeds", "m/s"),
         ("team.speeds.last", "m/s"),
         ("fault.0.at", "s"),
-        ("network.reach.shadowing", "dB"),
+        ("network.reception.shadowing", "dB"),
         ("network.loss.p", None),
         ("team.count", None),
         ("prune", None),

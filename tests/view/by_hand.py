@@ -8,8 +8,8 @@ from desim.scenario.scenario import Evader, Scenario
 from desim.simulation.run import Result
 
 MS = 1_000_000
-CRASH = Crash(node=0, at=0.4, until=0.6)
-JAMMING = Jamming(centre=(1.0, 2.0), radius=3.0, at=0.7)
+CRASH = Crash(node=0, start=0.4, end=0.6)
+JAMMING = Jamming(centre=(1.0, 2.0), radius=3.0, start=0.7)
 ACTIVE, INACTIVE = Assignment(1), Assignment(0)
 
 

@@ -84,10 +84,10 @@ def test_two_equal_faults_at_once_are_two():
 
 
 def test_of_faults_that_overlap_each_ends_at_its_own_time():
-    early = Jamming(centre=(0.0, 0.0), radius=1.0, at=0.35, until=0.5)
+    early = Jamming(centre=(0.0, 0.0), radius=1.0, start=0.35, end=0.5)
     found = outages(history(FaultStarted(350 * MS, early), FaultEnded(500 * MS, early)))
     assert found[:2] == [(early, Interval(350 * MS, 500 * MS)), (CRASH, Interval(400 * MS, 600 * MS))]
-    other = Crash(node=1, at=0.35, until=0.65)
+    other = Crash(node=1, start=0.35, end=0.65)
     found = outages(history(FaultStarted(350 * MS, other), FaultEnded(650 * MS, other)))
     assert found[:2] == [(other, Interval(350 * MS, 650 * MS)), (CRASH, Interval(400 * MS, 600 * MS))]
 

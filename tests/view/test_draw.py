@@ -26,8 +26,8 @@ record = { messages = true }
 [[fault]]
 kind = "crash"
 node = 1
-at = 0.1
-until = 0.3
+start = 0.1
+end = 0.3
 """
 
 

@@ -103,7 +103,7 @@ SEEING = Scenario(
     team=Team(positions=[(5.0, 5.0), (5.0, 5.0)], speeds=1.0, active_at_start=0.0),
     evader=tuple(Evader(position=(x, x), speed=0.0, strategy=Still()) for x in (0.0, 10.0)),
     sensing=Sensing(radius=2.0),
-    motion=Motion(frozen=True),
+    motion=Motion(static=True),
     horizon=0.1,
     announce=Announcements(trigger="never"),
 )
@@ -226,7 +226,7 @@ def test_pages_of_runs_by_hand_are_golden():
 
     Who chased the evader that is captured stays from then on, unless it decides something at the same instant.
     """
-    cut = Partition(at=0.2, until=0.5, groups=((0,), (1, 2)))
+    cut = Partition(start=0.2, end=0.5, groups=((0,), (1, 2)))
     parted = history(FaultStarted(200 * MS, cut), FaultEnded(500 * MS, cut))
     golden("replay.txt", {each.scenario.name: told(each) for each in (parted, pair())})
 
@@ -277,7 +277,7 @@ def test_who_has_heard_of_nobody_is_not_said_to_believe_that_nobody_chases(resul
 
 def test_who_forgot_has_heard_of_nobody():
     """Robot 1 breaks down for 0.1 s and forgets: afterwards it has heard nothing, until the next heartbeats."""
-    crash = Crash(node=1, at=0.5, until=0.6, memory=False)
+    crash = Crash(node=1, start=0.5, end=0.6, memory=False)
     scenario = COLD.model_copy(update={"fault": (crash,), "announce": Announcements(heartbeat=0.5), "horizon": 1.0})
     told = _document(run(scenario))["beliefs"]
     then = column(told["t"], "<u4") == 0.6 * SECOND
@@ -329,7 +329,7 @@ def test_places_far_away_are_in_a_coarser_unit_and_none_is_wrong(far, per_metre)
     """2^31 mm are 2147 km; half of it is kept free for the differences."""
     team = Team(positions=[(far, 0.0), (-far, 3.0)], speeds=1.0)
     evader = Evader(position=(0.0, -far))
-    result = run(Scenario(team=team, evader=evader, motion=Motion(frozen=True), horizon=0.1))
+    result = run(Scenario(team=team, evader=evader, motion=Motion(static=True), horizon=0.1))
     path = _document(result)["path"]
     assert path["per_metre"] == per_metre
     assert (column(path["start"], "<i4") / per_metre).tolist() == [far, 0.0, -far, 3.0, 0.0, -far]
@@ -361,10 +361,10 @@ LOG = LogDistance(exponent=3.0, shadowing=6.0)
     ("links", "radius"),
     [
         (Links(), None),
-        (Links(reach=LOG), None),
+        (Links(reception=LOG), None),
         (Links(range=15.0), 15.0),
-        (Links(range=15.0, reach=LOG, fading="message"), pytest.approx(15.0, rel=1e-12)),
-        (Links(range=15.0, reach=QuasiUnitDisk(certain=0.5, p=0.4), fading="message"), 7.5),
+        (Links(range=15.0, reception=LOG, fading="message"), pytest.approx(15.0, rel=1e-12)),
+        (Links(range=15.0, reception=QuasiUnitDisk(certain=0.5, p=0.4), fading="message"), 7.5),
     ],
 )
 def test_all_hear_each_other_up_to_a_distance(links, radius):
@@ -377,7 +377,7 @@ def test_all_hear_each_other_up_to_a_distance(links, radius):
 @pytest.mark.parametrize("reach", [LOG, QuasiUnitDisk(certain=0.5, p=0.4)])
 def test_with_luck_once_per_pair_each_has_a_distance_up_to_which_the_network_lets_it_hear(reach):
     """At each pair's distance its word is received, 1e-9 m beyond it is not; judged by the network's own topology."""
-    links, size = Links(range=10.0, reach=reach), 12
+    links, size = Links(range=10.0, reception=reach), 12
     scenario = FORTY.model_copy(update={"network": links, "horizon": 0.1, "team": Team(count=size)})
     result = run(scenario, seed=5)
     radii = column(_document(result)["reach"]["radii"], "<f8")
@@ -392,7 +392,7 @@ def test_with_luck_once_per_pair_each_has_a_distance_up_to_which_the_network_let
 
 
 def test_a_reach_that_does_not_fall_with_distance_is_said_not_to_be_shown():
-    links = Links(range=10.0, reach=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
+    links = Links(range=10.0, reception=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
     result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
     assert not _document(result)["reach"]["known"]
     assert any("who hears whom is not shown" in each for each in lacks(result))
@@ -454,7 +454,7 @@ def test_a_page_says_what_was_not_recorded():
     assert "Positions were not recorded" in text
     assert f"Messages were not recorded: the {messages(run(dull)).sent:,} that were sent" in text
     assert "were not recorded" not in replay(run(dull.model_copy(update={"record": ALL})))
-    frozen = dull.model_copy(update={"motion": Motion(frozen=True), "record": Recording(trajectory=0, messages=True)})
+    frozen = dull.model_copy(update={"motion": Motion(static=True), "record": Recording(trajectory=0, messages=True)})
     assert "were not recorded" not in replay(run(frozen))
 
 
@@ -628,7 +628,7 @@ def test_what_is_counted_is_seen(shown):
     one = Scenario(
         team=Team(positions=[(0.0, 0.0), (9.0, 9.0)], speeds=1.0, active_at_start=0.0),
         evader=Evader(position=(9.0, 0.0), speed=0.0),
-        motion=Motion(frozen=True),
+        motion=Motion(static=True),
         horizon=2.0,
         announce=Announcements(heartbeat=1.5, trigger="heartbeat"),
         network=Links(latency=Constant(value=0.4)),
@@ -829,14 +829,14 @@ AT_ONCE = Scenario(
     record=Recording(messages=True, trajectory=0.01),
 )
 ONE_WAY = Edges(directed=True, edges=tuple(Edge(src=k, dst=(k + step) % 8) for k in range(8) for step in (1, 2, 3)))
-JAM = Jamming(centre=(10.0, 10.0), radius=6.0, at=0.5, until=1.5)
-DOWN = Crash(node=3, at=0.4, until=1.2, scope="radio"), Crash(node=5, at=0.8)
+JAM = Jamming(centre=(10.0, 10.0), radius=6.0, start=0.5, end=1.5)
+DOWN = Crash(node=3, start=0.4, end=1.2, scope="radio"), Crash(node=5, start=0.8)
 HEARING = {
     "ring": {"network": Links(graph=Ring())},
-    "frozen luck": {"network": Links(range=8.0, reach=LOG)},
+    "frozen luck": {"network": Links(range=8.0, reception=LOG)},
     "all": {
-        "network": Links(graph=ONE_WAY, range=12.0, reach=QuasiUnitDisk(), range_check="delivery"),
-        "fault": (JAM, *DOWN, Partition(at=1.0, until=1.6, groups=((0, 1, 4), (5, 6)))),
+        "network": Links(graph=ONE_WAY, range=12.0, reception=QuasiUnitDisk(), range_check="delivery"),
+        "fault": (JAM, *DOWN, Partition(start=1.0, end=1.6, groups=((0, 1, 4), (5, 6)))),
     },
 }
 
@@ -885,7 +885,7 @@ def test_a_way_of_one_direction_is_told_from_one_of_two(shown):
 @in_chromium
 @pytest.mark.slow
 def test_who_hears_whom_is_said_to_be_a_matter_of_chance(shown):
-    opened = shown(run(AT_ONCE.model_copy(update={"network": Links(range=8.0, reach=LOG, fading="message")})))
+    opened = shown(run(AT_ONCE.model_copy(update={"network": Links(range=8.0, reception=LOG, fading="message")})))
     assert "with even chance or more" in opened.value("document.querySelector('.key').textContent")
     assert "now with even chance or more" in opened.value("(replay.choose(3), said.textContent)")
 
@@ -1023,7 +1023,7 @@ def test_a_browser_shows_a_hostile_name_as_text(shown):
         {"team": Team(count=1)},
         {"team": Team(positions=[(1.0, 1.0)]), "evader": Evader(position=(1.0, 1.0))},
         {"announce": Announcements(trigger="never")},
-        {"motion": Motion(frozen=True)},
+        {"motion": Motion(static=True)},
     ],
     ids=["nothing recorded", "alone", "captured at once", "nobody speaks", "frozen"],
 )

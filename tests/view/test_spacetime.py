@@ -37,7 +37,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
     is after the run. A message that is lost as it leaves takes the mean of (0.1 + 0.3 + 0.3) / 3 s, and ends a quarter
     of a line before its receiver.
     """
-    radio = FaultStarted(550 * MS, Crash(node=1, at=0.55, scope="radio"))
+    radio = FaultStarted(550 * MS, Crash(node=1, start=0.55, scope="radio"))
     told = {
         "history": spacetime(history(radio)),
         "pair": spacetime(pair()),
@@ -50,7 +50,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
 
 
 def test_the_names_of_two_faults_at_once_are_below_each_other():
-    figure = spacetime(history(FaultStarted(700 * MS, Partition(groups=((0,),), at=0.7))))
+    figure = spacetime(history(FaultStarted(700 * MS, Partition(groups=((0,),), start=0.7))))
     figure.draw_without_rendering()
     one, other = (text.get_window_extent() for text in figure.axes[0].texts)
     assert not one.overlaps(other)
