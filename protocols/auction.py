@@ -17,7 +17,7 @@ from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
 from protocols.rule import Rule
 
-NOBODY = -1
+NO_WINNER = -1
 """The winner if there is none."""
 
 
@@ -34,7 +34,7 @@ class Bid(NamedTuple):
         return self.amount, -self.winner
 
 
-NO_BID = Bid(NOBODY, -inf)
+NO_BID = Bid(NO_WINNER, -inf)
 
 
 Fields = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
@@ -101,7 +101,7 @@ def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     if not me.senses_others:
         return lambda bid: bid
     phi = me.team_estimate(evader).capture_times.tolist()
-    return lambda bid: bid if bid.winner == NOBODY else Bid(bid.winner, -phi[bid.winner])
+    return lambda bid: bid if bid.winner == NO_WINNER else Bid(bid.winner, -phi[bid.winner])
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:

@@ -23,7 +23,7 @@ from desim.config.model import Timeout
 from desim.kernel.clock import seconds
 from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, NOBODY, Auction, Bid, bids_of, chosen, claim_fields, current, unread
+from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """Take the winner over from the sender; know of no winner any more; change nothing."""
@@ -48,7 +48,7 @@ class StampedClaim(NamedTuple):
 class CBBA(Auction):
     """Consensus on winner, bid and stamps; see `decision`."""
 
-    assumes: ClassVar[tuple[str, ...]] = ("connected", "word_repeated")
+    assumes: ClassVar[tuple[str, ...]] = ("connected", "announcements_repeated")
     kind: Literal["cbba"] = "cbba"
     winner_timeout: Timeout = 2.0
     """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
@@ -74,7 +74,7 @@ class CBBA(Auction):
                 heard = [*theirs[:k], seconds(record.sent), *theirs[k + 1 :]]
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))
-            late = [bid.winner != NOBODY and me.now - since[bid.winner] > self.winner_timeout for bid in bids]
+            late = [bid.winner != NO_WINNER and me.now - since[bid.winner] > self.winner_timeout for bid in bids]
             others = [NO_BID if bid.winner == me.id or gone else bid for bid, gone in zip(bids, late, strict=True)]
             action, bids = chosen(me, others)
             stamps[me.id] = me.now
@@ -90,10 +90,10 @@ def decision(
     Each row is: k says, i says; what i does. Here m and n are neither i nor k, nor one another.
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
-    newer_of_theirs, newer_of_mine = (m != NOBODY and s_k[m] > s_i[m] for m in (z_k, z_i))
-    older_of_theirs = z_k != NOBODY and s_k[z_k] < s_i[z_k]
+    newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))
+    older_of_theirs = z_k != NO_WINNER and s_k[z_k] < s_i[z_k]
     outdated: Verdict = "reset" if newer_of_mine and older_of_theirs else "leave"
-    names = {i: "i", k: "k", NOBODY: "none"}
+    names = {i: "i", k: "k", NO_WINNER: "none"}
     k_says = names.get(z_k, "m")
     i_says = names.get(z_i, "n" if k_says == "m" and z_i != z_k else "m")
     table: dict[tuple[str, str], Verdict] = {

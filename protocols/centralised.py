@@ -41,19 +41,19 @@ class Centralised(Value):
             return
         for k in count():
             yield me.at(k * self.slot)
-            phi = [list(me.whole.capture_times(evader)) for evader in range(1, me.evader_count + 1)]
-            for broken in me.whole.broken().nonzero()[0]:
+            phi = [list(me.global_state.capture_times(evader)) for evader in range(1, me.evader_count + 1)]
+            for broken in me.global_state.broken().nonzero()[0]:
                 for times in phi:
                     times[broken] = inf
             sent = matching(phi, me.time_left())
-            profile = me.whole.profile()
+            profile = me.global_state.profile()
             wanted = [0] * len(profile)
             for pursuer, action in sent.items():
                 wanted[pursuer] = action
             if profile != wanted:
                 for pursuer, action in enumerate(wanted):
                     if profile[pursuer] != action:
-                        me.whole.set_action(pursuer, action)
+                        me.global_state.set_action(pursuer, action)
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:

@@ -46,7 +46,7 @@ class Reply(NamedTuple):
     """What the replier does."""
 
 
-class Later(NamedTuple):
+class Deferred(NamedTuple):
     """Not yet: answer to a request that is repeated."""
 
     stamp: Stamp
@@ -81,7 +81,7 @@ class LocalMutex(Value):
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise whenever all neighbours agree that it is one's turn."""
-        section = Section(me, self.attempts, self.min_timeout)
+        section = CriticalSection(me, self.attempts, self.min_timeout)
         rng = me.stream("mutex")
         while True:
             yield from section.idle(me.now + rng.exponential(1.0 / self.rate))
@@ -97,7 +97,7 @@ def on_air(me: Agent, neighbours: float) -> float:
     return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
 
 
-class Section:
+class CriticalSection:
     """One pursuer's part in the exclusion: it is inside from `enter` to `leave`."""
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
@@ -163,7 +163,7 @@ class Section:
             self._hear(message.src, message.body)
         return due
 
-    def _hear(self, src: int, body: Request | Reply | Later) -> None:
+    def _hear(self, src: int, body: Request | Reply | Deferred) -> None:
         """Take notice of a message."""
         if isinstance(body, Request):
             self._consider(src, body.stamp)
@@ -184,7 +184,7 @@ class Section:
             self._reply(src, stamp)
             return
         if src in self._deferred:
-            self._me.send(src, Later(stamp), PORT)
+            self._me.send(src, Deferred(stamp), PORT)
         self._deferred[src] = stamp
 
     def _reply(self, dst: int, stamp: Stamp) -> None:

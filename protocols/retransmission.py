@@ -11,7 +11,7 @@ from desim.pursuit.agent import Agent
 
 BACKOFF = 1.5
 """How much longer messages are expected to be on the air at each time-out than at the one before."""
-MOST_GROWTH = 100
+MAX_GROWTH = 100
 """How often it grows at most."""
 Waiting = Generator[Any, Any, bool]
 """A part of a process that finds out whether something is so."""
@@ -32,7 +32,7 @@ class RetransmissionTimer:
 
     def __call__(self, attempt: int = 0) -> float:
         """Return how long an answer is awaited, s, after so many attempts in vain."""
-        return self._first + self._on_air * (BACKOFF ** min(attempt, MOST_GROWTH) - 1.0)
+        return self._first + self._on_air * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
 def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 from typing import Annotated, ClassVar
 
 from desim.config.choice import OneOf
-from desim.config.model import LONGEST, Value
+from desim.config.model import MAX_TIME, Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from protocols.mutex import LocalMutex
@@ -35,7 +35,7 @@ SCHEDULES = OneOf(
 class Rule(Value):
     """A protocol in which each pursuer chooses an action whenever its schedule says so, and announces it."""
 
-    assumes: ClassVar[tuple[str, ...]] = ("word_gets_through",)
+    assumes: ClassVar[tuple[str, ...]] = ("messages_get_through",)
     """What it needs to do what it promises; see `desim.scenario.assumptions`."""
     schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
     """When each pursuer revises."""
@@ -77,7 +77,7 @@ class LearningRule(Rule):
         """
         worth = {0: 0.0}
         for evader in me.options()[1:]:
-            worth[evader] = max(me.gain(self.utility, evader), -LONGEST)
+            worth[evader] = max(me.gain(self.utility, evader), -MAX_TIME)
         return worth
 
 

@@ -87,7 +87,7 @@ class Server(Value):
                 for message in me.mail(PORT):
                     if message.body.number >= newest:
                         newest = message.body.number
-                        obey(me, message.body)
+                        apply_order(me, message.body)
             me.send(self.host, Forwarded((me.record(me.located()),)), PORT)
 
     def _lead(self, me: Agent) -> Process:
@@ -116,7 +116,7 @@ class Server(Value):
                     changed = told.number < 0 or chaser != told.chaser
                     # By the clock, for it may have lost its memory; and a time is never earlier than the one before.
                     told = Order(max(nanoseconds(me.now), told.number + 1, 0), chaser) if changed else told
-                    obey(me, told)
+                    apply_order(me, told)
                 if changed or (due and told.number >= 0):
                     me.send(None, told, PORT)
                     for j, ordered in orders.items():
@@ -173,7 +173,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
     return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(legs) if action != evader)
 
 
-def obey(me: Agent, order: Order) -> None:
+def apply_order(me: Agent, order: Order) -> None:
     """Chase what the order says, unless that has been captured meanwhile, else stay."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0

@@ -40,14 +40,14 @@ class Token(NamedTuple):
     """The newest of each pursuer, as far as the sender knows."""
 
 
-class Receipt(NamedTuple):
+class TokenReceipt(NamedTuple):
     """Answer to a token or a greeting; what was sent is of no use if the epoch is newer than its own."""
 
     epoch: Epoch
     hop: int
 
 
-class Sign(NamedTuple):
+class TokenNotice(NamedTuple):
     """Word that a token of this age is in use: a claim if the epoch is new."""
 
     epoch: Epoch
@@ -128,7 +128,9 @@ class TokenNode:
         self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
         self._hop_time = hop_time(me)
         # There and back, with what may wait in front of the token and of its receipt.
-        self._time_out = RetransmissionTimer(me, me.airtime(full_token(me)) + 5.0 * me.airtime(Sign(UNHEARD, 0)), hold)
+        self._time_out = RetransmissionTimer(
+            me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), hold
+        )
         self._greeting = 0.0  # not before this time, on the own clock, is anybody greeted
         self._deadline = me.now + self.patience
 
@@ -197,7 +199,7 @@ class TokenNode:
 
     # What it hears.
 
-    def _hear(self, src: int, body: Token | Receipt | Sign) -> None:
+    def _hear(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
         """Take notice of a message; the token that is here dies of a newer epoch."""
         age = (body.epoch, body.hop)
         news = age > self._newest
@@ -210,7 +212,7 @@ class TokenNode:
             self._notice(age)
         if isinstance(body, Token):
             self._receive(src, body)
-        elif isinstance(body, Receipt):
+        elif isinstance(body, TokenReceipt):
             self._release(src, age)
         else:
             if body.asks:
@@ -243,9 +245,9 @@ class TokenNode:
             self._reassured()
 
     def _answer(self, dst: int, age: Age) -> None:
-        self._me.send(dst, Receipt(*age), PORT)
+        self._me.send(dst, TokenReceipt(*age), PORT)
 
-    def _pass_on(self, src: int, sign: Sign) -> None:
+    def _pass_on(self, src: int, sign: TokenNotice) -> None:
         """Tell those that the speaker did not reach."""
         heard = {src, *self._me.neighbours(src)}
         for j in self._me.neighbours():
@@ -268,7 +270,7 @@ class TokenNode:
         self._forgot = False
         self._answered.clear()
         self._take(token._replace(epoch=self._epoch()))
-        self._me.send(None, Sign(*self._taken), PORT)
+        self._me.send(None, TokenNotice(*self._taken), PORT)
 
     def _epoch(self) -> Epoch:
         """Return an epoch of its own, newer than all that were heard of."""
@@ -290,7 +292,7 @@ class TokenNode:
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):
-            me.send(None, Sign(*self._taken), PORT)
+            me.send(None, TokenNotice(*self._taken), PORT)
         return token
 
     def _greeted(self, token: Token) -> Token:
@@ -299,5 +301,5 @@ class TokenNode:
         if dst is None or self._me.now < self._greeting:
             return token
         self._greeting = self._me.now + self._time_out()
-        self._me.send(dst, Sign(token.epoch, token.hop, asks=True), PORT)
+        self._me.send(dst, TokenNotice(token.epoch, token.hop, asks=True), PORT)
         return token._replace(visits=visited(token, dst))

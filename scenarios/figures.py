@@ -16,8 +16,8 @@ from desim.analysis.activity import active_time, handovers, relays
 from desim.analysis.hindsight import gains
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import aligned
-from desim.analysis.timeline import course
-from desim.analysis.trace_index import ended, reading, started
+from desim.analysis.timeline import timeline
+from desim.analysis.trace_index import ended, started, trace_index
 from desim.kernel.clock import SECOND, seconds
 from desim.results.run_folder import can_plot
 from desim.scenario.scenario import Recording
@@ -71,7 +71,7 @@ def panels(count: int) -> dict[str, Scenario]:
 
 def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[np.bool_]", "NDArray[np.float64]"]:
     """Return the breakpoints of a run (k + 1,) ns, who was active (k, N), and utilities (k, N) s, 0 of who was not."""
-    parts = list(course(result))
+    parts = list(timeline(result))
     times = np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)])
     active = np.concatenate([part.active for part in parts])
     return times, active, np.where(active, np.concatenate([gains(part) for part in parts]), 0.0)
@@ -189,7 +189,7 @@ def draw_utilities(axes: "Axes", result: Result) -> None:
 
 def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
     """Yield the names and the figures of N pursuers."""
-    results = {name: reading(run(scenario, seed)) for name, scenario in panels(count).items()}
+    results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
     yield f"configuration_{count}", initial(results["centralised"])
     yield f"trajectories_{count}", trajectories(results)
     yield f"utilities_{count}", utilities({name: each for name, each in results.items() if name != "centralised"})

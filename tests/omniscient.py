@@ -38,18 +38,18 @@ class RoundTrip(Value):
 
         def set_action(pursuer: int, action: int) -> None:
             action = action if action in me.evaders() else 0
-            if me.whole.action(pursuer) != action:
-                me.whole.set_action(pursuer, action)
+            if me.global_state.action(pursuer) != action:
+                me.global_state.set_action(pursuer, action)
 
         def wait(pursuer: int, evader: int) -> float:
             now = nanoseconds(me.now)
             later = [each for each in in_flight[pursuer] if each[0] > now]
-            legs = [(now, me.whole.action(pursuer)), *later, (now + nanoseconds(self.down), 0)]
+            legs = [(now, me.global_state.action(pursuer)), *later, (now + nanoseconds(self.down), 0)]
             return seconds(sum(end - begun for (begun, action), (end, _) in pairwise(legs) if action != evader))
 
         def decide() -> None:
             phi = [
-                [t + (wait(j, e) if j != self.host else 0.0) for j, t in enumerate(me.whole.capture_times(e))]
+                [t + (wait(j, e) if j != self.host else 0.0) for j, t in enumerate(me.global_state.capture_times(e))]
                 for e in range(1, me.evader_count + 1)
             ]
             sent = matching(phi, me.time_left())

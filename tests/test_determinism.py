@@ -138,14 +138,14 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
         record={"messages": True},
     )
     forwards = lines(run(scenario, 5))
-    begin, begin_world = simulation._Crew.begin, simulation.World.begin
+    begin, begin_world = simulation._Team.begin, simulation.World.begin
 
     def world_first(crew):
         begin_world(crew._world)
         monkeypatch.setattr(simulation, "range", lambda n: reversed(builtins.range(n)), raising=False)
         begin(crew)
 
-    monkeypatch.setattr(simulation._Crew, "begin", world_first)
+    monkeypatch.setattr(simulation._Team, "begin", world_first)
     monkeypatch.setattr(simulation.World, "begin", lambda world: None)
     assert lines(run(scenario, 5)) == forwards
     assert forwards.count("Broadcast") + forwards.count("Sent") > 10

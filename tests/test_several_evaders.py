@@ -179,7 +179,7 @@ def test_what_is_said_names_the_evader(payload):
         me.broadcast()
         yield me.at(0.5)
         others = {j: (me.believed_chasers(j), me.beliefs(evader=j)) for j in me.evaders()}
-        seen.append((me.id, others, [me.whole.capture_times(j) for j in me.evaders()]))
+        seen.append((me.id, others, [me.global_state.capture_times(j) for j in me.evaders()]))
         yield me.at(1e6)
 
     team = Team(positions=((0.0, 0.0), (0.0, 8.0), (9.0, 9.0)), speeds=1.0, active_at_start=0.0)

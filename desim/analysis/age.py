@@ -129,7 +129,7 @@ def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Doing:
+class _TrueActions:
     """What a pursuer did, and how long in all."""
 
     began: Integers
@@ -146,7 +146,7 @@ class _Doing:
         return found
 
 
-def _doings(result: Result) -> Iterator[_Doing]:
+def _doings(result: Result) -> Iterator[_TrueActions]:
     """Yield what each pursuer did."""
     actions = [[(0, active)] for active in started(result).active]
     for change in changes(result):
@@ -155,7 +155,7 @@ def _doings(result: Result) -> Iterator[_Doing]:
     for own in actions:
         began, did = np.array(own, np.int64).T
         spent = np.cumsum(np.diff(began) * (did[:-1] == options), axis=1)
-        yield _Doing(began, did, np.pad(spent, ((0, 0), (1, 0))))
+        yield _TrueActions(began, did, np.pad(spent, ((0, 0), (1, 0))))
 
 
 def _at_decisions(result: Result, heard: Pieces) -> tuple[Floats, Integers]:

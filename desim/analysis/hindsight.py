@@ -25,7 +25,7 @@ from math import fsum
 import numpy as np
 
 from desim.analysis.activity import decisions
-from desim.analysis.timeline import Timeline, course
+from desim.analysis.timeline import Timeline, timeline
 from desim.analysis.trace_index import Bools, Floats, Integers, ended, remembered, started
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
@@ -36,7 +36,7 @@ from desim.simulation.run import Result, run
 
 ALIKE = 20
 """Nodes of a complete graph whose links stand for those of all others."""
-NOBODY = -1
+NO_PURSUER = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def hindsight(result: Result) -> Hindsight:
     evaders, size = len(started(result).evaders), len(started(result).active)
     times, relayed, gap = [np.zeros(1, np.int64)], [np.zeros(0, bool)], [np.zeros(0)]
     fixed, played = np.zeros((evaders, size)), np.zeros(size)
-    for parts in zip(*(course(result, j + 1) for j in range(evaders)), strict=True):
+    for parts in zip(*(timeline(result, j + 1) for j in range(evaders)), strict=True):
         best = _best(parts)
         times.append(parts[0].times[1:])
         relayed.append(np.all([_relayed(part, own) for part, own in zip(parts, best, strict=True)], axis=0))
@@ -99,13 +99,13 @@ def gains(part: Timeline) -> Floats:
 
 
 def _best(parts: Sequence[Timeline]) -> Integers:
-    """Return which pursuer each evader had best be chased by, (M, k), or `NOBODY`; of one, the relay pursuer."""
+    """Return which pursuer each evader had best be chased by, (M, k), or `NO_PURSUER`; of one, the relay pursuer."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
-    best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NOBODY
+    best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
-    for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NOBODY)).any(axis=0)):
+    for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NO_PURSUER)).any(axis=0)):
         chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
-        best[:, k] = NOBODY
+        best[:, k] = NO_PURSUER
         for pursuer, evader in chosen.items():
             best[evader - 1, k] = pursuer
     return best
@@ -114,13 +114,13 @@ def _best(parts: Sequence[Timeline]) -> Integers:
 def _worth(part: Timeline, chaser: Integers) -> Floats:
     """Return the (k,) potential if one pursuer chased alone, s, given who in each piece; 0 if it would be late."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
-    return np.where(chaser == NOBODY, 0.0, found)
+    return np.where(chaser == NO_PURSUER, 0.0, found)
 
 
 def _relayed(part: Timeline, best: Integers) -> Bools:
     """Return (k,) whether the best pursuer chases alone, or nobody does and nobody should."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
-    found: Bools = np.where(best == NOBODY, number == 0, (number == 1) & alone)
+    found: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
     return found
 
 

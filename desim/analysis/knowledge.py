@@ -69,7 +69,7 @@ def knowledge(result: Result) -> Pieces:
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _Announcements:
     """Every record that was told, each as often as it was; columns."""
 
     source: Integers
@@ -80,24 +80,24 @@ class _Said:
 
 
 @dataclass(frozen=True, slots=True)
-class _Hops:
+class _Receptions:
     """Transmissions to one receiver each, in order of receiver, arrival and place in the trace; columns."""
 
     dst: Integers
     arrival: Integers
     place: Integers
     first: Integers
-    """The first record it carries, a row of `_Said`."""
+    """The first record it carries, a row of `_Announcements`."""
     count: Integers
     """How many it carries."""
 
-    def between(self, first: int, last: int) -> "_Hops":
+    def between(self, first: int, last: int) -> "_Receptions":
         """Return a part of them."""
         columns = (self.dst, self.arrival, self.place, self.first, self.count)
-        return _Hops(*(column[first:last] for column in columns))
+        return _Receptions(*(column[first:last] for column in columns))
 
     def unpacked(self) -> tuple[Integers, Integers]:
-        """Return the hop and the row of `_Said` of each record that is carried."""
+        """Return the hop and the row of `_Announcements` of each record that is carried."""
         hop = np.repeat(np.arange(len(self.dst)), self.count)
         start = np.cumsum(self.count) - self.count
         return hop, self.first[hop] + np.arange(len(hop)) - start[hop]
@@ -115,7 +115,7 @@ class _Life:
     seq: int
     """Number of the records that it presumes; older ones tell it nothing new."""
 
-    def pieces(self, said: _Said, hops: _Hops) -> Pieces:
+    def pieces(self, said: _Announcements, hops: _Receptions) -> Pieces:
         """Return what the reader knew when, given what reached it."""
         hop, record = hops.unpacked()
         foreign = said.source[record] != self.reader
@@ -148,7 +148,7 @@ class _Life:
         return pieces
 
 
-def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
+def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Receptions]:
     """Return the records that were told, and the hops with which they arrived by the end, ns."""
     records: list[Record] = []
     fates: list[tuple[int, int]] = []
@@ -169,7 +169,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Said, _Hops]:
     node, at = np.fromiter(chain.from_iterable(fates), np.int64).reshape(-1, 2).T
     arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(flight * size + node, lost))
     arrived = arrived[np.lexsort((place_of[arrived], at[arrived], node[arrived]))]
-    return _columns(records), _Hops(*(column[arrived] for column in (node, at, place_of, first, count)))
+    return _columns(records), _Receptions(*(column[arrived] for column in (node, at, place_of, first, count)))
 
 
 class _Clocks:
@@ -189,10 +189,10 @@ class _Clocks:
         return record._replace(sent=round((record.sent - offset * SECOND) / (1.0 + drift)))
 
 
-def _columns(records: list[Record]) -> _Said:
+def _columns(records: list[Record]) -> _Announcements:
     active = [-1 if (action := getattr(record.body, "active", None)) is None else action for record in records]
     source, seq, created = ([record[k] for record in records] for k in range(3))
-    return _Said(*(np.array(column, np.int64) for column in (source, seq, created, active)))
+    return _Announcements(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 
 
 def _forgets(result: Result) -> dict[int, list[int]]:

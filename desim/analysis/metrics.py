@@ -33,7 +33,7 @@ from desim.analysis.trace_index import (
     messages,
     messages_recorded,
     positions_known,
-    reading,
+    trace_index,
 )
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
@@ -254,7 +254,7 @@ COMMON = tuple(name for name, metric in METRICS.items() if not metric.of_several
 
 def summary(result: Result) -> Summary:
     """Return the numbers of one run."""
-    read = reading(result)
+    read = trace_index(result)
     return Summary(**{name: metric(read) for name, metric in METRICS.items()})
 
 

@@ -53,7 +53,7 @@ class Timeline:
         return np.diff(self.times) / SECOND
 
 
-def course(result: Result, evader: int = 1) -> Iterator[Timeline]:
+def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
 
     Args:

@@ -27,7 +27,7 @@ class TraceIndex(Result):
     derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
 
 
-def reading(result: Result) -> TraceIndex:
+def trace_index(result: Result) -> TraceIndex:
     """Return a result as one that remembers what is derived from it."""
     return TraceIndex(result.scenario, result.seed, result.trace)
 

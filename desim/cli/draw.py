@@ -21,9 +21,9 @@ def draw() -> None:
 
 def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return the run in a folder or of a scenario file, ready to be read many times."""
-    from desim.analysis.trace_index import reading
+    from desim.analysis.trace_index import trace_index
 
-    return reading(result_of(source, seed, overrides))
+    return trace_index(result_of(source, seed, overrides))
 
 
 def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:

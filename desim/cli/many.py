@@ -107,14 +107,14 @@ def sweep(
     from desim.study.history import note
     from desim.study.result import SHOWN
     from desim.study.store import Store
-    from desim.study.sweep import MOST_RUNS, SweepPlan, carry_out
+    from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out
 
     source, scenario = source_of(file, overrides)
     shown = _known(metrics) or SHOWN
     if until and shard:
         fail("--until needs all runs, and --shard does a part of them: they exclude each other")
     try:
-        plan = SweepPlan.of(source, reps=(runs or MOST_RUNS) if until else runs, seed=seed)
+        plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
         fail(str(error))
     folder = folder_for(scenario, out)

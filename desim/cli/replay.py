@@ -20,13 +20,13 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
     """Make a page that plays a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
     from desim.analysis.trace_index import messages, started
     from desim.kernel.clock import seconds
-    from desim.view.replay import lacks
+    from desim.view.replay import missing_recordings
     from desim.view.replay import replay as page_of
 
     path = page_at(out, source / "replay.html" if source.is_dir() else Path(source.stem + ".html"))
     result = result_of(source, seed, overrides)
     with making("replay"):
-        for each in lacks(result):
+        for each in missing_recordings(result):
             echo(f"warning: {each}", err=True)
         page = page_of(result).encode()
     write(page, path)

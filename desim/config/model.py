@@ -25,9 +25,9 @@ from pydantic_core import CoreSchema
 
 # Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-FARTHEST = 1e9
+MAX_COORDINATE = 1e9
 """The plane ends here, so that no square overflows, m or m/s."""
-Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False, strict=True)]
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m"""
 
 
@@ -39,9 +39,9 @@ def _ordered(bounds: tuple[float, float]) -> tuple[float, float]:
 
 Box = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ordered)]
 """Lower and upper bound of both coordinates, m."""
-Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
+Length = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m"""
-Speed = Annotated[float, Field(ge=0, le=FARTHEST, allow_inf_nan=False, strict=True)]
+Speed = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m/s"""
 Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
 
@@ -54,11 +54,11 @@ Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
 """Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
 Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
 """A number that something does not exceed, possibly infinite."""
-LONGEST = 1e9
+MAX_TIME = 1e9
 """Thirty years: no time is longer, s."""
 RESOLUTION = 1e-9
 """Time is counted in whole nanoseconds: up to half of one rounds to 0, s."""
-SHORTEST = 1e-6
+MIN_PERIOD = 1e-6
 """What recurs more often than every microsecond would never end, s."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
 """Makes 0 of -0, which numpy takes for a negative scale."""
@@ -72,17 +72,17 @@ class Recurring:
     """Marks a field that is the time between two of many events."""
 
 
-Time = Annotated[float, Field(ge=0, le=LONGEST, allow_inf_nan=False, strict=True), Unsigned, Counted]
+Time = Annotated[float, Field(ge=0, le=MAX_TIME, allow_inf_nan=False, strict=True), Unsigned, Counted]
 """A time or a delay, s."""
-Horizon = Annotated[float, Field(gt=0, le=LONGEST, allow_inf_nan=False, strict=True)]
+Horizon = Annotated[float, Field(gt=0, le=MAX_TIME, allow_inf_nan=False, strict=True)]
 """A time at which something ends, s."""
 Timeout = Annotated[Extent, Counted]
 """A time after which something is given up or forgotten, s; inf = never."""
-Duration = Annotated[float, Field(ge=SHORTEST, le=LONGEST, allow_inf_nan=False, strict=True)]
+Duration = Annotated[float, Field(ge=MIN_PERIOD, le=MAX_TIME, allow_inf_nan=False, strict=True)]
 """How long something lasts that happens many times, s."""
 Period = Annotated[Duration, Recurring]
 """A time between two of many events, s."""
-Rate = Annotated[float, Field(ge=1 / LONGEST, le=1 / SHORTEST, allow_inf_nan=False, strict=True)]
+Rate = Annotated[float, Field(ge=1 / MAX_TIME, le=1 / MIN_PERIOD, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""
 Flag = Annotated[bool, Field(strict=True)]
 

@@ -5,7 +5,7 @@ from functools import partial
 
 import simpy
 
-from desim.config.model import LONGEST
+from desim.config.model import MAX_TIME
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.events import Trace
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
@@ -45,7 +45,7 @@ def inject(
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
         end = _open(fault, network, crashed, recovered)
-        if fault.end <= LONGEST:  # no run is longer
+        if fault.end <= MAX_TIME:  # no run is longer
             Instant(env, nanoseconds(fault.end), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:
@@ -77,8 +77,8 @@ def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Cal
 
         return recover
     if isinstance(fault, Partition):
-        cut = fault_state.divide(fault.groups)
-        return lambda: fault_state.heal(cut)
+        cut = fault_state.partition(fault.groups)
+        return lambda: fault_state.rejoin(cut)
     disc = (fault.centre, fault.radius)
     fault_state.jam(disc)
     return lambda: fault_state.clear(disc)

@@ -51,13 +51,13 @@ class FaultState:
             raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
 
-    def divide(self, groups: Iterable[Iterable[int]]) -> Cut:
-        """Separate groups of nodes from each other and from all others; return what `heal` takes."""
+    def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
+        """Separate groups of nodes from each other and from all others; return what `rejoin` takes."""
         cut = {node: number for number, group in enumerate(groups) for node in group}
         self._cuts.append(cut)
         return cut
 
-    def heal(self, cut: Cut) -> None:
+    def rejoin(self, cut: Cut) -> None:
         """Undo a separation."""
         self._cuts = [each for each in self._cuts if each is not cut]
 

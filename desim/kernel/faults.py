@@ -130,7 +130,7 @@ class RandomCrashes(Value):
         for node, each in enumerate(rng.spawn(size)):
             t = each.exponential(1.0 / self.rate)
             while t < horizon:
-                until = t + max(each.exponential(self.mean_downtime), SHORTEST_FAULT)
+                until = t + max(each.exponential(self.mean_downtime), MIN_FAULT_DURATION)
                 yield Crash(start=t, end=until, node=node, scope=self.scope, memory=self.memory)
                 t = until + each.exponential(1.0 / self.rate)
 
@@ -157,8 +157,8 @@ class RandomFaults(Value):
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
         """Yield the faults that begin before the horizon, s, in order of time."""
         t, end = 0.0, min(self.end, horizon)
-        while (t := t + rng.exponential(1.0 / self.rate)) < end - SHORTEST_FAULT:
-            duration = max(rng.exponential(self.mean_duration), SHORTEST_FAULT)
+        while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
+            duration = max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION)
             window = {"start": t, "end": min(t + duration, self.end)}
             yield self._fault(self.kinds[rng.integers(len(self.kinds))], size, rng, window)
 
@@ -174,7 +174,7 @@ class RandomFaults(Value):
         return Jamming(centre=(x, y), radius=float(radius), **window)
 
 
-SHORTEST_FAULT = 1e-6
+MIN_FAULT_DURATION = 1e-6
 """No drawn fault is shorter, s."""
 FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew)
 
@@ -187,11 +187,11 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
             errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
         else:
             errors[skew.node] += skew.offset, skew.drift
-    errors[:, 1] = np.maximum(errors[:, 1], SLOWEST_CLOCK)
+    errors[:, 1] = np.maximum(errors[:, 1], MIN_CLOCK_RATE)
     return [(offset, drift) for offset, drift in errors.tolist()]
 
 
-SLOWEST_CLOCK = -0.99
+MIN_CLOCK_RATE = -0.99
 """A clock that ran backwards would be none."""
 
 

@@ -16,7 +16,7 @@ from desim.kernel.loss import LOSSES, Bernoulli, Loss
 if TYPE_CHECKING:
     import networkx as nx
 
-MOST_NAMES = 10
+MAX_NAMES = 10
 """How many nodes a text about a graph names."""
 Node = Annotated[int, Field(ge=0, strict=True)]
 
@@ -222,8 +222,8 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
 
 def _some(graph: "nx.Graph[Any]") -> str:
     """Return the nodes of a graph as a text that fits in a line, and is no longer for a long name."""
-    names = [repr(node)[:20] for node in sorted(graph, key=str)[:MOST_NAMES]]
-    return f"[{', '.join([*names, *(['...'] if len(graph) > MOST_NAMES else [])])}]"
+    names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
+    return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
 
 
 def as_model(name: str, value: Any) -> Any:

@@ -8,7 +8,7 @@ from pydantic import Field
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Limit, Value
 
-MOST_BYTES = 255
+MAX_BYTES = 255
 """The payload of a LoRa frame: its length is one byte."""
 Count = Annotated[int, Field(ge=0, le=1_000_000, strict=True)]
 
@@ -96,8 +96,8 @@ class LoRa(_Radio):
 
     def __call__(self, size: int) -> float:
         """Return the airtime of all frames that a message takes, s."""
-        full, rest = divmod(size, MOST_BYTES)
-        return full * self._frame(MOST_BYTES) + (self._frame(rest) if rest or not full else 0.0)
+        full, rest = divmod(size, MAX_BYTES)
+        return full * self._frame(MAX_BYTES) + (self._frame(rest) if rest or not full else 0.0)
 
     def _frame(self, size: int) -> float:
         """Return (preamble + 4.25 + payload symbols) symbol times, s.

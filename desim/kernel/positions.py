@@ -30,7 +30,7 @@ class Positions(Protocol):
         ...
 
 
-class _Told:
+class _PositionFunction:
     """Positions of which no more is known than a function that returns everybody's."""
 
     fastest = inf
@@ -47,7 +47,7 @@ class _Told:
 
 def as_position_source(locator: PositionSource) -> Positions:
     """Return what a function tells of positions as `Positions`, unless it is that already."""
-    return cast("Positions", locator) if hasattr(locator, "of") else _Told(locator)
+    return cast("Positions", locator) if hasattr(locator, "of") else _PositionFunction(locator)
 
 
 def distances(at: Floats, here: int) -> Floats:

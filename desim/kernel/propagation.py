@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from desim.config.model import LONGEST
+from desim.config.model import MAX_TIME
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.graphs import as_model
 from desim.kernel.implicit_complete import is_implicit
@@ -212,7 +212,7 @@ def _checked(delays: Any) -> Any:
     given = np.asarray(delays, dtype=float)
     if not ((given >= 0.0) & (given < inf)).all():
         raise ValueError(f"latencies should be times >= 0 s, got {delays}")
-    return np.rint(np.minimum(given, LONGEST) * SECOND).astype(np.int64).tolist()
+    return np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64).tolist()
 
 
 def _times(answer: Any, count: int) -> Arrival:

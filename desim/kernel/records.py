@@ -34,7 +34,7 @@ Predicate = Callable[[Any], object]
 """Of a body, whether it is one that a reader looks for."""
 
 
-class Common:
+class SharedTable:
     """What all nodes but its source hear at one instant, kept once for all of them.
 
     Attributes:
@@ -89,7 +89,7 @@ class Records:
 
     def __init__(self, env: Clock, size: int, predicate: Predicate | None):
         self._env, self._size, self._predicate = env, size, predicate
-        self._common = Common(predicate)
+        self._shared = SharedTable(predicate)
         # What does not reach all alike is kept per reader, in the order of departure: what has not been looked at, what
         # had not arrived when it was, and a table. Both lists are flat (arrival, record, arrival, record ...), because
         # tuples that are made as they are entered lie together in memory.
@@ -103,7 +103,7 @@ class Records:
 
     def set_initial_belief(self, record: Record) -> None:
         """Let all nodes know a record from now on, unless they know another of its source."""
-        self._common.set_initial_belief((self._env.now, record))
+        self._shared.set_initial_belief((self._env.now, record))
 
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
         """Let a record reach its receivers; O(1) if it reaches everyone at one instant, else O(receivers).
@@ -114,7 +114,7 @@ class Records:
             arrival: when.
         """
         if len(receivers) == self._size - 1 and isinstance(arrival, int):
-            self._common.schedule((arrival, record))
+            self._shared.schedule((arrival, record))
             return
         waiting = self._waiting
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
@@ -131,13 +131,13 @@ class Records:
         self._apply_arrived(node)
         self._out_of_order.add(node)
         heard, own = (self._env.now, record), self._tables[node]
-        if _is_newer(heard, own) and (node in self._forgetful or _is_newer(heard, self._common.table)):
+        if _is_newer(heard, own) and (node in self._forgetful or _is_newer(heard, self._shared.table)):
             _store(heard, own, self._matching[node], self._predicate)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
         self._apply_arrived(node)
-        own, common = self._tables[node], self._common
+        own, common = self._tables[node], self._shared
         if not common.table or node in self._forgetful:
             return own.copy()
         known = common.table.copy()
@@ -149,7 +149,7 @@ class Records:
     def matching(self, node: int) -> Table:
         """Return those records that `heard` returns whose body is marked; cost O(news + marked)."""
         self._apply_arrived(node)
-        own, matching, common = self._tables[node], self._matching[node], self._common
+        own, matching, common = self._tables[node], self._matching[node], self._shared
         if not common.table or node in self._forgetful:
             return matching.copy()
         known = common.matching.copy()
@@ -165,7 +165,7 @@ class Records:
         Raises:
             ValueError: if there is something that all nodes heard together, which is kept for all.
         """
-        if not self._common.only_initial:
+        if not self._shared.only_initial:
             raise ValueError("what all nodes have heard together cannot be forgotten by one")
         self._merge(node)
         self._tables[node].clear()
@@ -178,18 +178,18 @@ class Records:
         own = sum(
             arrival > now for pending in chain(self._waiting, self._late.values()) for arrival, _ in _pairs(pending)
         )
-        return own + (self._size - 1) * sum(arrival > now for arrival, _ in self._common.waiting)
+        return own + (self._size - 1) * sum(arrival > now for arrival, _ in self._shared.waiting)
 
     def _apply_arrived(self, node: int) -> None:
         """Enter what has arrived at a node in its table, and what has arrived at all in theirs."""
-        if self._common.waiting:
-            self._common.apply_arrived(self._env.now)
+        if self._shared.waiting:
+            self._shared.apply_arrived(self._env.now)
         if self._waiting[node] or node in self._late:
             self._merge(node)
 
     def _still_new(self, own: Table) -> Table:
         """Return those records of a table that are not older than what all nodes heard together."""
-        common = self._common.table
+        common = self._shared.table
         return {src: heard for src, heard in own.items() if src not in common or heard[1].seq >= common[src][1].seq}
 
     def _merge(self, node: int) -> None:

@@ -9,12 +9,12 @@ from math import inf
 
 import numpy as np
 
-from desim.config.model import FARTHEST
+from desim.config.model import MAX_COORDINATE
 from desim.kernel.positions import Floats, Nodes, Positions
 
 VERLET_SKIN = 0.25
 """How much nearer two nodes may come to each other before all are looked at again, in radii."""
-FINEST = FARTHEST / 2**40
+FINEST = MAX_COORDINATE / 2**40
 """No cell is smaller, m: any coordinate is rounded by less than a thousandth of a cell, which `ROUNDING` allows for."""
 ROUNDING = 1.001
 
@@ -25,7 +25,7 @@ class CellList:
     """The nodes in each cell; only who has changed its cell is hashed again.
 
     Args:
-        positions: of the nodes, up to `FARTHEST` from the origin.
+        positions: of the nodes, up to `MAX_COORDINATE` from the origin.
         radius: within which nodes are near each other, m.
         now: the time, s; where it is not known, nor how fast the nodes are, all positions are compared.
     """

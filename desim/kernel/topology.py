@@ -58,8 +58,8 @@ class Topology:
             raise ValueError(f"a range of {range} m needs positions")
         self._complete = is_complete(graph)
         self._directed = graph.is_directed() and not self._complete
-        self._lists: list[list[int]] | _Others = (
-            _Others(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
+        self._lists: list[list[int]] | _AllOthers = (
+            _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
         )
         self._range, self._reach = range, reach or Disk()
         self._certain = isinstance(self._reach, Disk)
@@ -185,7 +185,7 @@ class Topology:
         return pair_uniform(self._seed, "fading", src, dst) if kept is None else kept[dst]
 
 
-class _Others(dict[int, list[int]]):
+class _AllOthers(dict[int, list[int]]):
     """The lists of all nodes but one, by that one; they are kept while there is room."""
 
     def __init__(self, size: int):

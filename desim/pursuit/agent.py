@@ -76,7 +76,7 @@ class Agent:
     ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
-        self.whole = whole
+        self.global_state = whole
         self._env, self._world, self._network, self._seed = env, world, network, seed
         self._announcements = announcements
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant

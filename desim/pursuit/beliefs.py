@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from desim.config.model import LONGEST
+from desim.config.model import MAX_TIME
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
@@ -138,7 +138,7 @@ class Beliefs:
         if limit == "auto":
             flight = self._network.typical_latency + self._network.airtime(self._announcement())
             limit = 3.0 * period + 2.0 * flight if period < inf else inf
-        return inf if limit > LONGEST else self._clock.span(limit)  # no run is longer
+        return inf if limit > MAX_TIME else self._clock.span(limit)  # no run is longer
 
     def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
         """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""

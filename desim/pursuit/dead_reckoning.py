@@ -12,7 +12,7 @@ from desim.kernel.clock import seconds
 from desim.pursuit.guidance import Guidance, guided_velocity
 from desim.pursuit.kinematics import SMALLEST
 
-MOST_RETRACINGS = 10_000
+MAX_RETRACINGS = 10_000
 """How many teammates' paths are remembered between two times that somebody asks for them."""
 
 
@@ -73,7 +73,7 @@ class EvaderTrack:
             place += velocity * seconds(end - t)
             t = end
         self._retracings[known] = (began, origin)
-        if len(self._retracings) > MOST_RETRACINGS:
+        if len(self._retracings) > MAX_RETRACINGS:
             del self._retracings[next(iter(self._retracings))]  # the one not asked for for longest
         return place
 

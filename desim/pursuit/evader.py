@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.config.model import FARTHEST
+from desim.config.model import MAX_COORDINATE
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.events import Broadcast, Event, Sent
 from desim.kernel.records import Record
@@ -192,7 +192,7 @@ class EvaderBody:
         """Where it is now, m."""
         return self._players.place(self.player)
 
-    def let_chase(self, chasers: NDArray[np.bool_]) -> None:
+    def set_chasers(self, chasers: NDArray[np.bool_]) -> None:
         """Take note of (N,) who chases it from now on."""
         chasers.setflags(write=False)
         self._chasers, self._read = chasers, None
@@ -265,7 +265,7 @@ class EvaderBody:
             return None
         velocities = self._players.velocities
         approach = velocities[self.player] - velocities[: self._size]
-        offsets = np.where(broken, FARTHEST, state.offsets) if broken.any() else state.offsets
+        offsets = np.where(broken, MAX_COORDINATE, state.offsets) if broken.any() else state.offsets
         if test == "segment":
             return first_contact(offsets, approach, self._radius, duration)
         row = within(offsets + approach * duration, self._radius)

@@ -64,7 +64,7 @@ def component_heard(scenario: "Scenario") -> str | None:
     return None
 
 
-def word_gets_through(scenario: "Scenario") -> str | None:
+def messages_get_through(scenario: "Scenario") -> str | None:
     """What is lost is said again, so that everybody learns of it in the end."""
     network, trigger = scenario.network, scenario.announce.trigger
     if trigger not in {"change", "never"} or _spread_by_schedule(scenario):
@@ -81,7 +81,7 @@ def word_gets_through(scenario: "Scenario") -> str | None:
     return None
 
 
-def word_repeated(scenario: "Scenario") -> str | None:
+def announcements_repeated(scenario: "Scenario") -> str | None:
     """What was said is said again, whether or not it has changed."""
     return "nothing is said twice (`announce.trigger`)" if scenario.announce.trigger in {"change", "never"} else None
 
@@ -126,7 +126,7 @@ def times_known(scenario: "Scenario") -> str | None:
         return None
     if scenario.announce.payload == "time" and len(scenario.evaders) > 1:
         return "nobody says how soon it would capture other evaders than its own (`announce.payload`)"
-    return everyone_heard(scenario) or word_gets_through(scenario)
+    return everyone_heard(scenario) or messages_get_through(scenario)
 
 
 def places_known(scenario: "Scenario") -> str | None:
@@ -144,8 +144,8 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
             connected,
             everyone_heard,
             component_heard,
-            word_gets_through,
-            word_repeated,
+            messages_get_through,
+            announcements_repeated,
             one_at_a_time,
             no_crashes,
             equal_clocks,

@@ -19,8 +19,8 @@ from pydantic_core import PydanticCustomError
 
 from desim.config.choice import OneOf
 from desim.config.model import (
+    MIN_PERIOD,
     RESOLUTION,
-    SHORTEST,
     Box,
     Coordinate,
     Flag,
@@ -48,8 +48,8 @@ from desim.scenario.sweep_table import Sweep
 
 
 def _never_or_period(time: float) -> float:
-    if 0.0 < time < SHORTEST:
-        raise ValueError(f"should be 0 or at least {SHORTEST:g} s (got {time:g})")
+    if 0.0 < time < MIN_PERIOD:
+        raise ValueError(f"should be 0 or at least {MIN_PERIOD:g} s (got {time:g})")
     return time
 
 
@@ -162,7 +162,7 @@ class Evader(Value):
         """Whether it hears the pursuers' radio."""
         return bool(getattr(self.strategy, "listens", False))
 
-    def mind(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
+    def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
         """Return what one such evader perceives and chooses in a run.
 
         Args:

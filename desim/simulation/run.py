@@ -94,7 +94,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         fault_state=FaultState(positions) if faults else None,
         predicate=tells_of_chase,
     )
-    crew = _Crew(env, scenario, world, network, seed)
+    crew = _Team(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
     crew.begin()
     world.begin()
@@ -126,7 +126,7 @@ class _Places:
         return coordinates(self._world.players.places_of(nodes))
 
 
-class _Crew:
+class _Team:
     """The agents of a run and their processes."""
 
     def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
@@ -144,7 +144,7 @@ class _Crew:
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
-        self.lives: dict[int, tuple[_Life, _Life]] = {}
+        self.lives: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
         self._open: dict[int, list[Crash]] = defaultdict(list)
         self._repaired: dict[int, simpy.Event] = {}
         self._forgetful: set[int] = set()
@@ -156,8 +156,8 @@ class _Crew:
             agent = self._agents[pursuer]
             if announce.warm_start:
                 agent.set_initial_belief()
-            relay = _Life(env, agent.in_phase(Phase.RELAY), announce.dissemination)
-            self.lives[pursuer] = relay, _Life(env, agent, protocol)
+            relay = RestartableProcess(env, agent.in_phase(Phase.RELAY), announce.dissemination)
+            self.lives[pursuer] = relay, RestartableProcess(env, agent, protocol)
             beating = agent.in_phase(Phase.HEARTBEAT)
             if self._scenario.speaks and announce.beats:
                 env.process(beating.repeat(beating.broadcast, announce.heartbeat, "heartbeat"))
@@ -194,7 +194,7 @@ class _Crew:
             self._watch.sights[node].forget(heard_only=remembers)
 
 
-class _Life(simpy.Process):
+class RestartableProcess(simpy.Process):
     """A process of a pursuer, which lives by a protocol.
 
     When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts anew

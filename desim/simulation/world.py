@@ -62,7 +62,7 @@ class World:
             EvaderBody(
                 number,
                 evader.speed,
-                evader.mind(stream(seed, "evader strategy", number - 1), self._speeds, radius),
+                evader.controller(stream(seed, "evader strategy", number - 1), self._speeds, radius),
                 EvaderTrack(scenario.team.guidance, remembers=_reckons(scenario)),
                 players=self.players,
                 speeds=self._speeds,
@@ -301,7 +301,7 @@ class World:
         self._profile: list[int] = actions.tolist()
         self._steering.set_actions(actions)
         for target in self._targets:
-            target.let_chase(np.equal(actions, target.number))
+            target.set_chasers(np.equal(actions, target.number))
 
     def sample(self) -> None:
         """Record where everyone is, if positions are wanted."""

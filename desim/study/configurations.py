@@ -20,9 +20,9 @@ SweepGrid = Mapping[str, Sequence[Any]]
 """Keys of a scenario, dotted, and the values that each takes."""
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
-MOST_FAULTS = 20
+MAX_FAULTS = 20
 """How many faults of a grid are told of."""
-MOST_CELLS = 100_000
+MAX_CELLS = 100_000
 """How many configurations a grid may have: to validate one takes about 1 ms."""
 
 
@@ -62,9 +62,9 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
             f"{source.where(('sweep', 'grid'))}: sweep.grid: should have at least one key of the scenario, and a list"
             ' of values for it, "network.latency.value" = [0.0, 0.1] for instance'
         )
-    if (size := prod(map(len, grid.values()))) > MOST_CELLS:
+    if (size := prod(map(len, grid.values()))) > MAX_CELLS:
         where = source.where(("sweep", "grid"))
-        raise ScenarioError(f"{where}: sweep.grid: should have at most {MOST_CELLS:,} configurations, has {size:,}")
+        raise ScenarioError(f"{where}: sweep.grid: should have at most {MAX_CELLS:,} configurations, has {size:,}")
     found: list[Configuration] = []
     faults: dict[str, list[Settings]] = {}
     for values in product(*grid.values()):
@@ -76,8 +76,8 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
                 faults.setdefault(line, []).append(settings)
     if faults:
         lines = sorted((_explained(line, among, grid) for line, among in faults.items()), key=_line)
-        more = [f"... and {len(lines) - MOST_FAULTS} more"] if len(lines) > MOST_FAULTS else []
-        raise ScenarioError("\n".join([*lines[:MOST_FAULTS], *more]))
+        more = [f"... and {len(lines) - MAX_FAULTS} more"] if len(lines) > MAX_FAULTS else []
+        raise ScenarioError("\n".join([*lines[:MAX_FAULTS], *more]))
     _check_distinct(found, source, grid)
     return found
 

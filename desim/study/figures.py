@@ -25,9 +25,9 @@ from desim.study.result import SweepResult, text
 MARKERS = "osD^v"
 APART = 0.012
 """How far apart points of the same abscissa are drawn, so that their error bars are seen, as a share of its range."""
-MOST_TICKS = 8
+MAX_TICKS = 8
 """How many values of a key have a tick of their own."""
-MOST_ABREAST = 3
+MAX_ABREAST = 3
 """How many panels stand side by side, at most."""
 PAGE = 9.4
 """The width of what has many panels, in."""
@@ -72,7 +72,7 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
     if not metrics:
         raise ValueError("there should be at least one metric to draw")
     abscissa = next(iter(swept_numbers(result)), None)
-    columns = min(MOST_ABREAST, len(metrics))
+    columns = min(MAX_ABREAST, len(metrics))
     rows = -(-len(metrics) // columns)
     height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
     names = list(_lines(result, metrics[0], abscissa)) if abscissa else []
@@ -126,7 +126,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
     colours = ScalarMappable(Normalize(low, high), "cividis")
     longest = max(map(len, [*map(_written, known.tolist()), *map(text, over[x])]), default=0)
     across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
-    columns = max(1, min(len(panels), MOST_ABREAST, int((PAGE - 0.8) / across)))
+    columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
     rows = -(-len(panels) // columns)
     size = (0.8 + columns * across, 0.8 + rows * (0.4 + CELL[1] * len(over[y])))
     with styled(figsize=size, font=8.0) as figure:
@@ -201,8 +201,8 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)
         axes.errorbar(x, y, error, color=colour, marker=marker, ms=3.5, lw=1.2, elinewidth=0.8, capsize=2, label=name)
-    if len(values) <= MOST_TICKS or not is_plain:
-        count = min(len(values), MOST_TICKS)
+    if len(values) <= MAX_TICKS or not is_plain:
+        count = min(len(values), MAX_TICKS)
         ticks = [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
         axes.set_xticks([places[value] for value in ticks], [text(value) for value in ticks])
     axes.set_xlabel(_key_with_unit(abscissa))

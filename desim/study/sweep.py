@@ -29,7 +29,7 @@ from desim.study.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]
 """A configuration and the number of one of its runs."""
-MOST_RUNS = 10_000
+MAX_RUNS = 10_000
 """How many runs of a configuration `until` asks for at most, if no number is given."""
 
 
@@ -171,7 +171,7 @@ def sweep(
     """
     if until is not None:
         check_target(*until)
-    plan = SweepPlan.of(scenario, grid, MOST_RUNS if until and reps is None else reps, seed)
+    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.enter(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)

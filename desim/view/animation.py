@@ -24,7 +24,7 @@ from desim.config.trust import fresh
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries
-from desim.view.paths import HUES, Look, Paths, active_periods
+from desim.view.paths import HUES, EvaderStyle, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4
 """Of a frame, in."""
@@ -38,7 +38,7 @@ HOLD = 1500
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
 """What is left of the hue of an evader in who chases it beside others, if there are several evaders."""
-MOST_NAMED = 6
+MAX_NAMED = 6
 """Up to so many evaders are in the legend."""
 SHORT = 0.02
 """How far before its receiver the cross of a lost message stands, in widths of the picture."""
@@ -93,7 +93,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
         figure.dpi = DPI
         figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
         canvas: Any = FigureCanvasAgg(figure)
-        stage = _Stage(figure, result)
+        stage = _Scene(figure, result)
     for artist in stage.moving:  # it has had its share of the layout
         artist.set_animated(True)
     canvas.draw()
@@ -130,7 +130,7 @@ def _shade(colour: str, share: float) -> Floats:
     return found
 
 
-class _Quarry:
+class _EvaderArtists:
     """What moves about an evader: itself, and who chases it.
 
     Args:
@@ -140,7 +140,7 @@ class _Quarry:
     """
 
     def __init__(self, axes: Axes, evader: int, count: int):
-        look, lone = Look.of(evader, count), count == 1
+        look, lone = EvaderStyle.of(evader, count), count == 1
         pale = look.beside if lone else to_hex(tuple(_shade(look.beside, PALE).tolist()))
         name = "evader" if lone else f"evader {evader}"
         mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
@@ -155,7 +155,7 @@ class _Quarry:
         self.number = axes.annotate("" if lone else str(evader), (0, 0), color=VERMILION, weight="bold", **offset)
 
 
-class _Stage:
+class _Scene:
     """What moves on a figure; all else is drawn as it is made."""
 
     def __init__(self, figure: Figure, result: Result):
@@ -166,12 +166,12 @@ class _Stage:
         left, right = axes.get_xlim()
         self._flown = _flights(result, self._paths, SHORT * (right - left))
         count = self._paths.count
-        self._quarries = [_Quarry(axes, evader, count) for evader in range(1, count + 1)]
+        self._quarries = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
         (self._dots,) = axes.plot([], [], "o", color=ORANGE, ms=2.5, mew=0, label="message")
         (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
         (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:MOST_NAMED])]
+        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:MAX_NAMED])]
         shown += [self._dots] if len(self._flown.left) else []
         shown += [self._crosses] if self._flown.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
@@ -228,7 +228,7 @@ class _Stage:
             and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
         }
 
-    def _set_quarry(self, evader: int, quarry: _Quarry, t: int, chasers: Floats) -> None:
+    def _set_quarry(self, evader: int, quarry: _EvaderArtists, t: int, chasers: Floats) -> None:
         begun = [each for each in self._active_periods if each.begin <= t and each.evader == evader]
         for line, alone in ((quarry.trails, False), (quarry.relay, True)):
             own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
@@ -263,7 +263,7 @@ def _joined(paths: Sequence[Floats]) -> Floats:
     return joined
 
 
-class _Flights:
+class _MessageDots:
     """Messages as points that fly evenly from where the sender was as they left to where the receiver is at arrival.
 
     Args:
@@ -296,8 +296,8 @@ class _Flights:
         return found
 
 
-def _flights(result: Result, paths: Paths, short: float) -> _Flights:
-    """Return the messages of a run, none if they were not recorded; for `short` see `_Flights`."""
+def _flights(result: Result, paths: Paths, short: float) -> _MessageDots:
+    """Return the messages of a run, none if they were not recorded; for `short` see `_MessageDots`."""
     own = deliveries(result) if messages_recorded(result) else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
     source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))
@@ -305,4 +305,6 @@ def _flights(result: Result, paths: Paths, short: float) -> _Flights:
         sent = np.array([each.src == pursuer for each in own], dtype=bool)
         read = np.array([each.dst == pursuer for each in own], dtype=bool)
         source[sent], target[read] = paths.at(pursuer, left[sent]), paths.at(pursuer, until[read])
-    return _Flights(left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target, short)
+    return _MessageDots(
+        left, until, np.array([each.cause is not None for each in own], dtype=bool), source, target, short
+    )

@@ -24,7 +24,7 @@ HALO = (withStroke(linewidth=1.5, foreground="white"),)
 """What lets a name be read that lies over a path."""
 
 
-class Look(NamedTuple):
+class EvaderStyle(NamedTuple):
     """How an evader, and who chases it, is drawn."""
 
     mark: str
@@ -36,7 +36,7 @@ class Look(NamedTuple):
     """The colour of who chases it beside others."""
 
     @classmethod
-    def of(cls, evader: int, count: int) -> "Look":
+    def of(cls, evader: int, count: int) -> "EvaderStyle":
         """Return that of one of so many evaders."""
         if count == 1:
             return cls(MARKS[0], VERMILION, BLUE, SKY)
@@ -140,7 +140,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
         ValueError: if the run recorded no positions.
     """
     paths = Paths(result)
-    looks = {evader: Look.of(evader, paths.count) for evader in range(1, paths.count + 1)}
+    looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
     place(axes)
     axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
     _draw_stints(axes, result, paths, looks)
@@ -154,7 +154,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
         axes.plot(*np.transpose(places), "*", color="black", ms=7, mew=0, zorder=7, label="capture")
 
 
-def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look]) -> None:
+def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     labels: dict[bool, str | None] = {False: "active with others", True: "active alone"}
     wide: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
     if paths.count > 1:
@@ -168,7 +168,7 @@ def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look
         axes.plot(*path.T, color=colour, **wide[stint.alone], label=label, solid_capstyle="butt")
 
 
-def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, Look]) -> None:
+def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     label = "takes over"
     for evader, look in looks.items():
         places = [paths.hands_over_at(each) for each in handover_events(result) if each.evader == evader]
@@ -192,6 +192,6 @@ def label_takeovers(axes: Axes, result: Result) -> None:
     places, names = [each[0] for each in named], [each[1] for each in named]
     texts = label_points(axes, places, names, avoid=ends, zorder=6)
     for text, (_, _, evader, weight) in zip(texts, named, strict=True):
-        text.set(color=Look.of(evader, paths.count).alone, weight=weight)
+        text.set(color=EvaderStyle.of(evader, paths.count).alone, weight=weight)
         if paths.count > 1:
             text.set_path_effects(list(HALO))

@@ -25,9 +25,9 @@ from desim.analysis.trace_index import (
     lacks_messages,
     messages,
     positions_known,
-    reading,
     samples,
     started,
+    trace_index,
 )
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash, Fault, Partition
@@ -40,7 +40,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
 
-LATEST = 2**32 - 1
+MAX_REPLAY_TIME = 2**32 - 1
 """The last tick of a column."""
 DECIDED, HALTED, RELEASED = range(3)
 """Why somebody does something from some time on: it decided so, broke down, or what it chased was captured."""
@@ -55,15 +55,18 @@ def replay(result: Result) -> str:
     """
     from jinja2 import Environment
 
-    result = reading(result)
+    result = trace_index(result)
     template = files("desim.view").joinpath("replay.html").read_text(encoding="utf-8")
     page = Environment(autoescape=True, keep_trailing_newline=True).from_string(template)
     return page.render(
-        name=result.scenario.name, about=_about(result), warnings=list(lacks(result)), run=_document(result)
+        name=result.scenario.name,
+        about=_about(result),
+        warnings=list(missing_recordings(result)),
+        run=_document(result),
     )
 
 
-def lacks(result: Result) -> Iterator[str]:
+def missing_recordings(result: Result) -> Iterator[str]:
     """Yield what cannot be shown because it was not recorded."""
     if not positions_known(result):
         yield (
@@ -128,7 +131,7 @@ class _Ticks(NamedTuple):
         given = np.asarray(times, np.int64)
         ticks = (given + self.length // 2) // self.length
         ticks = np.where(given > self.end, np.maximum(ticks, self.last + 1), ticks)
-        return _column(np.minimum(ticks, LATEST), "<u4")
+        return _column(np.minimum(ticks, MAX_REPLAY_TIME), "<u4")
 
 
 def _column(values: ArrayLike, kind: str) -> str:

@@ -31,7 +31,7 @@ PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches"
 """The metrics of the small panels, if they were measured."""
 MAPPED = "active_time"
 """The metric of the phase diagram."""
-MOST_FAILURES = 20
+MAX_FAILURES = 20
 """How many different tracebacks are shown."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
@@ -118,8 +118,8 @@ def report(study: Study) -> str:
         result=result,
         tables=result.tables(SHOWN),
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
-        failures=failures[:MOST_FAILURES],
-        more_failures=len(failures) - MOST_FAILURES,
+        failures=failures[:MAX_FAILURES],
+        more_failures=len(failures) - MAX_FAILURES,
         commands=[] if made is None else commands(made),
         asked=None if made is None else wanted(made),
         origin={} if made is None else _origin(made),

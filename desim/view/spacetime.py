@@ -21,7 +21,7 @@ from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
 from desim.view.deliveries import Delivery, Interval, chasing, deliveries, news, outages
-from desim.view.paths import HALO, Look
+from desim.view.paths import HALO, EvaderStyle
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -39,7 +39,7 @@ WIDE = 12.0
 """From this width on there is room for larger type, cm."""
 PALE = "#8c8c8c"
 """What says that somebody is inactive; lighter in grey than what says the contrary."""
-MOST_SHOWN = 10
+MAX_SHOWN = 10
 """Up to so many pursuers are all drawn if nobody says which."""
 
 
@@ -98,7 +98,7 @@ def spacetime(
 def _busiest(result: Result) -> list[int]:
     """Return the pursuers to draw: all if they are few, else those that changed action most often, ascending."""
     size, most = len(started(result).active), 6
-    if size <= MOST_SHOWN:
+    if size <= MAX_SHOWN:
         return list(range(size))
     count = np.bincount([change.pursuer for change in changes(result)], minlength=size)
     return sorted(np.argsort(-count, kind="stable")[:most].tolist())
@@ -190,7 +190,7 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
 
 def _hue(evader: int, several: bool) -> str:
     """Return the colour of who chases an evader."""
-    return Look.of(evader, 2 if several else 1).alone
+    return EvaderStyle.of(evader, 2 if several else 1).alone
 
 
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:

@@ -6,7 +6,6 @@ from math import inf
 import numpy as np
 import pytest
 
-from desim.analysis import timeline
 from desim.analysis.hindsight import (
     hindsight,
     misassigned_time,
@@ -17,7 +16,7 @@ from desim.analysis.hindsight import (
     time_to_relay,
 )
 from desim.analysis.metrics import active_time, summary
-from desim.analysis.timeline import course
+from desim.analysis.timeline import timeline
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
@@ -319,11 +318,11 @@ def negotiated(case, seed, **changes):
 @pytest.mark.parametrize("case", ["pursuit", "crashes"])
 def test_the_course_in_parts_is_the_whole_course(case, monkeypatch):
     result = negotiated(case, 1)
-    (whole,) = course(result)
+    (whole,) = timeline(result)
     expected = [metric(result) for metric in METRICS]
     for pieces in (1, 7):
-        monkeypatch.setattr(timeline, "PART", 5 * pieces)
-        parts = list(course(result))
+        monkeypatch.setattr("desim.analysis.timeline.PART", 5 * pieces)
+        parts = list(timeline(result))
         assert max(len(part.durations) for part in parts) == pieces
         assert [part.times[-1] for part in parts[:-1]] == [part.times[0] for part in parts[1:]]
         for name in ("active", "phi", "left", "durations"):
@@ -334,7 +333,7 @@ def test_the_course_in_parts_is_the_whole_course(case, monkeypatch):
 
 def test_the_course_has_the_active_time_of_the_run():
     result = negotiated("crashes", 2)
-    (whole,) = course(result)
+    (whole,) = timeline(result)
     assert (whole.durations > 0).all()
     assert whole.durations.sum() == pytest.approx(summary(result).end_time, abs=1e-12)
     assert whole.durations @ whole.active.sum(axis=1) == pytest.approx(active_time(result), abs=1e-9)

@@ -29,7 +29,7 @@ from desim.analysis.metrics import (
     switches,
     words,
 )
-from desim.analysis.trace_index import ended, reading, remembered
+from desim.analysis.trace_index import ended, remembered, trace_index
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import FaultStarted, Jamming
@@ -340,8 +340,14 @@ def test_what_is_remembered_is_derived_once_for_a_reading_and_anew_for_a_result(
         calls.append(result)
         return len(calls)
 
-    read = reading(relay)
-    assert [derived(read), derived(read), derived(reading(relay)), derived(relay), derived(relay)] == [1, 1, 2, 3, 4]
+    read = trace_index(relay)
+    assert [derived(read), derived(read), derived(trace_index(relay)), derived(relay), derived(relay)] == [
+        1,
+        1,
+        2,
+        3,
+        4,
+    ]
 
 
 def test_a_summary_does_not_hide_what_is_added_to_a_trace_afterwards(relay):

@@ -10,8 +10,8 @@ import pytest
 from desim.analysis.activity import Released, action, changes, relays
 from desim.analysis.hindsight import hindsight, network_regret, settling_window, time_to_relay
 from desim.analysis.metrics import active_time, activity, energy, handovers, ping_pongs, plain, potential_gap, summary
-from desim.analysis.timeline import course
-from desim.analysis.trace_index import reading
+from desim.analysis.timeline import timeline
+from desim.analysis.trace_index import trace_index
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, RandomCrashes
@@ -280,7 +280,7 @@ def decided_switches(result):
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("case", "evaders"), ALL)
 def test_all_numbers_are_what_brute_force_finds(case, evaders, seed):
-    result = reading(negotiated(case, evaders, seed))
+    result = trace_index(negotiated(case, evaders, seed))
     numbers = summary(result)
     expected = judged(result, settling_window(result))
     found = {
@@ -323,7 +323,7 @@ def test_brute_force_has_something_to_find():
 
 def test_the_course_of_each_evader_has_the_same_pieces_and_its_own_chasers():
     result = negotiated("pursuit", 3, 0)
-    parts = [part for evader in (1, 2, 3) for part in course(result, evader)]
+    parts = [part for evader in (1, 2, 3) for part in timeline(result, evader)]
     assert all(part.times.tolist() == parts[0].times.tolist() for part in parts)
     assert (sum(part.active.astype(int) for part in parts) <= 1).all()
     assert sum(part.durations @ part.active.sum(axis=1) for part in parts) == pytest.approx(active_time(result))

@@ -17,7 +17,7 @@ from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
 from desim.pursuit.events import Decided
 from desim.scenario.scenario import Team
-from protocols.mutex import Later, LocalMutex, Reply, Request, Section
+from protocols.mutex import CriticalSection, Deferred, LocalMutex, Reply, Request
 from protocols.schedules import Poisson
 from tests.protocols.traffic import SECOND, Storm, bodies, flips, standing
 
@@ -51,7 +51,7 @@ def test_no_two_neighbours_are_inside_at_once(latency, skew):
     graph, inside, entered = Grid(columns=3)(7), set(), []
 
     def protocol(me):
-        section = Section(me, 10, 0.001)
+        section = CriticalSection(me, 10, 0.001)
         for _ in range(5):
             yield from section.idle(me.now + me.rng.exponential(0.05))
             yield from section.enter()
@@ -81,14 +81,14 @@ def test_a_decision_takes_two_messages_per_neighbour(graph):
     links = graph(7)
     expected = sum(links.degree[d.pursuer] for d in result.trace.of(Decided))
     assert len(bodies(result, Request)) == len(bodies(result, Reply)) == expected
-    assert not bodies(result, Later)
+    assert not bodies(result, Deferred)
 
 
 def test_of_requests_of_one_time_that_of_the_lower_id_is_the_older():
     entered = []
 
     def protocol(me):
-        section = Section(me, 10, 0.001)
+        section = CriticalSection(me, 10, 0.001)
         yield from section.enter()
         entered.append(me.id)
         section.leave()
@@ -102,7 +102,7 @@ def test_a_request_is_answered_once_though_its_answer_had_to_wait():
     result = run(frozen(flips(LocalMutex()), latency=0.1), 0)
     asked = Counter((each.src, each.dst, each.body.stamp) for each in bodies(result, Request))
     answered = Counter((each.dst, each.src, each.body.stamp) for each in bodies(result, Reply))
-    assert bodies(result, Later)
+    assert bodies(result, Deferred)
     assert answered
     assert not answered - asked
 

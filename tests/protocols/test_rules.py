@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from desim import Scenario, run
-from desim.config.model import FARTHEST
+from desim.config.model import MAX_COORDINATE
 from desim.kernel.faults import Crash
 from desim.kernel.graphs import Edges
 from desim.kernel.links import Links
@@ -406,7 +406,7 @@ def test_fictitious_play_needs_a_utility_that_can_expect():
 def test_a_utility_that_is_lost_without_bound_is_a_finite_number():
     """-inf would make a regret of inf - inf; a billion seconds is enough."""
     me = Puppet(gain=-inf)
-    assert LearningRule().utilities(me) == {0: 0.0, 1: -FARTHEST}
+    assert LearningRule().utilities(me) == {0: 0.0, 1: -MAX_COORDINATE}
     assert play(RegretMatching(), Puppet([0.5] * 4, action=True), [-inf, -inf]) == [0, 0]
 
 
@@ -791,7 +791,7 @@ def test_if_who_would_be_late_is_pruned_nobody_is_ordered_to_chase_in_vain(kind)
 
             def watch(event, seen=seen, prune=prune):
                 if isinstance(event, Decided) and event.active:
-                    late[prune] += seen[0].whole.capture_times(1)[event.pursuer] >= seen[0].time_left()
+                    late[prune] += seen[0].global_state.capture_times(1)[event.pursuer] >= seen[0].time_left()
 
             protocol.reckons = getattr(inner, "reckons", False)
             watched = scenario.model_copy(update={"protocol": protocol})

@@ -29,7 +29,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from protocols.temperature import ConstantTau
 from protocols.token import TokenRing, TokenWalk, metropolis
-from protocols.token_passing import Receipt, Sign, Token, TokenNode, circulate, not_absent
+from protocols.token_passing import Token, TokenNode, TokenNotice, TokenReceipt, circulate, not_absent
 from tests.law import RELAY, measured, static_game
 from tests.protocols.traffic import SECOND, Storm, bodies, decided, flips, standing
 
@@ -158,7 +158,7 @@ def test_a_hop_takes_two_messages():
     """And a claim at the start; the token takes 16 bytes more for every record, and is as long as it should be."""
     result = run(frozen(flips(TokenRing()), latency=0.05), 0)
     hops = len(decided(result))
-    assert [len(bodies(result, kind)) for kind in (Token, Receipt, Sign)] == [hops, hops - 1, 4]
+    assert [len(bodies(result, kind)) for kind in (Token, TokenReceipt, TokenNotice)] == [hops, hops - 1, 4]
     assert {len(sent.body.records) for sent in bodies(result, Token)} == {5}
 
 
@@ -312,7 +312,7 @@ def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
     silence = np.diff([0, *(d.t for d in decided(result))]) / SECOND
     rounds = 3 * 5 * 0.06
     assert rounds < silence.max() < 2 * rounds + 5 * 0.125
-    claims = {(sent.body.epoch[0], sent.body.epoch[1]) for sent in bodies(result, Sign) if not sent.body.asks}
+    claims = {(sent.body.epoch[0], sent.body.epoch[1]) for sent in bodies(result, TokenNotice) if not sent.body.asks}
     claims = {claim for claim in claims if claim[0] <= 2}
     assert len(claims) == 2
     assert everyone.spoilt == -1
@@ -323,9 +323,9 @@ def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
     """After a partition heals two tokens meet; without an answer the older one would be sent again and again."""
     fault = Partition(start=0.5, end=4.0, groups=((0, 1, 2), (3, 4)))
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0)
-    answers = {(sent.src, sent.dst, sent.t): sent.body.epoch for sent in bodies(result, Receipt)}
+    answers = {(sent.src, sent.dst, sent.t): sent.body.epoch for sent in bodies(result, TokenReceipt)}
     newest, outdated = defaultdict(tuple), []
-    heard = [*bodies(result, Token), *bodies(result, Receipt), *bodies(result, Sign)]
+    heard = [*bodies(result, Token), *bodies(result, TokenReceipt), *bodies(result, TokenNotice)]
     for sent in sorted((sent for sent in heard if sent.arrival >= 0), key=lambda sent: sent.arrival):
         if isinstance(sent.body, Token) and sent.body.epoch < newest[sent.dst]:
             outdated.append(sent)
@@ -338,7 +338,7 @@ def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
 def test_a_new_epoch_is_newer_than_all_that_who_makes_it_has_heard_of(seed):
     """Also than those whose token it never had."""
     result = run(frozen(flips(TokenRing()), latency=0.05, loss=Storm(0.6, 9.0)), seed)
-    sent = [each for kind in (Token, Receipt, Sign) for each in bodies(result, kind)]
+    sent = [each for kind in (Token, TokenReceipt, TokenNotice) for each in bodies(result, kind)]
     arrived = [(each.arrival, 0, each.dst, each.body.epoch) for each in sent if each.arrival >= 0]
     left = [(each.t, 1, each.src, each.body.epoch) for each in sent]
     heard, known, made = defaultdict(set), set(), 0
@@ -373,7 +373,7 @@ def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
     """Who is left alone keeps the token for 0.01 s at each hop, and greets the other at the first hop after 2.5 L."""
     fault = Crash(start=1.0, node=1, scope="radio")
     result = run(frozen(flips(TokenRing()), count=2, latency=0.1, horizon=7.0, faults=(fault,)), 0)
-    times = [sent.t for sent in bodies(result, Sign) if sent.src == 0 and sent.body.asks]
+    times = [sent.t for sent in bodies(result, TokenNotice) if sent.src == 0 and sent.body.asks]
     assert len(times) > 5
     assert np.diff(times) == pytest.approx(0.25 * SECOND)
 
@@ -531,5 +531,5 @@ def test_on_a_thin_channel_there_is_one_token_and_no_more_messages_than_it_needs
         assert len({token.body.epoch for token in tokens}) == 1
         assert [token.body.hop for token in tokens] == list(range(1, len(tokens) + 1))
         assert 0 <= hops - len(tokens) <= 1
-        assert 0 <= hops - len(bodies(result, Receipt)) <= 2
+        assert 0 <= hops - len(bodies(result, TokenReceipt)) <= 2
         assert len(tokens) > 4 * count

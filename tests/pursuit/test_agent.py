@@ -66,7 +66,7 @@ def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants_and_nobody_comman
         me.assign(True)
         actions.append(me.action)
         with pytest.raises(ValueError, match="there is no pursuer -1"):
-            me.whole.set_action(-1, True)
+            me.global_state.set_action(-1, True)
 
     actions = []
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=[0.0, 1.0], active_at_start=1.0)
@@ -93,8 +93,8 @@ def test_an_agent_knows_itself_and_its_team():
     def protocol(me):
         yield me.sleep(0.25)
         assert (me.now, me.team_size, me.action) == (0.25, 3, False)
-        assert me.whole.capture_times(1) == pytest.approx([0.9, 1.9, 3.9])
-        assert me.capture_time() == me.whole.capture_times(1)[me.id]
+        assert me.global_state.capture_times(1) == pytest.approx([0.9, 1.9, 3.9])
+        assert me.capture_time() == me.global_state.capture_times(1)[me.id]
         assert me.stream("x").random() != me.shared_stream("x").random()
         done.append((me.id, me.shared_stream("x").random()))
 

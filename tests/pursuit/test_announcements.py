@@ -110,7 +110,9 @@ def test_the_state_of_who_stands_still_stays_exact(reckoning):
         me.publish(LocatedAssignment(active=True, x=3.0, y=0.0, speed=0.0))
 
     seen = {}
-    looks = [(t, 2, lambda me: (me.believed_chasers()[1], me.whole.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)]
+    looks = [
+        (t, 2, lambda me: (me.believed_chasers()[1], me.global_state.capture_times(1)[1])) for t in (0.5, 1.234, 7.5)
+    ]
     announce = {"payload": "state", "reckoning": reckoning}
     play(script((0.0, 1, stand), *looks, seen=seen), announce, evader=Evader(position=(0.0, 1.0), speed=0.5))
     for told, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):

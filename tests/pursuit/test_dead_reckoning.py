@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MOST_RETRACINGS, Path, TrackSegment, nearer
+from desim.pursuit.dead_reckoning import MAX_RETRACINGS, Path, TrackSegment, nearer
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import toward
 
@@ -199,16 +199,16 @@ def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longe
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
     path, (now, *later) = Path(PurePursuit()), turning(4, 5 * STEP)
     path.see(*now)
-    questions = [(complex(k), 1.0, 0) for k in range(MOST_RETRACINGS + 1)]
+    questions = [(complex(k), 1.0, 0) for k in range(MAX_RETRACINGS + 1)]
     for question in [*questions[:-1], questions[0], questions[-1]]:
         path.place(*question, STEP // 2)
-    assert len(path._retracings) == MOST_RETRACINGS
+    assert len(path._retracings) == MAX_RETRACINGS
     assert questions[0] in path._retracings
     assert questions[1] not in path._retracings
     for leg in later:
         path.see(*leg)
     assert path.place(*questions[1], 5 * STEP) == fresh(PurePursuit(), 4, questions[1], 5 * STEP)
-    assert len(path._retracings) == MOST_RETRACINGS
+    assert len(path._retracings) == MAX_RETRACINGS
 
 
 # Without the path of the evader.

@@ -81,7 +81,7 @@ def test_who_never_sees_anything_never_moves(estimate):
 
 def late_by(estimate, runs):
     """Return by how much believed times of capture exceed the true ones, wherever there is a belief from memory."""
-    behaviour, found = looks(lambda me: (me.capture_time(), me.whole.capture_times(1)[me.id], me.may_chase()))
+    behaviour, found = looks(lambda me: (me.capture_time(), me.global_state.capture_times(1)[me.id], me.may_chase()))
     sensing = Sensing(radius=2.0, estimate=estimate, track_timeout=2.0)
     wild = Evader(strategy=Diffusion(sigma=1.0), speed=2.0)
     keys = {

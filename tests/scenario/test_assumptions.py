@@ -21,11 +21,11 @@ from desim.scenario.assumptions import (
     equal_speeds,
     everyone_heard,
     host_in_reach,
+    messages_get_through,
     no_crashes,
     one_at_a_time,
     places_known,
     times_known,
-    word_gets_through,
 )
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
@@ -154,7 +154,7 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
     ],
 )
 def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trigger, given, lost):
-    found = word_gets_through(four(announce=Announcements(trigger=trigger), **given))
+    found = messages_get_through(four(announce=Announcements(trigger=trigger), **given))
     if trigger == "never":
         assert_says(found, "nothing is ever announced")
     else:
@@ -162,16 +162,16 @@ def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trig
 
 
 def test_who_comes_into_range_has_missed_what_was_said_before():
-    found = word_gets_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
+    found = messages_get_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
     assert_says(found, "comes into range")
-    assert word_gets_through(four(network=Links(range=50.0))) is None
+    assert messages_get_through(four(network=Links(range=50.0))) is None
 
 
 @pytest.mark.parametrize("trigger", ["change", "never"])
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk(), LocalMutex()], ids=lambda each: each.kind)
 def test_word_gets_through_if_it_travels_with_the_messages_of_the_schedule(trigger, schedule):
     announce = Announcements(trigger=trigger)
-    assert word_gets_through(four(network=LOSSY, announce=announce, protocol=BetterReply(schedule=schedule))) is None
+    assert messages_get_through(four(network=LOSSY, announce=announce, protocol=BetterReply(schedule=schedule))) is None
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from desim import run, summary
 from desim.analysis.activity import active_time, relays
 from desim.analysis.plots import COLUMN
 from desim.analysis.timeline import course
-from desim.analysis.trace_index import reading, started
+from desim.analysis.trace_index import started, trace_index
 from desim.kernel.clock import SECOND
 from desim.pursuit.game import wonderful_life_utility
 from scenarios import figures, table1
@@ -21,7 +21,7 @@ from scenarios import figures, table1
 @pytest.fixture(scope="module")
 def results():
     """Return the run of each panel for N = 20 and seed 0."""
-    return {name: reading(run(scenario, 0)) for name, scenario in figures.panels(20).items()}
+    return {name: trace_index(run(scenario, 0)) for name, scenario in figures.panels(20).items()}
 
 
 @pytest.fixture(scope="module")

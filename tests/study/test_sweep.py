@@ -24,7 +24,7 @@ from desim.scenario.toml import read
 from desim.study import sweep as module
 from desim.study.batch import run_many
 from desim.study.store import Store, StoreError
-from desim.study.sweep import MOST_RUNS, RunError, SweepPlan, sweep
+from desim.study.sweep import MAX_RUNS, RunError, SweepPlan, sweep
 from protocols.rule import Rule
 
 # Chance in positions, slots and decisions; about 3 ms each.
@@ -151,7 +151,7 @@ def test_truths_are_as_precise_as_wilsons_interval():
     (group,) = sweep(BASE, {"capture.radius": [0.2]}, until=("captured", 0.12)).groups
     values = group.values("captured")
     assert {type(each) for each in values} == {bool}
-    assert len(values) == runs_needed(values, 0.12, at_most=MOST_RUNS) < MOST_RUNS
+    assert len(values) == runs_needed(values, 0.12, at_most=MAX_RUNS) < MAX_RUNS
 
 
 @pytest.mark.slow

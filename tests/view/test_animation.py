@@ -7,7 +7,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 from desim.analysis.plots import styled
-from desim.view.animation import COLOURS, HOLD, MOST, SHADES, _Stage, animate, frames
+from desim.view.animation import COLOURS, HOLD, MOST, SHADES, _Scene, animate, frames
 from tests.drawn import described, line_of, text_of
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -27,7 +27,7 @@ def played(path):
 def staged(result, *times):
     """Return the stage as text, and then what moves at each (time, that of the frame before), in order of drawing."""
     with styled((4.0, 4.0)) as figure:
-        stage = _Stage(figure, result)
+        stage = _Scene(figure, result)
         told = [described(figure)]
         for t, before in times:
             moving = stage.at(t * MS, before * MS)

@@ -5,7 +5,7 @@ import pytest
 
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.paths import HUES, MARKS, Look, Paths, draw_pursuit, label_takeovers
+from desim.view.paths import HUES, MARKS, EvaderStyle, Paths, draw_pursuit, label_takeovers
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -41,7 +41,7 @@ def test_the_looks_differ_without_colour():
 
 
 def test_many_evaders_share_hues_and_marks_in_turn():
-    looks = [Look.of(evader, 5) for evader in (1, 2, 3, 4, 5)]
+    looks = [EvaderStyle.of(evader, 5) for evader in (1, 2, 3, 4, 5)]
     assert [each.alone for each in looks] == [*HUES, *HUES[:2]]
     assert [each.mark for each in looks] == [*MARKS, MARKS[0]]
 

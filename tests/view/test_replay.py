@@ -36,7 +36,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Motion, Recording, Team
-from desim.view.replay import LATEST, _column, _document, _Ticks, lacks, replay
+from desim.view.replay import LATEST, _column, _document, _Ticks, missing_recordings, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
@@ -395,7 +395,7 @@ def test_a_reach_that_does_not_fall_with_distance_is_said_not_to_be_shown():
     links = Links(range=10.0, reception=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
     result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
     assert not _document(result)["reach"]["known"]
-    assert any("who hears whom is not shown" in each for each in lacks(result))
+    assert any("who hears whom is not shown" in each for each in missing_recordings(result))
 
 
 @given(st.integers(0, 10**18))

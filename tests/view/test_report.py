@@ -28,7 +28,7 @@ from desim.study.history import commands, wanted
 from desim.study.store import Row, Store
 from desim.study.sweep import SweepPlan
 from desim.study.workers import workers_for
-from desim.view.report import MOST_FAILURES, Study, report
+from desim.view.report import MAX_FAILURES, Study, report
 from tests.golden import golden
 from tests.view.browser import in_chromium
 from tests.view.by_hand import history
@@ -169,7 +169,7 @@ def test_of_many_different_failures_some_are_shown_and_a_store_without_run_json_
     """One page of a sweep that failed everywhere should still open; its scenario is that of the store."""
     study = Study.read(swept(tmp_path, reps=25, failing=[f"ValueError: {k}" for k in range(25)], made=None))
     elements = Elements(report(study))
-    assert sum("× ValueError" in each for each in elements.texts) == MOST_FAILURES
+    assert sum("× ValueError" in each for each in elements.texts) == MAX_FAILURES
     assert "and 5 other tracebacks" in elements.texts
     assert "svg" not in elements.tags
     assert study.fixed["team.count"] == "2"
