@@ -81,5 +81,5 @@ def pictures():
 def _undrawn(request, monkeypatch):
     """Draw and write no pictures, which takes a second each, unless the test asks for `pictures`."""
     if "pictures" not in request.fixturenames:
-        for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.pictures.means"):
+        for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.figures.means"):
             monkeypatch.setattr(f"desim.{name}", lambda *_: [])

@@ -338,8 +338,8 @@ def test_help_loads_nothing_that_takes_time_to_import():
 
 def rows(table: str) -> dict[str, str]:
     """Return the cells after the first of each row of a table, joined by a space."""
-    cells = (re.split(r"\s{2,}", line.strip()) for line in table.splitlines())
-    return {first: " ".join(rest) for first, *rest in cells}
+    configurations = (re.split(r"\s{2,}", line.strip()) for line in table.splitlines())
+    return {first: " ".join(rest) for first, *rest in configurations}
 
 
 def test_run_prints_what_happened_as_a_table(file):

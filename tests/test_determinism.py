@@ -16,7 +16,7 @@ from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.trace_file import line_of
 from desim.scenario.scenario import Team
-from desim.simulation.run import run as simulation
+from desim.simulation import run as run_module
 from desim.study.batch import run_many
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, SharedSeed
@@ -138,15 +138,15 @@ def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatc
         record={"messages": True},
     )
     forwards = lines(run(scenario, 5))
-    begin, begin_world = simulation._Team.begin, simulation.World.begin
+    begin, begin_world = run_module._Team.begin, run_module.World.begin
 
     def world_first(crew):
         begin_world(crew._world)
-        monkeypatch.setattr(simulation, "range", lambda n: reversed(builtins.range(n)), raising=False)
+        monkeypatch.setattr(run_module, "range", lambda n: reversed(builtins.range(n)), raising=False)
         begin(crew)
 
-    monkeypatch.setattr(simulation._Team, "begin", world_first)
-    monkeypatch.setattr(simulation.World, "begin", lambda world: None)
+    monkeypatch.setattr(run_module._Team, "begin", world_first)
+    monkeypatch.setattr(run_module.World, "begin", lambda world: None)
     assert lines(run(scenario, 5)) == forwards
     assert forwards.count("Broadcast") + forwards.count("Sent") > 10
 

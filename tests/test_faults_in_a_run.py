@@ -147,7 +147,7 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
         if me.id == 0:
             yield me.at(0.5)
             me.assign(True)
-            me.tell()
+            me.broadcast()
         if me.id == 1:
             for k in range(1, 4):
                 yield me.sleep(0.75)

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim.scenario.toml import read
-from desim.study.configurations import cells
+from desim.study.configurations import configurations
 from tests.command import accepted
 
 ROOT = Path(__file__).parent.parent
@@ -55,7 +55,7 @@ def test_the_grid_of_the_readme_is_one_of_its_example():
     (table,) = [each for each in TABLES if "sweep.grid" in each]
     base = read(ROOT / "scenarios/imperfect.toml")
     grid = tomllib.loads(table)["sweep"]["grid"]
-    assert len(cells(base, grid)) == 4 * 3 * 2
+    assert len(configurations(base, grid)) == 4 * 3 * 2
 
 
 def test_the_table_of_modules_has_each_of_them_once():

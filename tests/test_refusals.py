@@ -26,7 +26,7 @@ from desim.scenario import toml
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
-from desim.study.configurations import cells
+from desim.study.configurations import configurations
 from tests.command import JARGON
 from tests.golden import golden
 
@@ -334,7 +334,7 @@ def told(folder: Path, text: str, *overrides: str) -> str:
     file = folder / "f.toml"
     file.write_text(f"{text}\n")
     with pytest.raises(ScenarioError) as refused:
-        cells(read(file, overrides)) if text.startswith(GRID) else load(file, overrides)
+        configurations(read(file, overrides)) if text.startswith(GRID) else load(file, overrides)
     said = str(refused.value).replace(f"{folder}/", "")
     assert not JARGON.search(said)
     given = [*text.removeprefix(GRID).splitlines(), *(f"--set {each}" for each in overrides)]

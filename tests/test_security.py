@@ -15,7 +15,7 @@ import desim
 from desim import Scenario
 from desim.analysis.plots import save, trajectory
 from desim.cli import main
-from desim.config import model
+from desim.config import choice
 from desim.config.trust import fresh, visible
 from desim.kernel.latency import Empirical
 from desim.kernel.links import Links
@@ -245,7 +245,7 @@ def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_pat
     )
     (tmp_path / "evil.py").rename(tmp_path / "site" / "evil.py")
     monkeypatch.syspath_prepend(tmp_path / "site")
-    model._named_by_entry_points.cache_clear()
+    choice._named_by_entry_points.cache_clear()
     try:
         assert "names code" in refused("check", written('network.latency = { kind = "evil:Caught" }'))
         assert not mark.exists()
@@ -255,7 +255,7 @@ def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_pat
             assert why in refused("check", written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}'))
         assert not mark.exists()
     finally:
-        model._named_by_entry_points.cache_clear()
+        choice._named_by_entry_points.cache_clear()
 
 
 def test_what_code_is_given_may_lie_beside_the_file(mark, written, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import settings
 
 from desim import Scenario, summary
-from desim.analysis.invariants import Potential, watched
+from desim.analysis.invariants import PotentialWatcher, watched
 from desim.kernel.clock import SECOND
 from desim.kernel.graphs import GRAPHS
 from desim.kernel.invariants import Conservation, OneToken
@@ -203,7 +203,7 @@ def patience(size):
 
 
 def climbing(seed):
-    """Return a scenario in which no decision lowers the potential; see `Potential`."""
+    """Return a scenario in which no decision lowers the potential; see `PotentialWatcher`."""
     dice = Dice(seed, "climbing")
     moving = {
         "motion": {"step": dice.one([0.01, 0.05])},
@@ -299,7 +299,7 @@ def test_one_token_is_left_when_nothing_breaks_any_more(seeds, acted):
 @pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
 def test_no_decision_lowers_the_potential_of_serial_play_that_knows_all(seeds, acted):
     def judge(seed):
-        potential = Potential(Scenario.model_validate(climbing(seed)))
+        potential = PotentialWatcher(Scenario.model_validate(climbing(seed)))
         judged(climbing(seed), potential, acted=acted)
         assert potential.judged > 0
 

@@ -218,7 +218,7 @@ def inert(_):
 
 @pytest.mark.parametrize(
     ("owner", "method", "break_it"),
-    [(EvaderBody, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "halt", inert)],
+    [(EvaderBody, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "crash", inert)],
 )
 def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, monkeypatch):
     """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""

@@ -10,8 +10,9 @@ import pytest
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from desim import Scenario
-from desim.config import model
+from desim.config import choice
 from desim.config.choice import OneOf, kind_of
+from desim.config.json_numbers import to_json
 from desim.config.model import (
     Box,
     Coordinate,
@@ -27,7 +28,6 @@ from desim.config.model import (
     Time,
     Value,
     fields_of,
-    plain_number,
 )
 
 
@@ -43,8 +43,8 @@ def test_a_box_is_a_lower_and_an_upper_bound_which_may_be_the_same():
     ("number", "written"), [(1.5, 1.5), (inf, "Infinity"), (-inf, "-Infinity"), (nan, "NaN"), (0.0, 0.0)]
 )
 def test_a_number_is_written_such_that_it_is_read_again(number, written):
-    assert plain_number(number) == written
-    assert float(plain_number(number)) == pytest.approx(number, nan_ok=True)
+    assert to_json(number) == written
+    assert float(to_json(number)) == pytest.approx(number, nan_ok=True)
 
 
 class Circle(Value):
@@ -196,7 +196,7 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
             return Square
 
     groups = []
-    monkeypatch.setattr(model, "entry_points", lambda *, group: groups.append(group) or [Point()])
+    monkeypatch.setattr(choice, "entry_points", lambda *, group: groups.append(group) or [Point()])
     shapes = OneOf(Circle, group="shapes")
     assert list(shapes.choices().items()) == [("circle", Circle), ("square", Square)]
     adapter = TypeAdapter(Annotated[Any, shapes])
@@ -217,7 +217,7 @@ def test_only_what_a_table_asks_for_is_loaded(monkeypatch):
 
     loaded: list[str] = []
     points = [Point("square", Square), Point("drawing", Drawing)]
-    monkeypatch.setattr(model, "entry_points", lambda **_: points)
+    monkeypatch.setattr(choice, "entry_points", lambda **_: points)
     shapes = OneOf(Circle, group="shapes")
     adapter = TypeAdapter(Annotated[Any, shapes])
     assert adapter.validate_python({"kind": "circle"}) == Circle()
@@ -283,7 +283,7 @@ def test_a_model_without_source_has_no_descriptions():
 
 
 def test_without_a_group_nothing_is_looked_up(monkeypatch):
-    monkeypatch.setattr(model, "entry_points", lambda **_: pytest.fail("looked up"))
+    monkeypatch.setattr(choice, "entry_points", lambda **_: pytest.fail("looked up"))
     assert OneOf(Circle, Square).choices() == {"circle": Circle, "square": Square}
 
 

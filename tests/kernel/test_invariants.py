@@ -14,7 +14,7 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.events import LOST, Broadcast, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
-from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, drawn
+from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
@@ -207,7 +207,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     links = links or Links()
     graph = nx.complete_graph(size)
     net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, fault_state=fault_state)
-    inject(drawn(faults, size, 1.0, seed), clock, net, trace)
+    inject(draw_faults(faults, size, 1.0, seed), clock, net, trace)
 
     def speak(node, dst, number):
         if number % 2:

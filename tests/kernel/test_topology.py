@@ -247,7 +247,7 @@ def test_the_luck_of_pairs_is_the_same_whether_or_not_it_is_kept():
     with patch.object(topology_module, "ROOM", 100):
         scarce = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
         assert [scarce.hearers(node) for node in range(40)] == [kept.hearers(node) for node in range(40)]
-        assert len(scarce._luck) == 2
+        assert len(scarce._uniform) == 2
 
 
 @pytest.mark.parametrize(

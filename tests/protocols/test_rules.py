@@ -27,8 +27,8 @@ from protocols.best_response import BestResponse, BetterReply
 from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.fictitious_play import FictitiousPlay, JointStrategyFictitiousPlay
 from protocols.regret_matching import GeneralisedRegretMatching, RegretMatching
-from protocols.rule import LearningRule, Rule, best, present
-from protocols.sap import SpatialAdaptivePlay, drawn
+from protocols.rule import LearningRule, Rule, argmax, current_action
+from protocols.sap import SpatialAdaptivePlay, categorical
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau
 from tests.protocols.test_local_min import changes_of
@@ -144,10 +144,10 @@ def test_an_action_is_drawn_with_its_probability_by_one_number(weights):
     """The share of 2000 equidistant numbers that each action takes is its chance to 1/2000; without one it has none."""
     chances = [w / sum(weights) for w in weights]
     luck = ((np.arange(2000) + 0.5) / 2000).tolist()
-    counts = Counter(drawn(chances, Luck([u])) for u in luck)
+    counts = Counter(categorical(chances, Luck([u])) for u in luck)
     assert [counts[a] / 2000 for a in range(len(chances))] == pytest.approx(chances, abs=1.001 / 2000)
     for certain in (0, 1):
-        assert {drawn([1.0 - certain, float(certain)], Luck([u])) for u in (0.0, 1 - 2**-53)} == {certain}
+        assert {categorical([1.0 - certain, float(certain)], Luck([u])) for u in (0.0, 1 - 2**-53)} == {certain}
 
 
 def test_the_log_linear_rules_count_slots_of_the_whole_team():
@@ -164,8 +164,8 @@ def test_the_log_linear_rules_count_slots_of_the_whole_team():
 
 def test_of_actions_that_are_worth_the_same_the_first_is_best():
     worths = [0.0, 0.0], [0.0, 1e-300], [0.0, -1.0], [1.0, 3.0, 3.0]
-    assert [best(dict(enumerate(each))) for each in worths] == [0, 1, 0, 1]
-    assert best({0: -1.0, 2: 5.0, 7: 5.0}) == 2
+    assert [argmax(dict(enumerate(each))) for each in worths] == [0, 1, 0, 1]
+    assert argmax({0: -1.0, 2: 5.0, 7: 5.0}) == 2
 
 
 def test_best_response_chases_if_it_gains_and_stays_if_it_ties():
@@ -245,8 +245,8 @@ def test_who_may_not_go_on_chasing_what_it_chases_begins_from_staying():
         me = Puppet([luck], action=2, evaders=3, gain={1: -1.0, 2: 9.0, 3: -1.0})
         me.free = [1, 3]
         assert next(rule().actions(me)) == 0
-    assert present(Puppet(action=2, evaders=3), [0, 1, 3]) == 0
-    assert present(Puppet(action=3, evaders=3), [0, 1, 3]) == 3
+    assert current_action(Puppet(action=2, evaders=3), [0, 1, 3]) == 0
+    assert current_action(Puppet(action=3, evaders=3), [0, 1, 3]) == 3
 
 
 @pytest.mark.parametrize("name", [name for name in PROTOCOLS.choices() if name in LEARNING_KINDS])

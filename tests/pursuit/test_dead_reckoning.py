@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MAX_RETRACINGS, Path, TrackSegment, nearer
+from desim.pursuit.dead_reckoning import MAX_RETRACINGS, TrackSegment, nearer
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import toward
 
@@ -18,7 +18,7 @@ plane = st.builds(complex, numbers, numbers)
 
 def straight_run(law, evader, flight, until, *, ahead=True):
     """Return what is seen in steps of 0.25 s of an evader that keeps its velocity; aimed at is where a step ends."""
-    path = Path(law)
+    path = EvaderTrack(law)
     for t in range(0, until + 1, STEP):
         at = evader + flight * seconds(t)
         path.see(t, at, at + (flight * seconds(STEP) if ahead else 0.0), flight)
@@ -37,7 +37,7 @@ def turning(seed, until):
 
 def fresh(law, seed, question, now):
     """Return the answer of one who has never been asked before."""
-    path = Path(law)
+    path = EvaderTrack(law)
     for leg in turning(seed, now):
         path.see(*leg)
     return path.place(*question, now)
@@ -52,7 +52,7 @@ def test_a_leg_goes_on_straight():
 
 @pytest.mark.parametrize("remembers", [True, False])
 def test_the_present_step_is_what_was_seen_last(remembers):
-    path = Path(PurePursuit(), remembers=remembers)
+    path = EvaderTrack(PurePursuit(), remembers=remembers)
     path.see(0, 1j, 2j, 1.0)
     assert path.last == (0, 1j, 2j, 1.0)
     path.see(STEP, 3j, 4j, 5.0)
@@ -60,7 +60,7 @@ def test_the_present_step_is_what_was_seen_last(remembers):
 
 
 def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
-    path = Path(PurePursuit(), remembers=False)
+    path = EvaderTrack(PurePursuit(), remembers=False)
     for k in range(100):
         path.see(k, 0j, 0j, 0j)
     assert not path._legs
@@ -121,7 +121,7 @@ def test_pure_pursuit_aims_anew_at_every_step():
 def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
     """It stands still at (4, 0) for a step and then, as if it had jumped, at (1, 3): 1 m east, then 1 m north."""
     for position, since in [(0j, 0), (0.5 + 0j, STEP // 2), (1.0 + 0j, STEP)]:
-        path = Path(law)
+        path = EvaderTrack(law)
         path.see(0, 4.0 + 0j, 4.0 + 0j, 0j)
         path.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j)
         assert path.place(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
@@ -144,7 +144,7 @@ def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece(
 @pytest.mark.parametrize("law", LAWS)
 def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
     """A clock that is ahead lets word seem older than the pursuit: 1 s of chase, not 3."""
-    assert Path(law).place(3j, 1.0, -SECOND, 0) == 3j
+    assert EvaderTrack(law).place(3j, 1.0, -SECOND, 0) == 3j
     path = straight_run(law, 9.0 + 0j, 0j, SECOND)
     assert path.place(3j, 1.0, SECOND, SECOND) == 3j
     assert path.place(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
@@ -158,7 +158,7 @@ def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
 def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed, since, later):
     """Bit by bit: it goes on from the beginning of a step, so that no piece of a path is ever cut in two."""
-    path, legs, question = Path(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
+    path, legs, question = EvaderTrack(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
     for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
         while legs and legs[0][0] <= now:
             path.see(*legs.pop(0))
@@ -173,7 +173,7 @@ def test_going_on_looks_at_no_step_that_is_over():
         asked.append(1)
         return toward(aims, speeds)
 
-    path, (*legs, newest) = Path(law), turning(0, 12 * STEP)
+    path, (*legs, newest) = EvaderTrack(law), turning(0, 12 * STEP)
     for leg in legs:
         path.see(*leg)
     pieces = []
@@ -188,7 +188,7 @@ def test_going_on_looks_at_no_step_that_is_over():
 
 def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
     for question in [(1j, 1.0, 0), (2j, 1.0, 0), (1j, 2.0, 0), (1j, 1.0, STEP + 7)]:
-        path = Path(PurePursuit())
+        path = EvaderTrack(PurePursuit())
         for leg in turning(3, 5 * STEP):
             path.see(*leg)
         path.place(1j, 1.0, 0, 5 * STEP)
@@ -197,7 +197,7 @@ def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
 
 def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longest_ago_goes():
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
-    path, (now, *later) = Path(PurePursuit()), turning(4, 5 * STEP)
+    path, (now, *later) = EvaderTrack(PurePursuit()), turning(4, 5 * STEP)
     path.see(*now)
     questions = [(complex(k), 1.0, 0) for k in range(MAX_RETRACINGS + 1)]
     for question in [*questions[:-1], questions[0], questions[-1]]:

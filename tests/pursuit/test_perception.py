@@ -15,7 +15,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.evader import Memory
+from desim.pursuit.evader import DelayedState
 from desim.pursuit.evasion import (
     ConstantHeading,
     Diffusion,
@@ -137,7 +137,7 @@ def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k)
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=30), st.integers(1, 10**9))
 def test_pursuers_that_go_straight_are_seen_where_they_were_however_often_it_is_asked(steps, delay):
-    memory = Memory(delay)
+    memory = DelayedState(delay)
     for t in np.cumsum([0, *steps]) * MS:
         seen = memory(state(int(t))).pursuers
         assert seen == pytest.approx(TEAM + DRIFT * max(int(t) - delay, 0) / 1e9, abs=1e-12)
@@ -145,7 +145,7 @@ def test_pursuers_that_go_straight_are_seen_where_they_were_however_often_it_is_
 
 def test_between_two_steps_who_chased_is_as_at_the_first():
     """Orders at 10 ms; what was 1 ms before that is seen 14 ms later, what was at 10 ms 1 ms after that."""
-    memory = Memory(14 * MS)
+    memory = DelayedState(14 * MS)
     profiles = [(True, True, True), (False, True, True)]
     memory(state(0, active=profiles[0])), memory(state(10 * MS, active=profiles[1]))
     assert memory(state(23 * MS)).active.tolist() == list(profiles[0])
@@ -160,7 +160,7 @@ def test_to_be_asked_twice_at_one_instant_changes_nothing():
 
 
 def test_what_was_long_ago_is_forgotten():
-    memory, living = Memory(30 * MS), weakref.WeakSet()
+    memory, living = DelayedState(30 * MS), weakref.WeakSet()
     for k in range(200):
         memory(now := state(10 * k * MS))
         living.add(now)

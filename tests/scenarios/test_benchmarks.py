@@ -217,9 +217,9 @@ def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
 def test_what_costs_too_much_is_marked():
     found = {
         "part": [
-            measuring.Cost("much", 2.5, "s", 2.0),
-            measuring.Cost("little", 1.5, "s", 2.0),
-            measuring.Cost("any", 9, ""),
+            measuring.MessageCost("much", 2.5, "s", 2.0),
+            measuring.MessageCost("little", 1.5, "s", 2.0),
+            measuring.MessageCost("any", 9, ""),
         ]
     }
     much, little, anything = measuring.table(found).splitlines()[2:]

@@ -11,7 +11,7 @@ from matplotlib.transforms import Bbox
 from desim import run, summary
 from desim.analysis.activity import active_time, relays
 from desim.analysis.plots import COLUMN
-from desim.analysis.timeline import course
+from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import started, trace_index
 from desim.kernel.clock import SECOND
 from desim.pursuit.game import wonderful_life_utility
@@ -47,7 +47,7 @@ def test_the_panels_are_the_runs_of_table_1(results):
 @pytest.mark.parametrize("name", ["delta = 0.1 s", "delta = 0.01 s"])
 def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(results, name):
     times, active, found = figures.individual_utilities(results[name])
-    parts = list(course(results[name]))
+    parts = list(timeline(results[name]))
     phi, left = np.concatenate([part.phi for part in parts]), np.concatenate([part.left for part in parts])
     assert len(times) == len(found) + 1
     rows = range(0, len(found), 7)

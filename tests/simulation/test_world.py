@@ -279,7 +279,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
             yield me.at(t)
             if me.id == 0:
                 me.assign(True)
-                me.tell()
+                me.broadcast()
             else:
                 known = me.team_estimate()
                 errors.append(abs(known.places[known.ids.index(0)] - me._world.place(0)))

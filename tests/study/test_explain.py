@@ -199,8 +199,8 @@ def told_of(**times):
     variants = Variants.of(TWO, len(times["ideal"]))
     with Store() as store, workers_for(1) as workers:
         variants.plan.enter(store)
-        for name, cell in variants.cells.items():
-            if cell.key == variants.cells[AS_IT_IS].key and name != AS_IT_IS:
+        for name, cell in variants.configurations.items():
+            if cell.key == variants.configurations[AS_IT_IS].key and name != AS_IT_IS:
                 continue
             for k, time in enumerate(times[named.get(name, name)]):
                 store.add(cell.key, variants.plan.root, Row(k, k, "ok", replace(RUN, active_time=time)))

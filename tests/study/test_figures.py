@@ -238,8 +238,8 @@ def test_a_phase_diagram_has_a_panel_for_each_combination_of_the_other_keys_in_t
     one, other = figure.axes
     assert [one.get_title(), other.get_title()] == ["prune = inf", "prune = none"]
     assert written(other)[0, 0] == "5"
-    cells = [each for axes in figure.axes for each in zip(axes.texts, axes.patches, strict=True)]
-    faces = [patch.get_facecolor() for _, patch in sorted(cells, key=lambda each: float(each[0].get_text()))]
+    configurations = [each for axes in figure.axes for each in zip(axes.texts, axes.patches, strict=True)]
+    faces = [patch.get_facecolor() for _, patch in sorted(configurations, key=lambda each: float(each[0].get_text()))]
     light = [0.299 * red + 0.587 * green + 0.114 * blue for red, green, blue, _ in faces]
     assert len(set(light)) == 8
     assert light == sorted(light)

@@ -197,9 +197,9 @@ class Reader(HTMLParser):
 @every
 def test_a_notebook_shows_the_cells_of_the_table_and_nothing_in_them_is_markup(result):
     read = Reader(result._repr_html_())
-    cells = [cell.replace("±", "+-") for table in read.tables for row in table for cell in row]
+    configurations = [cell.replace("±", "+-") for table in read.tables for row in table for cell in row]
     text = " ".join(result.table().split())
-    assert " ".join(" ".join(cells).split()) in re.sub(r" difference .*? same seed ", " ", text)
+    assert " ".join(" ".join(configurations).split()) in re.sub(r" difference .*? same seed ", " ", text)
     assert {len(row) for row in read.tables[0]} == {len(read.tables[0][0])}
     assert len(read.tables) == (1 if result is ONE_RUN else 2)
 

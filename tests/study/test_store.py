@@ -160,16 +160,16 @@ def run_of(number, status="ok", text=""):
 
 
 def statuses(store, plan):
-    return {(row.replication, row.status, row.traceback) for row in store.runs(plan.cells[0].key, 0)}
+    return {(row.replication, row.status, row.traceback) for row in store.runs(plan.configurations[0].key, 0)}
 
 
 def test_configurations_stand_before_those_that_were_there(file):
     plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
-        for cell in reversed(plan.cells):
+        for cell in reversed(plan.configurations):
             store.enter([cell])
-        assert [key for key, _ in store.configurations()] == [cell.key for cell in plan.cells]
-        assert len(plan.cells) > 1
+        assert [key for key, _ in store.configurations()] == [cell.key for cell in plan.configurations]
+        assert len(plan.configurations) > 1
 
 
 def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
@@ -178,7 +178,7 @@ def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
     with Store() as store:
         plan.enter(store)
         for status, text in (("error", "one"), ("crashed", "two"), ("ok", "three"), ("error", "four")):
-            store.add(plan.cells[0].key, 0, run_of(0, status, text))
+            store.add(plan.configurations[0].key, 0, run_of(0, status, text))
             expected = "three" if text == "four" else text
             assert {each[2] for each in statuses(store, plan)} == {expected}
 
@@ -216,7 +216,7 @@ def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path
         with Store(path) as store:
             plan.enter(store)
             for number, each in enumerate(status):
-                store.add(plan.cells[0].key, 0, run_of(number, each, path.name))
+                store.add(plan.configurations[0].key, 0, run_of(number, each, path.name))
     for name, order in {"a": stores, "b": stores[::-1]}.items():
         assert command("merge", *order, "-o", tmp_path / name).exit_code == 0
         with Store(tmp_path / name / "sweep.sqlite") as store:
@@ -229,7 +229,7 @@ def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, 
     stores = [Store(tmp_path / f"{text}.sqlite") for _, text in failures]
     for store, failure in zip(stores, failures, strict=True):
         plan.enter(store)
-        store.add(plan.cells[0].key, 0, run_of(0, *failure))
+        store.add(plan.configurations[0].key, 0, run_of(0, *failure))
     for order in (1, -1):
         with Store() as merged:
             for store in stores[::order]:

@@ -21,7 +21,7 @@ import desim
 from desim.cli import main
 from desim.scenario.toml import load
 from desim.study import workers as places
-from desim.study.fingerprint import strangers
+from desim.study.fingerprint import user_code
 from desim.study.serialization import called, packed
 from desim.study.workers import InProcess, Processes, workers_for
 from tests.digests import LONG
@@ -158,9 +158,9 @@ def test_strangers_are_found_in_models_lists_and_partial_calls(tmp_path):
     def measure(_):
         return None
 
-    assert set(strangers([(scenario, 3)])) == {coin}
-    assert set(strangers(partial(print, [scenario], end=measure))) == {coin, measure}
-    assert not set(strangers(scenario.model_copy(update={"protocol": len})))
+    assert set(user_code([(scenario, 3)])) == {coin}
+    assert set(user_code(partial(print, [scenario], end=measure))) == {coin, measure}
+    assert not set(user_code(scenario.model_copy(update={"protocol": len})))
 
 
 @pytest.mark.parametrize(("given", "kind", "count"), [(1, InProcess, 1), (3, Processes, 3), (0, Processes, 5)])

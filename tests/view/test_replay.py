@@ -36,7 +36,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Motion, Recording, Team
-from desim.view.replay import LATEST, _column, _document, _Ticks, missing_recordings, replay
+from desim.view.replay import MAX_REPLAY_TIME, _column, _document, _Ticks, missing_recordings, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
@@ -234,7 +234,11 @@ def test_pages_of_runs_by_hand_are_golden():
 def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick():
     """At ticks of 10 ns, 4,000,000,004 ns is the last tick, as is the end."""
     ticks = _Ticks.fit(4 * SECOND)
-    assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [4 * 10**8, 4 * 10**8 + 1, LATEST]
+    assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [
+        4 * 10**8,
+        4 * 10**8 + 1,
+        MAX_REPLAY_TIME,
+    ]
 
 
 @pytest.mark.slow_but_one

@@ -53,7 +53,7 @@ def swept(folder, grid=ONE, reps=1, failing=(), made=MADE):
     plan = SweepPlan.of(BASE, grid, reps, 7)
     with Store(folder / "sweep.sqlite") as store:
         plan.enter(store)
-        for (k, cell), r in product(enumerate(plan.cells), range(reps)):
+        for (k, cell), r in product(enumerate(plan.configurations), range(reps)):
             row = Row(r, 7 + r, "ok", replace(RUN, active_time=float(k + r), capture_time=None))
             if k == 0 and r < len(failing):
                 row = Row(r, 7 + r, "error", None, failing[r])
