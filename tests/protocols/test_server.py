@@ -95,10 +95,9 @@ def test_it_is_an_omniscient_centre_whose_orders_are_one_latency_late(world, lat
     """
     centre = RoundTrip(host=7, up=latency, down=latency)
     case = stress(Server(host=7), latency, **world)
-    for seed in (0, 1):
-        results = (run(case.model_copy(update={"protocol": each}), seed, late) for each in (case.protocol, centre))
-        server, ideal = ([change for change in changes(each) if change[0] < 6 * SECOND] for each in results)
-        assert server == ideal != []
+    results = (run(case.model_copy(update={"protocol": each}), 0, late) for each in (case.protocol, centre))
+    server, ideal = ([change for change in changes(each) if change[0] < 6 * SECOND] for each in results)
+    assert server == ideal != []
 
 
 @pytest.mark.slow

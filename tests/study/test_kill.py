@@ -159,6 +159,8 @@ def test_a_sweep_on_a_cluster_is_interrupted_in_the_same_way(tmp_path, cluster):
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "--cluster", cluster, mark=mark)
     wait_for(lambda: sweeps.count(out / "sweep.sqlite") >= 5)
-    (line,) = interrupted(driver, mark).splitlines()
+    told = interrupted(driver, mark)
+    assert "Traceback" not in told
+    *_, line = told.splitlines()  # Dask may have complained of a busy machine before
     assert line.startswith("interrupted: ")
     assert finish(file, out, "--cluster", cluster) == finish(file, tmp_path / "whole", "-j", 2)
