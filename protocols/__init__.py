@@ -1,1 +1,4 @@
-"""How pursuers negotiate: one protocol, rule or schedule a file."""
+"""How pursuers negotiate: one protocol, learning rule, schedule or dissemination for each module.
+
+Nothing here knows of a scenario or a run.
+"""

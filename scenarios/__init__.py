@@ -1,1 +1,4 @@
-"""Experiments: scenario files, and studies that print a table and draw a figure."""
+"""Scenario files, and the studies of the README.
+
+A study is a script over the public API.
+"""

@@ -251,6 +251,8 @@ def resolved(schema: dict, node: dict, value: object) -> dict:
     if "$ref" in node:
         return resolved(schema, schema["$defs"][node["$ref"].removeprefix("#/$defs/")], value)
     if "discriminator" in node:
+        if not isinstance(value, dict):
+            return node
         return resolved(schema, {"$ref": node["discriminator"]["mapping"][value["kind"]]}, value)
     for choice in node.get("anyOf", node.get("oneOf", [])):
         if "properties" in (found := resolved(schema, choice, value)):
@@ -290,7 +292,7 @@ def test_the_schema_knows_every_key_of_the_scenarios(schema, path):
 
 def test_the_schema_lists_the_protocols_and_describes_every_key(schema):
     protocol = schema["properties"]["protocol"]
-    kinds = {resolved(schema, each, {})["properties"]["kind"]["const"] for each in protocol["oneOf"]}
+    kinds = {resolved(schema, each, {})["properties"]["kind"]["const"] for each in protocol["anyOf"][0]["oneOf"]}
     assert kinds == set(PROTOCOLS.choices())
     for model in [schema, *schema["$defs"].values()]:
         assert model["description"]
@@ -652,7 +654,7 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
         "network.reception": (f"{path}:19", "it has no effect while the range is inf"),
         "announce.dissemination": (f"{path}:14", "it has no effect, for nothing is ever announced"),
         "fault.1.start": (f"{path}:29", "it would begin after the horizon"),
-        "protocol": (f"{path}:8", "sap assumes word_gets_through, but nothing is ever announced"),
+        "protocol": (f"{path}:8", "sap assumes messages_get_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (
             f"{path}:10",
             "a strictly periodic timer of 4 motion steps, an even number, keeps step with the evader's chatter between"

@@ -165,10 +165,10 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
 @pytest.mark.parametrize(
     ("crash", "times", "heard"),
     [
-        ({"until": 1.2, "memory": True}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
-        ({"until": 1.2, "memory": False}, [0.75, 1.95, 2.7], [[0, 2], [], []]),
-        ({"until": 2.0, "memory": True, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
-        ({"until": 2.0, "memory": False, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2], [0, 2], []]),
+        ({"end": 1.2, "memory": True}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
+        ({"end": 1.2, "memory": False}, [0.75, 1.95, 2.7], [[0, 2], [], []]),
+        ({"end": 2.0, "memory": True, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2]] * 3),
+        ({"end": 2.0, "memory": False, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2], [0, 2], []]),
     ],
 )
 def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_one_of_the_radio(crash, times, heard):

@@ -58,17 +58,16 @@ def test_the_grid_of_the_readme_is_one_of_its_example():
     assert len(configurations(base, grid)) == 4 * 3 * 2
 
 
-def test_the_table_of_modules_has_each_of_them_once():
-    """A cell that ends in a slash names the package that those below it are of."""
-    table = README.split("## How it works")[1].split("\n\n")[1]
-    package, named = "", []
-    for cell in (line.split("|")[1] for line in table.splitlines()[2:]):
-        for name in re.findall(r"`([\w/]+)`", cell):
-            package = name if name.endswith("/") else package
-            named += [] if name.endswith("/") else [f"{package}{name}.py"]
-    files = (each for package in ("desim", "protocols") for each in (ROOT / package).rglob("*.py"))
-    there = (str(each.relative_to(ROOT)) for each in files if not each.name.startswith("__"))
-    assert sorted(named) == sorted(there)
+def test_the_table_of_packages_says_what_their_docstrings_say():
+    rows = re.findall(r"^\| `((?:desim|protocols|scenarios)/\w*/?)` \| (.+) \|$", README, re.MULTILINE)
+    packages = [path.parent.relative_to(ROOT) for top in ("desim", "protocols", "scenarios") for path in _inits(top)]
+    assert sorted(name for name, _ in rows) == sorted(f"{each}/" for each in packages)
+    for name, said in rows:
+        assert said == " ".join(import_module(name.strip("/").replace("/", ".")).__doc__.split())
+
+
+def _inits(top):
+    return (ROOT / "desim").glob("*/__init__.py") if top == "desim" else [ROOT / top / "__init__.py"]
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", README))))

@@ -86,7 +86,7 @@ def wrong_of(field: FieldInfo) -> list[Wrong]:
     wrong = list(wrong_values(field.annotation, tuple(field.metadata)))
     if kinds := [kind for choices in choices_of(field) for kind in choices.choices()]:
         words = f'a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
-        wrong.append(Wrong("[3]", words, (0,)) if wrong else Wrong("3", words))
+        wrong.append(Wrong("[true]", words, (0,)) if wrong else Wrong("true", words))
     elif not wrong and any(models_in(field.annotation)):
         wrong.append(Wrong("3", "a table"))
     return wrong
@@ -282,11 +282,11 @@ GRIDS = [
     '"team.count" = [0]',
     "team.count = [1, 0]",
     'protocol.kind = ["sapp"]',
-    'protocol = ["sap"]',
+    'protocol = ["sapp"]',
     'protocol = [{ kind = "sap", tua = 1 }]',
     'network.preset = ["wify"]',
     "team.positions = [[[0.0, 1.0]]]",
-    "fault.0.at = [1.0]",
+    "fault.0.start = [1.0]",
     "horizon.x = [1.0]",
     "horizon = 1.0",
     'prune = "inf"',

@@ -1,4 +1,7 @@
-"""The command line. Whatever takes time to import is imported by the command that needs it."""
+"""The command line: one module for each group of commands.
+
+What takes time to import is imported by the command that needs it.
+"""
 
 import io
 import sys

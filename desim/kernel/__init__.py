@@ -1,1 +1,4 @@
-"""Message passing in simulated time; knows nothing of pursuit and can be used without it."""
+"""Message passing in simulated time: clock, graphs, link models, faults, `publish` and `send`.
+
+Usable alone: nothing here knows of pursuit.
+"""

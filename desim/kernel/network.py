@@ -227,7 +227,7 @@ class Network:
     def fault_state(self) -> FaultState:
         """What is broken."""
         if self._fault_state is None:
-            raise ValueError("a network whose nodes break down or are cut off should be made with conditions")
+            raise ValueError("a network whose nodes break down or are cut off should be made with a fault_state")
         return self._fault_state
 
     def message_counts(self) -> MessageCounts:

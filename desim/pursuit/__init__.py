@@ -1,1 +1,4 @@
-"""The game, its players, and what each of them may know; nothing of runs."""
+"""The game and its players: capture times, utilities, evaders, sensing, motion, and what each agent may know.
+
+Nothing here starts a run or reads a file.
+"""

@@ -87,7 +87,7 @@ def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
     return (Record(event.src, event.seq, event.created, event.body),) if isinstance(event, Broadcast) else ()
 
 
-DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("tell",))
+DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",))
 """The ways to spread word that are installed."""
 
 

@@ -1,4 +1,4 @@
-"""The folder of a run on disk: what it holds, where it comes from, and how it is read again.
+"""The folder of a run on disk: its files, its provenance, and how they are read again.
 
-Nothing here computes a result.
+Nothing here computes a metric.
 """

@@ -1,4 +1,4 @@
-"""An experiment as one frozen value: from TOML and overrides to a validated scenario, its checks and assumptions.
+"""An experiment as one frozen value: TOML and overrides in, a validated scenario with checks and assumptions out.
 
-Nothing here runs anything.
+Nothing here runs a simulation.
 """

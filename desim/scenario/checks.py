@@ -107,8 +107,8 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if announce.trigger == "never" and getattr(announce.dissemination, "kind", "one_hop") != "one_hop":
         yield "announce.dissemination", "it has no effect, for nothing is ever announced"
     for k, fault in enumerate(scenario.fault):
-        if getattr(fault, "at", 0.0) >= scenario.horizon:
-            yield f"fault.{k}.at", "it would begin after the horizon"
+        if getattr(fault, "start", 0.0) >= scenario.horizon:
+            yield f"fault.{k}.start", "it would begin after the horizon"
     claim_size = getattr(scenario.protocol, "claim_size", None)
     size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
     airtime = network.medium(size)

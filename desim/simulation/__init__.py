@@ -1,4 +1,4 @@
-"""One run: the world that moves, the wiring of pursuers to the network, restartable processes, and the watchdog.
+"""One run: the moving world, the wiring of pursuers to the network, restartable processes, the watchdog.
 
-Metrics and pictures are made of its trace elsewhere.
+Metrics and pictures are functions of the trace and live elsewhere.
 """

@@ -1,1 +1,4 @@
-"""Many runs: over grids and seeds, on one core or a cluster, kept in a store; and what they tell together."""
+"""Many runs: sweeps over a grid, stores, workers and clusters, paired comparisons, explanations.
+
+A single run lives in `desim.simulation`.
+"""

@@ -48,7 +48,7 @@ def without_loss(scenario: Scenario) -> Scenario:
 
 def without_range(scenario: Scenario) -> Scenario:
     """Return a scenario in which whoever is linked hears each other at any distance."""
-    return _on(scenario, range=inf, reach=Disk())
+    return _on(scenario, range=inf, reception=Disk())
 
 
 def without_faults(scenario: Scenario) -> Scenario:

@@ -1,1 +1,4 @@
-"""Looking at results: at a finished run, or at a sweep."""
+"""Pictures and pages of results: replay, film, space-time diagram, Perfetto trace, report.
+
+Nothing here computes a metric.
+"""

@@ -103,7 +103,7 @@ def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
     [
         ("desim.analysis.invariants.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
         ("desim.analysis.invariants.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
-        ("desim.kernel.network.Network.tally", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
+        ("desim.kernel.network.Network.message_counts", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
         ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "nobody is faster"),
     ],
 )

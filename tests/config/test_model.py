@@ -170,7 +170,16 @@ def test_a_table_is_told_by_its_kind(given, expected):
     assert Drawing(shape=given).shape == expected
 
 
-@pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "square", 3, None])
+def test_a_bare_string_is_a_kind_and_a_bare_number_that_of_which_it_is_the_one_key():
+    adapter = TypeAdapter(Annotated[Any, OneOf(Circle, Square, number=("square", "side"))])
+    assert adapter.validate_python("circle") == Circle()
+    assert adapter.validate_python(3) == adapter.validate_python(3.0) == Square(side=3.0)
+    for wrong in (True, -3.0, "triangle"):
+        with pytest.raises(ValidationError):
+            adapter.validate_python(wrong)
+
+
+@pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "triangle", 3, None])
 def test_what_is_neither_a_table_of_a_kind_nor_callable_is_refused(given):
     with pytest.raises(ValidationError):
         Drawing(shape=given)
@@ -246,8 +255,10 @@ def test_a_model_is_not_built_before_it_is_used():
 
 
 def test_the_kinds_of_one_of_several_are_told_by_the_schema():
-    found = TypeAdapter(Annotated[Any, OneOf(Circle, Square)]).json_schema()
-    assert found["discriminator"]["mapping"] == {"circle": "#/$defs/Circle", "square": "#/$defs/Square"}
+    found = TypeAdapter(Annotated[Any, OneOf(Circle, Square, number=("square", "side"))]).json_schema()
+    tables, *bare = found["anyOf"]
+    assert bare == [{"type": "string", "enum": ["circle", "square"]}, {"type": "number"}]
+    assert tables["discriminator"]["mapping"] == {"circle": "#/$defs/Circle", "square": "#/$defs/Square"}
     assert found["$defs"]["Square"]["properties"]["side"]["description"] == "Length of a side, m."
     assert "description" not in found["$defs"]["Square"]["properties"]["kind"]
 

@@ -265,7 +265,7 @@ def test_what_becomes_of_a_message(cases, way):
     for expected, faults, story in cases:
         outcome = tell(way, *faults, **story)
         wanted = expected[way] if isinstance(expected, dict) else expected
-        found = outcome.fate if isinstance(wanted, str) else outcome.message_counts if len(wanted) == 5 else outcome
+        found = outcome.fate if isinstance(wanted, str) else outcome.tally if len(wanted) == 5 else outcome
         assert found == wanted, (faults, story)
 
 

@@ -68,10 +68,10 @@ def errors(draws, mean, variance):
     The mean of n draws has standard error sqrt(var / n), their variance sqrt((m4 - var^2) / n).
     """
     about = draws - draws.mean()
-    dissemination = (about**2).mean()
+    spread = (about**2).mean()
     return (
-        (draws.mean() - mean) / sqrt(dissemination / draws.size),
-        (dissemination - variance) / sqrt(((about**4).mean() - dissemination**2) / draws.size),
+        (draws.mean() - mean) / sqrt(spread / draws.size),
+        (spread - variance) / sqrt(((about**4).mean() - spread**2) / draws.size),
     )
 
 

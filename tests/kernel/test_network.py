@@ -115,7 +115,7 @@ class Marked(Network):
     """A network that marks even numbers, and whose nodes look for these at every read."""
 
     def __init__(self, *args, **kwargs):
-        super().__init__(*args, mark=is_even, **kwargs)
+        super().__init__(*args, predicate=is_even, **kwargs)
 
     def latest_records(self, node):
         marked, table = self.matching(node), super().latest_records(node)
@@ -194,7 +194,7 @@ def test_a_presumed_record_gives_way_to_the_first_that_arrives():
 
 @pytest.mark.parametrize("latency", [Constant(), Uniform(0.0)], ids=["alike", "per receiver"])
 def test_reading_does_not_lend_out_the_networks_own_table(latency):
-    network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), mark="a".__eq__)
+    network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), predicate="a".__eq__)
     network.set_initial_belief(2, "presumed")
     network.publish(0, "a")
     network.latest_records(1).clear()
@@ -204,7 +204,7 @@ def test_reading_does_not_lend_out_the_networks_own_table(latency):
 
 
 def test_a_node_without_memory_has_forgotten_what_was_marked_and_presumed_and_may_hear_of_it_again():
-    network = Network(Clock(), nx.complete_graph(3), fault_state=FaultState(), mark=bool)
+    network = Network(Clock(), nx.complete_graph(3), fault_state=FaultState(), predicate=bool)
     network.set_initial_belief(0, "presumed")
     network.insert(1, network.next_record(0, "told"))
     network.insert(1, network.next_record(2, "more"))
@@ -221,7 +221,7 @@ def test_a_node_without_memory_has_forgotten_what_was_marked_and_presumed_and_ma
 def test_a_record_arrives_when_it_first_does():
     """Whispered to one while it is on its way to all, and to both once more when it has arrived."""
     clock = Clock()
-    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), mark=bool)
+    network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)), predicate=bool)
     network.publish(0, "x")
     record = Record(0, 1, 0, "x")
     network.insert(1, record)
@@ -489,14 +489,14 @@ def test_a_broadcast_to_nobody_is_recorded_as_such():
     assert trace.of(Broadcast) == [Broadcast(0, 0, 0, 1, (), (), 0, 17, "x")]
 
 
-@pytest.mark.parametrize("conditions", [None, FaultState()], ids=["noted at sending", "settled on arrival"])
+@pytest.mark.parametrize("fault_state", [None, FaultState()], ids=["noted at sending", "settled on arrival"])
 @pytest.mark.parametrize("count", [1, 2, 4])
 @pytest.mark.parametrize("speak", [lambda net: net.publish(0, "x"), lambda net: net.send(0, None, "x")])
-def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, conditions):
+def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, fault_state):
     """A transmission to 3 whose model answers for 1, 2 or 4 is refused as it leaves; nothing of it arrives."""
     clock = Clock()
     links = Links(latency=lambda context, rng: [0.5] * count)
-    network = Network(clock, nx.complete_graph(4), links, fault_state=conditions)
+    network = Network(clock, nx.complete_graph(4), links, fault_state=fault_state)
     with pytest.raises(ValueError, match=f"each of 3 hops, got {count}"):
         speak(network)
     clock.run(until=SECOND)

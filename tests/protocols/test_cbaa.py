@@ -221,7 +221,7 @@ def test_on_a_static_ideal_network_a_claim_is_told_as_it_changes_and_never_again
 
 def quiet(auction):
     """Return what keeps an auction from expecting the same word again."""
-    return {"patience": inf} if auction is CBBA else {}
+    return {"winner_timeout": inf} if auction is CBBA else {}
 
 
 # Several evaders.
@@ -339,7 +339,7 @@ def test_of_two_evaders_that_one_pursuer_is_said_to_win_the_better_bid_counts():
 def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
     """Pursuer 1 says that 2, which 0 does not hear, wins the first evader with -5 s and the second with -1 s."""
     heard, claims, phi = {1: Record(1, 0, 0, Claim(0, (2, 2), (-5.0, -1.0)))}, [], {1: 6.0, 2: 7.0}
-    me = puppet(evaders=2, team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=False)
+    me = puppet(evaders=2, team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left = phi.get, lambda: 9.0
     assert next(CBAA().actions(me)) == 1
     assert claims == [Claim(1, (0, 2), (-6.0, -1.0))]
@@ -578,7 +578,7 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
         decided, said = [], []
         for payload in ("action", *UNSENSED):
             result = frozen(
-                auction(schedule=SCHEDULES[schedule], **({"patience": 0.5} if auction is CBBA else {})),
+                auction(schedule=SCHEDULES[schedule], **({"winner_timeout": 0.5} if auction is CBBA else {})),
                 team=team,
                 fault=crash,
                 announce=Announcements(payload=payload),
@@ -624,7 +624,7 @@ def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_o
 def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_date(auction):
     """Pursuer 0 (phi = 3 s) hears 1 and 2 bid; then, hearing nothing, that it holds falls behind its own, and back."""
     phi, claims, heard = [3.0, 2.0, 2.5], [], {}
-    me = puppet(team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=True)
+    me = puppet(team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=True)
     me.team_estimate = lambda evader: SimpleNamespace(capture_times=np.array(phi))
     me.capture_time, me.time_left = lambda evader: phi[0], lambda: 9.0
     claim = Claim if auction is CBAA else partial(StampedClaim, stamps=(-inf, 0.0, 0.0))
@@ -653,7 +653,7 @@ def test_a_pursuer_bids_if_it_may_chase_and_is_in_time(phi, left, free, bid):
 def test_at_each_turn_the_winner_bids_anew_and_releases_its_claim_if_it_would_be_late(auction):
     """A pursuer that hears of nobody: r = 5 s, and phi is 1 s, then 3 s, 5 s and 2 s."""
     phi, claims = iter([1.0, 3.0, 5.0, 2.0]), []
-    me = puppet(trusted=dict, claim=claims.append, senses_others=False)
+    me = puppet(trusted=dict, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left = lambda evader: next(phi), lambda: 5.0
     turns = auction().actions(me)
     assert [next(turns) for _ in range(4)] == [True, True, False, True]

@@ -125,7 +125,7 @@ def test_of_equal_bids_that_of_the_lower_id_is_higher(i, k, z_i, z_k):
 def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
     """Pursuer 0 (phi = 2 s) hears 1 claim at -1 s; then that 1 holds 0 for the winner: it resets, and bids itself."""
     heard, claims = {}, []
-    me = puppet(team_size=3, trusted=lambda: heard, claim=claims.append, senses_others=False)
+    me = puppet(team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left, me.now = lambda evader: 2.0, lambda: 5.0, 9.0
     turns = CBBA().actions(me)
     heard[1] = Record(1, 0, 4_000_000_000, StampedClaim(True, 1, -1.0, (2.0, 3.0, 7.0)))

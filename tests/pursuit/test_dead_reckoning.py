@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MAX_RETRACINGS, TrackSegment, nearer
+from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, TrackSegment, nearer
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import toward
 

@@ -57,7 +57,7 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
 
 def test_frozen_players_stay_and_places_are_not_to_be_written_to():
     env, places = Clock(), np.array([1j, 2j])
-    players = Kinematics(env, places, frozen=True)
+    players = Kinematics(env, places, static=True)
     players.go(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=SECOND)
     assert players.places().tolist() == [players.place(0), players.place(1)] == [1j, 2j]

@@ -56,7 +56,7 @@ class Witness:
 
 
 def mind(strategy, *, seed=0, **settings):
-    return Evader(strategy=strategy, **settings).mind(np.random.default_rng(seed), SPEEDS, 0.1)
+    return Evader(strategy=strategy, **settings).controller(np.random.default_rng(seed), SPEEDS, 0.1)
 
 
 def told(states, **settings):
@@ -95,7 +95,7 @@ def test_an_outlook_is_the_state_and_what_the_evader_knows_of_itself():
 @pytest.mark.parametrize("sight", [inf, 2.5])
 def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sight):
     witness = Witness(1j, 0j, 0.5 + 0j)
-    whole = mind(witness, sight=sight)
+    whole = mind(witness, sensing_range=sight)
     chosen = [whole.heading(state(t * MS), handover=t == 40) for t in (0, 10, 40, 45)]
     assert chosen == [1j, 0j, 0.5 + 0j, 1 + 0j]
     assert [each.heading for each in witness.outlooks] == [0j, 1j, 0j, 0.5 + 0j]
@@ -172,7 +172,7 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
     """It stands at 0; a pursuer passes it from left to right, 2 s after the start. The heading turns 1 s later."""
     passing = [State(k * 100 * MS, np.array([-2 + 0.1 * k, 90j]), 0j, np.ones(2, bool)) for k in range(45)]
     prompt, late = (
-        Evader(reaction_delay=reaction_delay).mind(np.random.default_rng(), np.ones(2), 0.1)
+        Evader(reaction_delay=reaction_delay).controller(np.random.default_rng(), np.ones(2), 0.1)
         for reaction_delay in (0.0, 1.0)
     )
     turns = [next(each.t for each in passing if who.heading(each).real < 0.0) / 1e9 for who in (prompt, late)]
@@ -185,25 +185,26 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
 def test_it_sees_who_is_within_its_sight_in_the_order_of_the_team():
     """At 2, 3 and 7.07 m."""
     for sight, count in ((0.0, 0), (1.99, 0), (2.0, 1), (3.0, 2), (7.0, 2), (7.1, 3), (inf, 3)):
-        (outlook,) = told([state(0)], sight=sight)
+        (outlook,) = told([state(0)], sensing_range=sight)
         assert outlook.pursuers.tolist() == TEAM[:count].tolist()
         assert outlook.speeds.tolist() == SPEEDS[:count].tolist()
         assert outlook.active.tolist() == [True, True, False][:count]
         assert outlook.nearest == (0 if count else -1)
-    (outlook,) = told([state(0, evader=5 + 4j)], sight=5.5)
+    (outlook,) = told([state(0, evader=5 + 4j)], sensing_range=5.5)
     assert (outlook.pursuers.tolist(), outlook.nearest) == (TEAM[1:].tolist(), 1)
 
 
 @pytest.mark.parametrize("flees_from", ["all", "active"])
 def test_nobody_in_sight_is_nobody_to_flee_from(flees_from):
-    whole = mind(PureEvasion(flees_from=flees_from), sight=1.0)
+    whole = mind(PureEvasion(flees_from=flees_from), sensing_range=1.0)
     assert [whole.heading(state(t * MS)) for t in (0, 900, 1000)] == [0j, 0j, 1 + 0j]
 
 
 def test_its_sight_is_of_where_it_perceives_them():
     """The first is at 1 m after 1 s; it sees it there half a second late."""
     counts = [
-        len(each.pursuers) for each in told([state(k * 100 * MS) for k in range(16)], sight=1.0, reaction_delay=0.5)
+        len(each.pursuers)
+        for each in told([state(k * 100 * MS) for k in range(16)], sensing_range=1.0, reaction_delay=0.5)
     ]
     assert counts == [0] * 15 + [1]
 
@@ -212,7 +213,8 @@ def test_its_sight_is_of_where_it_perceives_them():
 
 
 @pytest.mark.parametrize(
-    ("settings", "time"), [({}, 5.8), ({"sight": 2.0}, 4.467), ({"sight": 2.0, "reaction_delay": 0.2}, 4.067)]
+    ("settings", "time"),
+    [({}, 5.8), ({"sensing_range": 2.0}, 4.467), ({"sensing_range": 2.0, "reaction_delay": 0.2}, 4.067)],
 )
 def test_who_sees_less_is_captured_sooner(settings, time):
     """A pursuer of 1.5 m/s at 3 m, radius 0.1 m; the evader flees at 1 m/s: 2.9 / 0.5 s if it sees it from the start.

@@ -299,7 +299,7 @@ MISFITS = {
     "flight": (with_field("Lost", flight=1 << 40), f"is of a message that was not sent: {1 << 40} to "),
     "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
     "start": (twice("Started"), "is a second Started"),
-    "end": (twice("MessageCounts"), "is a second Tally"),
+    "end": (twice("MessageCounts"), "is a second MessageCounts"),
     "broken": (
         with_field("FaultStarted", fault={"kind": "crash", "start": 0.0, "node": 99}),
         "is of a node that is not one of",

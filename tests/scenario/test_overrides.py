@@ -116,8 +116,8 @@ def test_another_preset_replaces_what_the_first_stood_for_and_keeps_what_was_giv
 def test_a_table_of_another_kind_keeps_what_the_kind_has_and_loses_what_it_has_not():
     scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=Poisson(rate=3.0), tau=ConstantTau(value=2.0)))
     assert changed(scenario, protocol__kind="best_response").protocol == BestResponse(schedule=Poisson(rate=3.0))
-    dissemination = Scenario(network=Links(latency=Constant(value=0.3)))
-    assert changed(dissemination, network__latency__kind="lognormal").network.latency == Lognormal()
+    late = Scenario(network=Links(latency=Constant(value=0.3)))
+    assert changed(late, network__latency__kind="lognormal").network.latency == Lognormal()
     crashed = Scenario(fault=(Crash(node=1, start=0.5, end=1.0),))
     (fault,) = changed(crashed, fault__0__kind="random_crashes").fault
     assert fault == RandomCrashes()

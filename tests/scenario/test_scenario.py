@@ -219,9 +219,9 @@ def test_functions_do_what_they_say_in_a_run(own):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"protocol": "sap"},
+        {"protocol": "sop"},
         {"protocol": {"kind": "sop"}},
-        {"network": {"latency": 0.05}},
+        {"network": {"latency": True}},
         {"evader": {"strategy": None}},
     ],
     ids=str,
@@ -247,7 +247,7 @@ class Called:
 @pytest.mark.parametrize(
     ("make", "place", "says"),
     [
-        (lambda: Announcements(dissemination=Called()), "dissemination", "should have tell; <mine> lacks tell"),
+        (lambda: Announcements(dissemination=Called()), "dissemination", "should have broadcast; <mine> lacks broadcast"),
         (lambda: SpatialAdaptivePlay(schedule=Called()), "schedule", "should have mean_slot; <mine> lacks mean_slot"),
         (
             lambda: Links(medium=Called(half_duplex=False, queue_limit=inf)),
@@ -267,7 +267,7 @@ def test_a_model_of_one_s_own_that_lacks_an_attribute_is_refused_at_once_with_it
 
 
 def test_a_model_of_one_s_own_that_has_all_it_needs_is_taken():
-    dissemination, schedule = Called(tell=print), Called(mean_slot=print)
+    dissemination, schedule = Called(broadcast=print), Called(mean_slot=print)
     medium = Called(shared=False, half_duplex=False, queue_limit=inf)
     assert Announcements(dissemination=dissemination).dissemination is dissemination
     assert SpatialAdaptivePlay(schedule=schedule).schedule is schedule

@@ -610,6 +610,67 @@ def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(o
 
 
 def test_a_model_of_one_s_own_that_lacks_what_it_needs_is_refused_in_a_file_too(own_models, written):
-    file = written('name = "bad"\n\n[announce]\nspread = { kind = "own_models:slow" }\n')
-    with pytest.raises(ScenarioError, match=r":4: announce\.spread: should have tell; .* lacks tell"):
+    file = written('name = "bad"\n\n[announce]\ndissemination = { kind = "own_models:slow" }\n')
+    with pytest.raises(ScenarioError, match=r":4: announce\.dissemination: should have broadcast; .* lacks broadcast"):
         load(file, allow_import=True)
+
+
+OLD = {
+    "announce.forget_after": "belief_timeout",
+    "announce.spread": "dissemination",
+    "capture.needed": "captures_to_end",
+    "evader.reaction": "reaction_delay",
+    "evader.sight": "sensing_range",
+    "evader.strategy.heeds": "flees_from",
+    "fault.0.at": "start",
+    "fault.0.until": "end",
+    "motion.frozen": "static",
+    "network.reach": "reception",
+    "protocol.patience": "winner_timeout",
+    "protocol.schedule.floor": "min_timeout",
+    "protocol.schedule.hold": "holding_time",
+    "protocol.schedule.of": "schedule",
+    "protocol.schedule.q": "participation",
+    "protocol.tau.surprises": "reheat_on",
+    "sensing.lost_after": "track_timeout",
+    "sensing.pass_on": "relay",
+    "sensing.when_lost": "on_lost",
+}
+"""Former keys, and their names now."""
+KINDS_OF = {
+    "evader.strategy.heeds": "max_min",
+    "fault.0.at": "crash",
+    "fault.0.until": "crash",
+    "protocol.patience": "cbba",
+    "protocol.schedule.floor": "local_mutex",
+    "protocol.schedule.hold": "token_ring",
+    "protocol.schedule.of": "synchronous",
+    "protocol.schedule.q": "rounds",
+    "protocol.tau.surprises": "adaptive",
+}
+
+
+@pytest.mark.parametrize("key", OLD)
+def test_an_old_key_is_refused_with_the_new_one(key, written):
+    table, _, name = key.rpartition(".")
+    kind = f'kind = "{KINDS_OF[key]}"\n' if key in KINDS_OF else ""
+    head = f"[[{table.removesuffix('.0')}]]" if ".0." in key else f"[{table}]"
+    above = '[protocol]\nkind = "sap"\n' if table.startswith("protocol.") else ""
+    file = written(f"{above}{head}\n{kind}{name} = 1\n")
+    with pytest.raises(ScenarioError, match=rf"{re.escape(key)}: unknown key, did you mean '{OLD[key]}'\?"):
+        load(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "new"),
+    [
+        ('[protocol]\nkind = "sap"\n[protocol.schedule]\nkind = "together"', "synchronous"),
+        ('[evader.strategy]\nkind = "listener"\nthen = { kind = "still" }', "during_handover"),
+        ('[evader.strategy]\nkind = "listener"\notherwise = { kind = "still" }', "normally"),
+        ('network.fading = "frozen"', "per_link"),
+        ('announce.reckoning = "cheap"', "straight_line"),
+    ],
+)
+def test_an_old_kind_or_value_is_refused_with_the_new_one(text, new, written):
+    with pytest.raises(ScenarioError, match=rf"did you mean '{new}'\?|should be .*'{new}'"):
+        load(written(text))

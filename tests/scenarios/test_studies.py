@@ -152,8 +152,8 @@ def test_the_spread_is_the_greatest_ratio_along_one_clock():
         for slot in two_clocks.VALUES
         for step in two_clocks.VALUES
     ]
-    assert two_clocks.dissemination(cells, "slot") == pytest.approx(100.0)
-    assert two_clocks.dissemination(cells, "step") == pytest.approx(2.0)
+    assert two_clocks.spread(cells, "slot") == pytest.approx(100.0)
+    assert two_clocks.spread(cells, "step") == pytest.approx(2.0)
     assert two_clocks.table(list(cells), 1).count("+-") == 26
 
 

@@ -76,7 +76,10 @@ def test_who_hears_of_it_only_as_it_ends_is_told_what_took_so_long(monkeypatch):
             super().set()
 
     monkeypatch.setattr("desim.simulation.watchdog.Event", Slow)
-    with pytest.raises(TimedOut, match=r"^took longer than 0.05 s: tests/test_timeout.py:\d+ \(set\)$"), within(0.05):
+    with (
+        pytest.raises(TimedOut, match=r"^took longer than 0.05 s: simulation/test_watchdog.py:\d+ \(set\)$"),
+        within(0.05),
+    ):
         pass
 
 
@@ -125,7 +128,10 @@ def test_it_is_raised_again_whenever_it_is_lost_and_never_while_it_is_on_its_way
             look()
             told.append("clean-up")
 
-    with pytest.raises(TimedOut, match=r"^took longer than 9 s: tests/test_timeout.py:\d+ \(once\)$"), within(9.0):
+    with (
+        pytest.raises(TimedOut, match=r"^took longer than 9 s: simulation/test_watchdog.py:\d+ \(once\)$"),
+        within(9.0),
+    ):
         lose()
     assert told == [0, 1, 2, 3, 4, "clean-up"]
 
@@ -185,11 +191,11 @@ def test_a_loop_without_end_is_ended_and_everybody_told_of():
     with pytest.raises(TimedOut) as caught, within(0.3):
         run(scenario(spin))
     first, *others = str(caught.value).splitlines()
-    assert first.startswith("took longer than 0.3 s: at 0.5 s of simulated time, in tests/test_timeout.py:")
+    assert first.startswith("took longer than 0.3 s: at 0.5 s of simulated time, in simulation/test_watchdog.py:")
     assert "(spin); " in first
     own = [line.strip() for line in others]
     assert len(own) == 2
-    assert own[0].startswith("pursuer 0: tests/test_timeout.py:")
+    assert own[0].startswith("pursuer 0: simulation/test_watchdog.py:")
     assert own[0].endswith('(mail): yield me.arrival("never")')
     assert own[1].startswith("pursuer 2: ")
     assert own[1].endswith("yield me.sleep(0.5), at 0.5 s")

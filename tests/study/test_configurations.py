@@ -169,7 +169,7 @@ def test_truths_points_and_tables_may_hold_what_numpy_makes():
     assert cell.columns == {"network.latency": "constant(value=0.5)"}
     (cell,) = of({"team": [{"count": np.int64(2), "speeds": [np.float32(1.0), np.float32(2.0)]}]})
     assert cell.scenario.team == Team(count=2, speeds=(1.0, 2.0))
-    (cell,) = of({"fault": [({"kind": "crash", "node": np.int64(1), "at": 0.5},)]})
+    (cell,) = of({"fault": [({"kind": "crash", "node": np.int64(1), "start": 0.5},)]})
     assert cell.scenario.fault[0].node == 1
 
 
@@ -183,10 +183,10 @@ def test_kinds_and_tables_are_swept_like_numbers():
 
 
 def test_items_of_lists_are_swept():
-    fault = ({"kind": "crash", "node": 0, "at": 0.5}, {"kind": "crash", "node": 1, "at": 0.6})
+    fault = ({"kind": "crash", "node": 0, "start": 0.5}, {"kind": "crash", "node": 1, "start": 0.6})
     scenario = Scenario(horizon=1.0, team=Team(count=2), fault=fault)
-    found = of({"fault.1.at": [0.1, 0.2]}, scenario)
-    assert [[each.at for each in cell.scenario.fault] for cell in found] == [[0.5, 0.1], [0.5, 0.2]]
+    found = of({"fault.1.start": [0.1, 0.2]}, scenario)
+    assert [[each.start for each in cell.scenario.fault] for cell in found] == [[0.5, 0.1], [0.5, 0.2]]
 
 
 PRESETS = {"network.preset": ["wifi", "lora_sf7"], "network.range": [4.0, inf]}
@@ -288,7 +288,7 @@ OTHERS = {
     "protocol's parameter": {"protocol": SpatialAdaptivePlay(tau=ConstantTau(value=0.3))},
     "announce": {"announce": {"heartbeat": 0.3}},
     "network": {"network": Links(range=3.0)},
-    "fault": {"fault": ({"kind": "crash", "node": 0, "at": 1.0},)},
+    "fault": {"fault": ({"kind": "crash", "node": 0, "start": 1.0},)},
     "record": {"record": {"messages": True}},
 }
 

@@ -147,11 +147,11 @@ CHANGES = {
     },
     "faults": {key: GONE for key in flat(WORST.plain()) if key.startswith("fault.")},
     "serial decisions": {
-        "protocol.schedule.kind": "together",
-        "protocol.schedule.of.kind": "token_ring",
-        "protocol.schedule.of.hold": 0.03,
-        "protocol.schedule.of.attempts": 2,
-        **below("protocol.schedule", "hold", "attempts"),
+        "protocol.schedule.kind": "synchronous",
+        "protocol.schedule.schedule.kind": "token_ring",
+        "protocol.schedule.schedule.holding_time": 0.03,
+        "protocol.schedule.schedule.attempts": 2,
+        **below("protocol.schedule", "holding_time", "attempts"),
         "announce.trigger": "both",
     },
     "stale knowledge": {
@@ -406,7 +406,7 @@ def test_who_takes_no_turns_does_not_lose_them(protocol):
 
 
 def test_a_rule_that_knows_no_other_schedule_keeps_its_turns():
-    """`together` is none that it takes."""
+    """`synchronous` is none that it takes."""
     scenario = Scenario(protocol=Narrow())
     assert without_turns(scenario) == scenario
 

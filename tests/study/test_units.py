@@ -14,7 +14,7 @@ from desim.study.figures import unit_of
         ("protocol.schedule.rate", "1/s"),
         ("team.speeds", "m/s"),
         ("team.speeds.last", "m/s"),
-        ("fault.0.at", "s"),
+        ("fault.0.start", "s"),
         ("network.reception.shadowing", "dB"),
         ("network.loss.p", None),
         ("team.count", None),
