@@ -219,7 +219,7 @@ def test_with_the_option_nothing_is_called_that_is_no_model(mark, written, key, 
     sys.path.append(str(mark.parent))
     __import__("evil")
     mark.unlink()
-    assert "is no model: its instances cannot be called" in refused("check", file, "--allow-import")
+    assert "is not a model: its instances should be callable" in refused("check", file, "--allow-import")
     assert not mark.exists()
 
 

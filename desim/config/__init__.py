@@ -1,4 +1,4 @@
-"""What a model is: frozen values, types of numbers, choices by kind, trust of files, numbers in JSON.
+"""The base of all models: frozen values, number types, choice by kind, handling of untrusted files, JSON numbers.
 
-Nothing here knows of a message, a pursuer or a command.
+This package imports no other package of desim.
 """

@@ -1,4 +1,4 @@
-"""Fields that hold one of several models, told apart by the `kind` of a table."""
+"""Fields that hold one of several models, selected by the `kind` of a table."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -21,35 +21,35 @@ from desim.config.trust import ALLOW, is_trusted
 
 
 def kind_of(model: type[BaseModel]) -> str:
-    """Return the `kind` by which a table in a file asks for this model."""
+    """Return the `kind` that selects a model in a file."""
     return str(model.model_fields["kind"].default)
 
 
 def home_of(value: Any) -> Any:
-    """Return where the code of a value is: the function that it is, or the class of an object."""
+    """Return the function or class that defines a value: a function itself, or the class of an object."""
     return value if isinstance(value, FunctionType) else type(value)
 
 
 def import_name(home: Any) -> str:
-    """Return the `kind` by which a table asks for a function or a class that is no entry point: "module:name"."""
+    """Return the `kind` "module:name" that selects a function or class without an entry point."""
     return f"{home.__module__}:{home.__qualname__}"
 
 
 class OneOf:
-    """Annotation of a field that holds one of several models, told apart by their `kind`.
+    """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    Models that other distributions install under the entry point group `group` are accepted too. A model is loaded and
-    built when a table asks for it; the others are not. An object that can be called is taken as it is, so that a script
-    may pass a function or a model of its own; a file names such a one by the kind "module:name", of a module that is
-    installed or lies beside the file. Because that runs the code of the module, the file must be trusted
-    (`is_trusted`), or the name be that of an entry point in one of the groups `desim.*`.
+    Models that other distributions install under the entry point group `group` are accepted too. A model is imported
+    and built only when a table selects it. A callable object is accepted unchanged, so a script can pass its own
+    function or model. A file selects such a callable by the kind "module:name"; the module is installed or lies beside
+    the file. Importing a module runs its code, so the file must be trusted (`is_trusted`), unless the name is an entry
+    point of a group `desim.*`.
 
     Args:
-        models: of this distribution.
-        group: of entry points.
-        needs: attributes that whatever is taken as it is must have.
-        takes: names of the arguments with which it is called.
-        number: the kind, and its key, that a bare number stands for; a bare string stands for a kind.
+        models: the models of this distribution.
+        group: the entry point group.
+        needs: attributes that a callable object must have.
+        takes: names of the arguments that a callable object is called with.
+        number: the kind and the key that a bare number stands for; a bare string stands for a kind.
     """
 
     def __init__(
@@ -67,18 +67,18 @@ class OneOf:
         self.number = number
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
-        """Return the models by kind, those of this distribution first; all of them are loaded."""
+        """Return all models by kind, those of this distribution first; imports every installed model."""
         return MappingProxyType(self._own | {kind: point.load() for kind, point in self._installed.items()})
 
     def choice(self, kind: str) -> type[BaseModel] | None:
-        """Return the model of a kind, if there is one."""
+        """Return the model of a kind, or None."""
         if kind not in self._installed:
             return self._own.get(kind)
         model: type[BaseModel] = self._installed[kind].load()
         return model
 
     def holds(self, value: Any) -> bool:
-        """Return whether a value is of one of the models."""
+        """Return whether a value is an instance of one of the models."""
         kind = getattr(value, "kind", None)
         return isinstance(kind, str) and type(value) is self.choice(kind)
 
@@ -112,7 +112,7 @@ class OneOf:
         return parameters | {"kind": import_name(home_of(value))}
 
     def _table(self, table: Any, info: ValidationInfo) -> Any:
-        """Return the model that a table describes; raise ValidationError if it is none of them."""
+        """Return the model that a table describes; raise ValidationError if the table is invalid."""
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
         judge = SchemaValidator(_union(self.choices())) if model is None else _judge(kind, model)
@@ -132,7 +132,7 @@ class OneOf:
         return value
 
     def _as_table(self, value: Any) -> Any:
-        """Return the table that a bare string or number stands for; any other value as it is."""
+        """Return the table that a bare string or number stands for; return any other value unchanged."""
         if isinstance(value, str):
             return {"kind": value}
         if self.number is not None and type(value) in {int, float}:
@@ -141,7 +141,7 @@ class OneOf:
         return value
 
     def _check_called(self, function: Callable[..., Any], value: Any, *first: Any) -> None:
-        """Raise ValueError if what calls a value cannot take the arguments, after those that come first."""
+        """Raise ValueError if a function does not accept the arguments `first` followed by `takes`."""
         if not self.takes:
             return
         try:
@@ -150,9 +150,9 @@ class OneOf:
             raise ValueError(f"should be called with ({', '.join(self.takes)}); {value!r}: {error}") from error
 
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
-        """Return what a table of the kind "module:name" stands for: a function, or a model with its parameters.
+        """Return the function, or the model with its parameters, that a table of the kind "module:name" selects.
 
-        Nothing is imported unless that is allowed, and no class is called whose instances cannot be.
+        The module is imported only if the file is trusted. A class is instantiated only if its instances are callable.
         """
         kind = table["kind"]
         if names_code(kind) and not is_trusted(info):
@@ -162,20 +162,20 @@ class OneOf:
         parameters = {key: each for key, each in table.items() if key != "kind"}
         if not isinstance(found, type):
             if not callable(found):
-                raise ValueError(f"{kind!r} is nothing that can be called, but {found!r}")
+                raise ValueError(f"{kind!r} should be callable (got {found!r})")
             if parameters:
-                raise ValueError(f"{kind!r} is no model and takes no parameters, got {', '.join(parameters)}")
+                raise ValueError(f"{kind!r} is not a class and takes no parameters, got {', '.join(parameters)}")
             return found
         calls = next((vars(base)["__call__"] for base in found.__mro__ if "__call__" in vars(base)), None)
         if calls is None:
-            raise ValueError(f"{kind!r} is no model: its instances cannot be called")
+            raise ValueError(f"{kind!r} is not a model: its instances should be callable")
         if isinstance(calls, FunctionType):
             self._check_called(calls, found, None)
         return _constructed(found, kind, parameters, info.context)
 
 
 def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
-    """Return the schema of tables of one of several models, told apart by their `kind`."""
+    """Return the schema of a table that is one of several models, selected by `kind`."""
     for model in models.values():
         model.model_rebuild()
     schemas = {kind: model.__pydantic_core_schema__ for kind, model in models.items()}
@@ -184,23 +184,23 @@ def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
 
 @cache
 def _judge(kind: Any, model: type[BaseModel]) -> SchemaValidator:
-    """Return what validates tables of one kind."""
+    """Return the validator of the tables of one kind."""
     return SchemaValidator(_union({kind: model}))
 
 
 def names_code(kind: Any) -> bool:
-    """Return whether what stands for a kind names code that is not installed as an entry point of desim."""
+    """Return whether a kind names code that is not installed as an entry point of desim."""
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
 def refusal(kind: str) -> str:
-    """Return why a file may not name code."""
+    """Return the error message for an untrusted file that names code."""
     return f"{kind!r} names code to be run; {ALLOW}"
 
 
 @cache
 def _named_by_entry_points() -> Mapping[str, EntryPoint]:
-    """Return the entry points of the groups `desim.*` by the names "module:name" of what they are of."""
+    """Return the entry points of the groups `desim.*` by the "module:name" of their objects."""
     points = (
         each for group in entry_points().groups if group.startswith("desim.") for each in entry_points(group=group)
     )
@@ -208,7 +208,7 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 
 
 def _load(kind: str, folder: Path | None) -> Any:
-    """Return what "module:name" names; the module may lie in a folder, where worker processes find it, too."""
+    """Return the object "module:name"; `folder`, if given, is added to `sys.path`, which worker processes copy."""
     module, _, name = kind.partition(":")
     if folder is not None and str(folder.absolute()) not in sys.path:
         sys.path.append(str(folder.absolute()))
@@ -234,5 +234,5 @@ def _constructed(model: type, kind: str, parameters: dict[str, Any], context: An
 
 
 def choices_of(field: FieldInfo) -> list[OneOf]:
-    """Return what marks a field, or the items of a field, as one of several models."""
+    """Return the `OneOf` annotations of a field or of its items."""
     return [each for each in markers_of(field) if isinstance(each, OneOf)]

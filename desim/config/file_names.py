@@ -1,4 +1,4 @@
-"""How files of results are called: what a name ends in says what is in them."""
+"""Names of result files; the suffix determines the content."""
 
 import re
 from collections.abc import Sequence
@@ -9,24 +9,24 @@ TRACE = "trace.jsonl"
 STORE = "sweep.sqlite"
 """The runs of a sweep."""
 PICTURES = (".svg", ".png", ".pdf")
-"""Suffixes of diagrams; the first two are made if nobody says which."""
+"""Suffixes of diagrams; the first two are written by default."""
 OF_A_RUN = (
     *(TRACE, "summary.json", "scenario.toml", "run.json"),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "pursuit.gif"),
 )
-"""All that `desim run`, `replay` and `draw` make in the folder of a run, if nobody names a file."""
+"""All files that `desim run`, `replay` and `draw` write into a run folder by default."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
-"""What can name a kind of file; the ".2" of "v1.2" does not."""
+"""A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 
 
 def files(path: Path, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
-    """Return the files that somebody who names a path wants.
+    """Return the files to write for a path that a user gives.
 
     Args:
-        path: with a suffix that is allowed, that one file; without, so many more with the usual ones after its name.
-        kinds: suffixes that are allowed, as ".svg"; in upper case, too.
-        usual: of those that are made if none is named.
+        path: with an allowed suffix, that one file; without a suffix, one file per suffix in `usual`.
+        kinds: the allowed suffixes, such as ".svg", in lower or upper case.
+        usual: the suffixes of the default files.
 
     Raises:
         ValueError: if the path has another suffix.

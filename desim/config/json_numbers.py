@@ -1,4 +1,4 @@
-"""Numbers that JSON does not have: infinity and NaN are the strings "Infinity", "-Infinity" and "NaN"."""
+"""Conversion of infinity and NaN, which JSON lacks, to the strings "Infinity", "-Infinity" and "NaN" and back."""
 
 from collections.abc import Mapping
 from math import isfinite, isnan
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def to_json(value: Any) -> Any:
-    """Return a value with strings for the numbers in it that JSON does not have; a tuple becomes a list."""
+    """Return a value with infinity and NaN replaced by strings and tuples by lists."""
     if isinstance(value, Mapping):
         return {key: to_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -17,7 +17,7 @@ def to_json(value: Any) -> Any:
 
 
 def from_json(value: Any) -> Any:
-    """Return a value of JSON with numbers for the strings that `to_json` writes."""
+    """Return a JSON value with the strings that `to_json` writes replaced by numbers."""
     if isinstance(value, dict):
         return {key: from_json(each) for key, each in value.items()}
     if isinstance(value, list):

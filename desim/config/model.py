@@ -1,4 +1,4 @@
-"""The base of every model, a frozen and validated value, and the types of its fields: lengths, times, probabilities."""
+"""The base class of all models, a frozen validated value, and field types: lengths, times, probabilities."""
 
 import ast
 import json
@@ -23,10 +23,10 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-# Numbers and truths are taken strictly: a file's "60" is not 60, and true is not 1.
+# Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 MAX_COORDINATE = 1e9
-"""The plane ends here, so that no square overflows, m or m/s."""
+"""Largest absolute coordinate or speed; its square does not overflow, m or m/s."""
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m"""
 
@@ -51,50 +51,50 @@ def _infinity(value: Any) -> Any:
 
 
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
-"""Positive, and possibly infinite; in JSON, which has no infinity, it is the string "Infinity"."""
+"""A positive number or infinity; JSON, which lacks infinity, has the string "Infinity"."""
 Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
-"""A number that something does not exceed, possibly infinite."""
+"""An upper bound, possibly infinite."""
 MAX_TIME = 1e9
-"""Thirty years: no time is longer, s."""
+"""Longest time, about thirty years, s."""
 RESOLUTION = 1e-9
-"""Time is counted in whole nanoseconds: up to half of one rounds to 0, s."""
+"""Resolution of the clock, one nanosecond; times up to half of it round to 0, s."""
 MIN_PERIOD = 1e-6
-"""What recurs more often than every microsecond would never end, s."""
+"""Shortest period of recurring events; shorter ones would make a run practically endless, s."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
-"""Makes 0 of -0, which numpy takes for a negative scale."""
+"""Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
 
 
 class Counted:
-    """Marks a field that is a time, of which the clock counts whole nanoseconds."""
+    """Marks a field that is a time, which the clock rounds to whole nanoseconds."""
 
 
 class Recurring:
-    """Marks a field that is the time between two of many events."""
+    """Marks a field that is the time between successive events."""
 
 
 Time = Annotated[float, Field(ge=0, le=MAX_TIME, allow_inf_nan=False, strict=True), Unsigned, Counted]
 """A time or a delay, s."""
 Horizon = Annotated[float, Field(gt=0, le=MAX_TIME, allow_inf_nan=False, strict=True)]
-"""A time at which something ends, s."""
+"""An end time, s."""
 Timeout = Annotated[Extent, Counted]
-"""A time after which something is given up or forgotten, s; inf = never."""
+"""A time-out, s; inf = never."""
 Duration = Annotated[float, Field(ge=MIN_PERIOD, le=MAX_TIME, allow_inf_nan=False, strict=True)]
-"""How long something lasts that happens many times, s."""
+"""Duration of a recurring event, s."""
 Period = Annotated[Duration, Recurring]
-"""A time between two of many events, s."""
+"""Time between successive events, s."""
 Rate = Annotated[float, Field(ge=1 / MAX_TIME, le=1 / MIN_PERIOD, allow_inf_nan=False, strict=True)]
 """Events per second, 1/s."""
 Flag = Annotated[bool, Field(strict=True)]
 
 
 class Value(BaseModel):
-    """A frozen value whose unknown keys are errors and whose fields are described by the string below them."""
+    """A frozen model that rejects unknown keys; the string below a field is the description of the field."""
 
     model_config = ConfigDict(
         frozen=True,
         extra="forbid",
         ser_json_inf_nan="strings",
-        defer_build=True,  # most are never used in a run, and to build all takes longer than a short one
+        defer_build=True,  # a run uses few models, and building all of them takes longer than a short run
     )
 
     @classmethod
@@ -107,7 +107,7 @@ class Value(BaseModel):
         return found
 
     def plain(self) -> dict[str, Any]:
-        """Return it as what JSON has: infinity is the string "Infinity"."""
+        """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))
 
 
@@ -120,7 +120,7 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def markers_of(field: FieldInfo) -> list[Any]:
-    """Return the metadata of a field and of what its annotation holds."""
+    """Return the metadata of a field and of all types inside its annotation."""
     return [*field.metadata, *_metadata(field.annotation)]
 
 
@@ -131,22 +131,22 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that an annotation names."""
+    """Yield the models inside an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
         yield from models_in(inner)
 
 
-# The strings below fields describe them. They are read from the source of a module on demand: pydantic's
-# `use_attribute_docstrings` reads them as each model is made, which takes longer than a short run.
+# The strings below fields are their descriptions. They are parsed from the source of a module on demand: pydantic's
+# `use_attribute_docstrings` parses them when each model class is created, which takes longer than a short run.
 
 Docs = Mapping[str, str]
-"""What each name in a class is, if a string below it says so."""
+"""The descriptions of the fields of a class, by name; fields without a string below them are absent."""
 
 
 def docs_of(model: type) -> Docs:
-    """Return the string below each annotated name of a class, or of one it derives from, if there is one."""
+    """Return the string below each field of a class and of its base classes, by name."""
     found: dict[str, str] = {}
     for each in reversed(model.__mro__):
         own = _docs(each.__module__).get(each.__qualname__, {})
@@ -156,7 +156,7 @@ def docs_of(model: type) -> Docs:
 
 @cache
 def _docs(module: str) -> Mapping[str, Docs]:
-    """Return the strings below names in each class of a module; none if its source is not at hand."""
+    """Return the strings below the fields of each class of a module; empty if its source is not available."""
     try:
         tree = ast.parse(getsource(sys.modules[module]))
     except (KeyError, OSError, TypeError):
@@ -165,7 +165,7 @@ def _docs(module: str) -> Mapping[str, Docs]:
 
 
 def _classes(node: ast.AST, above: str) -> Iterator[tuple[str, Docs]]:
-    """Yield the qualified name of each class within a node of a syntax tree, and the strings below names in it."""
+    """Yield the qualified name of each class within a syntax tree node, and the strings below its fields."""
     for inner in ast.iter_child_nodes(node):
         if isinstance(inner, ast.ClassDef):
             yield above + inner.name, dict(_strings(inner))

@@ -1,4 +1,4 @@
-"""What keeps strangers' names off the terminal, links and pipes out of the way of files, and modules unimported."""
+"""Handling of untrusted input: terminal escaping, symbolic links, pipes, import safety."""
 
 import os
 from collections.abc import Iterator
@@ -11,23 +11,23 @@ if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
 SHELTER = {"PYTHONSAFEPATH": "1"}
-"""What keeps a Python that is started from importing what lies in the folder it is started in; see `sheltered`."""
+"""Environment that stops a Python child process from importing from its working directory; see `sheltered`."""
 
 
-ALLOW = "if you trust that file, say --allow-import (in Python, allow_import=True)"
-"""How to let a file do what those of strangers may not."""
+ALLOW = "if you trust that file, use --allow-import (in Python, allow_import=True)"
+"""Hint in error messages: how to trust a file."""
 
 
 def visible(text: str) -> str:
-    """Return a text that does nothing to a terminal: what cannot be printed is written as TOML and JSON escape it."""
+    """Return a text safe to print on a terminal: unprintable characters are escaped as in TOML and JSON."""
     return "".join(each if each.isprintable() or each in "\n\t" else _escaped(ord(each)) for each in text)
 
 
 def fresh(path: Path) -> Path:
-    """Return a path to be written; a link that has its name is removed, for it leads elsewhere than was asked.
+    """Return a path to write to, after removing a symbolic link of that name, which could point elsewhere.
 
     Raises:
-        OSError: if it cannot be removed.
+        OSError: if the link cannot be removed.
     """
     if path.is_symlink():
         path.unlink()
@@ -35,10 +35,10 @@ def fresh(path: Path) -> Path:
 
 
 def regular(path: Path) -> Path:
-    """Return a path to be read, if it leads to a file of data, or to nothing: to read a pipe may wait for ever.
+    """Return a path to read from, if it is a regular file or does not exist: reading a pipe may block for ever.
 
     Raises:
-        OSError: if it leads to a pipe, a device or a folder.
+        OSError: if the path is a pipe, a device or a folder.
     """
     if path.is_dir():
         raise IsADirectoryError(EISDIR, os.strerror(EISDIR), str(path))
@@ -49,9 +49,10 @@ def regular(path: Path) -> Path:
 
 @contextmanager
 def sheltered() -> Iterator[None]:
-    """Let no Python that is started meanwhile import from the folder we are in: workers, and who tracks what they hold.
+    """Stop Python processes started in this context from importing from the working directory.
 
-    Workers are told our own `sys.path` later. Not for while others start processes: they copy the environment.
+    This protects worker processes and the resource tracker; workers receive the parent's `sys.path` after they start.
+    Other threads should not start processes meanwhile, because child processes copy the environment.
     """
     before = {name: os.environ.get(name) for name in SHELTER}
     os.environ.update(SHELTER)
@@ -70,22 +71,22 @@ def _escaped(number: int) -> str:
 
 
 def is_trusted(info: "ValidationInfo") -> bool:
-    """Return whether what is validated may run code and read any file: it is Python's, or a file that is allowed to."""
+    """Return whether validated input may run code and read any file: it comes from Python or from a trusted file."""
     return info.context is None or bool(info.context.get("allow_import"))
 
 
 def resolve_path(path: Any, info: "ValidationInfo") -> Path:
-    """Return a path that a file names: relative to the folder of that file, if it is known, and not outside of it.
+    """Return a path named in a file, resolved against the folder of that file, if known.
 
     Raises:
-        ValueError: if it is not a text, is no regular file, or leads out of the folder and the file is not trusted.
+        ValueError: if the path is not a string, is not a regular file, or leads out of the folder of an untrusted file.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")
     folder = Path((info.context or {}).get("folder", "."))
     try:
         is_within = (folder / path).resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError) as error:  # links that lead to each other
+    except (OSError, RuntimeError) as error:  # a cycle of symbolic links
         raise ValueError(f"{path} cannot be read: {error}") from error
     if not (is_within or is_trusted(info)):
         raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW}")
