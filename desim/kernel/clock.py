@@ -1,7 +1,7 @@
-"""The clock of a simulation: integer nanoseconds, and what comes first among the events of one instant.
+"""The clock of a simulation, in integer nanoseconds, and the order of simultaneous events.
 
-Seconds (float) exist only at the edges. Integers make 3 x 0.1 s and 30 x 0.01 s the same instant, so that
-ties are decided by the `Phase` they belong to and never by rounding or by who was registered first.
+Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
+simultaneous events are ordered by their `Phase`, never by rounding or by the order of registration.
 """
 
 import gc
@@ -24,28 +24,28 @@ SECOND = 1_000_000_000
 
 
 class Phase(IntEnum):
-    """What happens first among the events of one instant: the SimPy priority of each kind of event.
+    """The order of simultaneous events: the SimPy priority of each kind of event.
 
-    Decisions add the node's id to their priority: the lowest id decides first. SimPy's own bookkeeping
-    (priorities 0 and 1) precedes everything, so a process resumes within the phase of the event it waited for.
+    The priority of a decision is `DECISION` plus the id of the node, so the lowest id decides first. SimPy's own events
+    (priorities 0 and 1) come before all phases, so a process resumes in the phase of the event that it waited for.
     """
 
     FAULT = 1 << 32
-    """Faults and changes of topology."""
+    """Faults begin and end, and the topology changes."""
     DELIVERY = 2 << 32
     """Messages reach their inboxes."""
     RELAY = 3 << 32
-    """Word that has arrived is passed on."""
+    """Nodes forward received messages."""
     CAPTURE = 4 << 32
-    """The motion that led up to this instant is judged: capture, then the horizon."""
+    """The motion up to this instant is checked for capture, then the time for the horizon."""
     DECISION = 5 << 32
-    """Nodes decide and speak."""
+    """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32
-    """Nodes repeat what they said."""
+    """Nodes repeat their last announcement."""
     MOTION = 7 << 32
     """Headings are recomputed."""
     SAMPLE = 8 << 32
-    """Positions are written to the record."""
+    """Positions are recorded."""
 
 
 def nanoseconds(seconds: float) -> int:
@@ -59,17 +59,17 @@ def seconds(nanoseconds: int) -> float:
 
 
 class Clock(simpy.Environment):
-    """A SimPy environment whose time is a whole number of nanoseconds, from 0 on."""
+    """A SimPy environment whose time is an integer number of nanoseconds and starts at 0."""
 
     now: int = property(attrgetter("_now"), doc="The time, ns.")  # type: ignore[assignment]  # half of a method's time
 
     def run(self, until: "SimTime | simpy.Event | None" = None) -> Any:
-        """Run as SimPy does, but let the garbage collector look less often meanwhile.
+        """Run as `simpy.Environment.run` does, with less frequent garbage collection.
 
-        What a simulation keeps is no garbage: to look at all of it time and again takes a third of a large one's time.
+        Most objects of a simulation stay alive; scanning them again and again takes a third of the time of a large run.
 
         Raises:
-            BaseException: what a process raised, with what was noted on it; SimPy itself raises a copy.
+            BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
         """
         usual = gc.get_threshold()
         gc.set_threshold(*RARELY)
@@ -85,13 +85,12 @@ class Clock(simpy.Environment):
 
 
 class Instant(simpy.Event):
-    """An event that happens at a given nanosecond, in a given phase; its value is None.
+    """An event at a given time (ns) with a given priority, usually a `Phase`; its value is None.
 
-    Unlike `simpy.Timeout` it takes an absolute time, so that the k-th tick of a period is at k x period and
-    does not drift.
+    Unlike `simpy.Timeout` it takes an absolute time, so the k-th tick of a period is at k x period, without drift.
 
     Raises:
-        ValueError: if the instant has passed.
+        ValueError: if the time is in the past.
     """
 
     _ok = True
@@ -106,7 +105,7 @@ class Instant(simpy.Event):
 
 
 class NodeClock:
-    """The clock of one node, which may be wrong: it shows offset + rate * t at the time t, s."""
+    """The local clock of a node, with an offset and a rate: it shows offset + rate * t at the true time t, s."""
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
@@ -114,12 +113,12 @@ class NodeClock:
 
     @property
     def now(self) -> float:
-        """What it shows, s."""
+        """The local time, s."""
         return self._offset + self._rate * (self._env._now / SECOND)
 
     @property
     def stamp(self) -> int:
-        """What it shows, ns."""
+        """The local time, ns."""
         return self._env.now if self._right else round(self.now * SECOND)
 
     @property
@@ -128,13 +127,13 @@ class NodeClock:
         return self._env.now
 
     def at(self, true: int) -> float:
-        """Return what it shows at a true time (ns), s."""
+        """Return the local time at a true time (ns), s."""
         return self._offset + self._rate * seconds(true)
 
     def when(self, time: float) -> int:
-        """Return the true time at which it shows a time (s), ns."""
+        """Return the true time at a local time (s), ns."""
         return round((time - self._offset) / self._rate * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true time that passes while it shows that a duration (s) passes, ns."""
+        """Return the true duration of a local duration (s), ns."""
         return nanoseconds(duration / self._rate)

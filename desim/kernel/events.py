@@ -1,4 +1,4 @@
-"""What can happen on the network, and the trace that everything that happens is appended to.
+"""The events of the network, and the trace that records all events of a run.
 
 Times are integer nanoseconds.
 """
@@ -9,25 +9,25 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 LOST = -1
 """The arrival time of a message that never arrives."""
 
-# What the numbers of events stand for: a trace that is read from a file is checked by these marks.
+# The meaning of the numbers in events; these marks validate a trace that is read from a file.
 Nanoseconds = Annotated[int, "time"]
 """A time, ns."""
 Arrival = Annotated[int, "arrival"]
 """A time, ns, or `LOST`."""
 NodeId = Annotated[int, "node"]
-"""The number of a node, from 0 on."""
+"""The id of a node, 0 .. n - 1."""
 Count = Annotated[int, "count"]
-"""Not negative."""
+"""An integer >= 0."""
 Body = Annotated[Any, "body"]
 """The content of a message."""
 
 
 class Event(Protocol):
-    """Something that happened: a named tuple whose first field is its time."""
+    """An event of a trace: a named tuple whose first field is its time."""
 
     @property
     def t(self) -> int:
-        """The nanosecond at which it happened."""
+        """The time of the event, ns."""
         ...
 
     def __iter__(self) -> Iterator[Any]: ...
@@ -40,11 +40,11 @@ class Event(Protocol):
 
 
 Cause = Literal["loss", "reach", "partition", "jamming", "crash", "queue", "half_duplex"]
-"""Why a message was lost; "queue": dropped from a full one, "half_duplex": its receiver was on the air itself."""
+"""Why a message was lost; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""
 
 
 class Queued(NamedTuple):
-    """A transmission has to wait for its transmitter; it is on its way from now on, for the count of messages."""
+    """A transmission waits for a busy transmitter; `MessageCounts` counts it as in flight from this event on."""
 
     t: Nanoseconds
     flight: Count
@@ -54,7 +54,7 @@ class Queued(NamedTuple):
 
 
 class Broadcast(NamedTuple):
-    """A record left: one message to everyone in reach, all of them in this one event."""
+    """A record was broadcast: one event for the messages to all receivers within range."""
 
     t: Nanoseconds
     flight: Count
@@ -63,42 +63,43 @@ class Broadcast(NamedTuple):
     seq: Count
     dst: tuple[NodeId, ...]
     arrival: tuple[Arrival, ...]
-    """When it reaches each of `dst`, unless it is lost on arrival, or `LOST`; one entry for all if they are alike."""
+    """Arrival time at each node of `dst`, ns, or `LOST`; one entry if all are equal. A message can still be lost on
+    arrival."""
     created: Nanoseconds
-    """When it was announced, ns; earlier than t if the transmitter was busy."""
+    """When the record was published, ns; earlier than t if the transmitter was busy."""
     size: Count
     """Bytes."""
     body: Body
 
     def fates(self) -> Iterator[tuple[int, int]]:
-        """Yield each receiver, and when it is reached, or `LOST`."""
+        """Yield each receiver and its arrival time, ns, or `LOST`."""
         alike = len(self.arrival) == 1
         return zip(self.dst, self.arrival * len(self.dst) if alike else self.arrival, strict=True)
 
 
 class Sent(NamedTuple):
-    """A message left for one receiver."""
+    """A message was sent to one receiver."""
 
     t: Nanoseconds
     flight: Count
-    """The number of the transmission; all receivers of one transmission have the same."""
+    """The number of the transmission, the same for all its receivers."""
     src: NodeId
     dst: NodeId
     arrival: Arrival
-    """When it reaches `dst`, unless it is lost on arrival, or `LOST`."""
+    """Arrival time at `dst`, ns, or `LOST`; the message can still be lost on arrival."""
     created: Nanoseconds
-    """When it was sent, ns; earlier than t if the transmitter was busy."""
+    """When `send` was called, ns; earlier than t if the transmitter was busy."""
     size: Count
     """Bytes."""
     body: Body
 
     def fates(self) -> Iterator[tuple[int, int]]:
-        """Yield its receiver, and when that is reached, or `LOST`; as of a broadcast."""
+        """Yield the receiver and its arrival time, ns, or `LOST`, like `Broadcast.fates`."""
         yield self.dst, self.arrival
 
 
 class Lost(NamedTuple):
-    """A message to one receiver will never be read: lost as it left, while it waited to, or as it arrived."""
+    """A message to one receiver was lost: in the queue of the transmitter, at transmission or on arrival."""
 
     t: Nanoseconds
     flight: Count
@@ -108,11 +109,11 @@ class Lost(NamedTuple):
 
 
 MESSAGES = (Queued, Broadcast, Sent, Lost)
-"""What can happen to messages."""
+"""The events of messages."""
 
 
 class MessageCounts(NamedTuple):
-    """What the network carried until the run ended, each receiver of a transmission counted as one message."""
+    """The traffic of the network until time t; each receiver of a transmission counts as one message."""
 
     t: Nanoseconds
     sent: Count
@@ -120,27 +121,27 @@ class MessageCounts(NamedTuple):
     lost: Count
     in_flight: Count
     lost_by: dict[Cause, Count]
-    """How many were lost by each cause."""
+    """Number of lost messages by cause."""
     transmissions: Count
-    """How many times something was put on the air, whatever the number of receivers."""
+    """Number of transmissions, regardless of the number of receivers."""
     bytes_sent: Count
-    """Bytes of the messages put on the air, without what the medium adds to each."""
+    """Bytes of all transmitted messages, without headers added by the medium."""
     utilisation: float
-    """Share of the time in which the channels were busy, in [0, 1]: of the shared one, or the mean over all nodes'."""
+    """Share of time the channel was busy, in [0, 1]; the mean over all nodes if each has its own channel."""
 
 
 Kind = TypeVar("Kind")
 Watcher = Callable[[Event], object]
-"""Called with every event as it happens: it ends the run by returning True, and fails it by raising."""
+"""A function called with each event when it happens; it ends the run by returning True and fails it by raising."""
 
 
 class Trace:
-    """Everything that happened, in order.
+    """The events of a run, in order.
 
     Args:
-        watchers: are shown each event as it happens.
-        messages: whether to keep message events; if not, the watchers see them all the same.
-        stop: called when a watcher asks for the end of the run.
+        watchers: called with each event when it happens.
+        messages: whether to store message events; the watchers receive them in either case.
+        stop: called when a watcher requests the end of the run.
     """
 
     def __init__(
@@ -153,13 +154,13 @@ class Trace:
         self.wants_messages = messages or bool(self._watchers)
 
     def append(self, event: Event) -> None:
-        """Record an event and show it to the watchers."""
+        """Store an event and pass it to the watchers."""
         self.events.append(event)
         if self._watchers:
             self._show(event)
 
     def append_message(self, event: Event) -> None:
-        """Show the event of a message to the watchers, and record it if messages are kept."""
+        """Pass a message event to the watchers, and store it if message events are kept."""
         if self._keeps_messages:
             self.events.append(event)
         if self._watchers:

@@ -1,4 +1,4 @@
-"""Fault injection: let faults happen to a network at their times."""
+"""Fault injection: apply faults to a network at their start and end times."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -23,15 +23,15 @@ def inject(
     crashed: Hook = lambda _: None,
     recovered: Hook = lambda _: None,
 ) -> None:
-    """Let faults happen to a network that was made with conditions.
+    """Schedule faults for a network that was created with a `FaultState`.
 
     Args:
-        faults: what happens.
+        faults: the faults to apply.
         env: the clock of the simulation.
-        network: what it happens to.
-        trace: where `FaultStarted` and `FaultEnded` go.
-        crashed: called when a node breaks down.
-        recovered: called when a crash is over.
+        network: the network to apply them to.
+        trace: receives the events `FaultStarted` and `FaultEnded`.
+        crashed: called when a node crashes.
+        recovered: called when a crash ends.
 
     Raises:
         ValueError: if a fault names a node that does not exist.
@@ -65,7 +65,7 @@ def _named(fault: Fault) -> list[int]:
 
 
 def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
-    """Let a fault begin; return what lets it be over."""
+    """Start a fault; return a function that ends it."""
     fault_state = network.fault_state
     if isinstance(fault, Crash):
         network.crash(fault.node)

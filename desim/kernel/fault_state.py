@@ -1,4 +1,4 @@
-"""What is broken now: nodes whose radio is down, cuts between groups of nodes, discs in which nothing can be heard."""
+"""The active faults of a network: nodes whose radio is down, partitions into groups of nodes, jammed discs."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -8,13 +8,13 @@ import numpy as np
 from desim.kernel.positions import PositionSource, as_position_source
 
 Cut = Mapping[int, int]
-"""The group of each node that is named; all others form one more."""
+"""The group number of each listed node; all other nodes form one more group."""
 Disc = tuple[tuple[float, float], float]
 """Centre [x, y] and radius, m."""
 
 
 class FaultState:
-    """The faults that are open; each is opened and closed by the one who knows it."""
+    """The active faults of a network; faults may overlap, and the caller that starts a fault also ends it."""
 
     def __init__(self, positions: PositionSource | None = None):
         self._positions = None if positions is None else as_position_source(positions)
@@ -27,7 +27,7 @@ class FaultState:
         return self._down[node] > 0
 
     def cut(self, src: int, dst: int) -> bool:
-        """Return whether a partition separates two nodes."""
+        """Return whether an active partition separates two nodes."""
         return any(groups.get(src, -1) != groups.get(dst, -1) for groups in self._cuts)
 
     def jammed(self, node: int) -> bool:
@@ -38,31 +38,31 @@ class FaultState:
         return any((x - cx) ** 2 + (y - cy) ** 2 <= radius**2 for (cx, cy), radius in self._jams)
 
     def crash(self, node: int) -> None:
-        """Let the radio of a node be down, once more if it is already."""
+        """Take the radio of a node down; overlapping crashes of a node are counted."""
         self._down[node] += 1
 
     def recover(self, node: int) -> None:
-        """Undo one breakdown of a node.
+        """End one crash of a node; its radio is up again once all its crashes have ended.
 
         Raises:
-            ValueError: if it is not down.
+            ValueError: if the node is not down.
         """
         if not self.down(node):
             raise ValueError(f"node {node} is not down")
         self._down[node] -= 1
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
-        """Separate groups of nodes from each other and from all others; return what `rejoin` takes."""
+        """Separate groups of nodes from each other and from all other nodes; return the cut, to pass to `rejoin`."""
         cut = {node: number for number, group in enumerate(groups) for node in group}
         self._cuts.append(cut)
         return cut
 
     def rejoin(self, cut: Cut) -> None:
-        """Undo a separation."""
+        """End a partition."""
         self._cuts = [each for each in self._cuts if each is not cut]
 
     def jam(self, disc: Disc) -> None:
-        """Let nobody within a disc hear anything.
+        """Block reception at all nodes within a disc.
 
         Raises:
             ValueError: if the nodes have no positions.
@@ -72,5 +72,5 @@ class FaultState:
         self._jams.append(disc)
 
     def clear(self, disc: Disc) -> None:
-        """Undo a jamming disc."""
+        """End the jamming of a disc."""
         self._jams.remove(disc)

@@ -1,7 +1,7 @@
-"""Faults: what breaks, when, and for how long, as frozen models; `desim.kernel.fault_injection` lets them happen.
+"""Faults as frozen models: crashes, partitions, jamming, clock errors. `desim.kernel.fault_injection` applies them.
 
-A fault is a value with a time at which it begins and one at which it is over. A plan is a value that draws such faults
-from the seed. Both are kinds of `[[fault]]` in a scenario file.
+A fault has a start time and an end time. A fault plan draws faults from the seed. Both are kinds of `[[fault]]` in a
+scenario file.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,12 +20,12 @@ from desim.kernel.seeds import stream
 
 
 class _Window(Value):
-    """What all faults share: they are open for a while."""
+    """The fields of all faults: their start and end time."""
 
     start: Time
-    """When it begins, s."""
+    """Start time, s."""
     end: Extent = inf
-    """When it is over, s; inf = never."""
+    """End time, s; inf = never."""
 
     @field_validator("end")
     @classmethod
@@ -36,23 +36,23 @@ class _Window(Value):
 
 
 class Crash(_Window):
-    """A node breaks down and, perhaps, recovers."""
+    """A node crashes and, if the crash ends, recovers."""
 
     kind: Literal["crash"] = "crash"
     node: Node
-    """Which node: in a pursuit, the number of the pursuer."""
+    """The node that crashes; in a pursuit, the number of the pursuer."""
     scope: Literal["radio", "robot"] = "robot"
-    """radio: it neither sends nor receives; robot: it does not move or decide either."""
+    """radio: the node neither sends nor receives; robot: it does not move or decide either."""
     memory: Flag = True
-    """Whether it recovers with what it knew; if not, it has heard of nobody, and a robot starts anew."""
+    """Whether the node keeps its beliefs; if not, it recovers with none, and a robot restarts its process."""
 
 
 class Partition(_Window):
-    """Groups of nodes cannot hear each other."""
+    """Groups of nodes cannot communicate with each other."""
 
     kind: Literal["partition"] = "partition"
     groups: Annotated[tuple[tuple[Node, ...], ...], Field(min_length=1)]
-    """Lists of nodes; those that are in no list form one more group."""
+    """Lists of nodes; nodes in no list form one more group."""
 
     @field_validator("groups")
     @classmethod
@@ -60,12 +60,12 @@ class Partition(_Window):
         named = [node for group in groups for node in group]
         twice = sorted({node for node in named if named.count(node) > 1})
         if twice:
-            raise ValueError(f"should be disjoint, {twice[0]} is named twice")
+            raise ValueError(f"should be disjoint, node {twice[0]} is listed twice")
         return groups
 
 
 class Jamming(_Window):
-    """Nobody within a disc hears anything."""
+    """No node within a disc receives messages."""
 
     kind: Literal["jamming"] = "jamming"
     centre: tuple[Coordinate, Coordinate]
@@ -75,11 +75,11 @@ class Jamming(_Window):
 
 
 class ClockSkew(Value):
-    """A node whose clock shows offset + (1 + drift) t at the time t."""
+    """The clock of a node shows offset + (1 + drift) t at the time t."""
 
     kind: Literal["clock_skew"] = "clock_skew"
     node: Node | None = None
-    """Who; if absent, everybody: then offset and drift are the standard deviations of normal draws."""
+    """The node; if absent, all nodes: then offset and drift are the standard deviations of normal draws."""
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
     drift: Annotated[float, Field(gt=-1, le=1e3, strict=True)] = 0.0
@@ -87,46 +87,46 @@ class ClockSkew(Value):
 
 
 Fault = Crash | Partition | Jamming
-"""Something that is broken for a while."""
+"""A fault with a start and an end time."""
 
 
 class FaultStarted(NamedTuple):
-    """A fault began."""
+    """A fault started."""
 
     t: Nanoseconds
     fault: Annotated[Fault, Field(discriminator="kind")]
 
 
 class FaultEnded(NamedTuple):
-    """A fault was over."""
+    """A fault ended."""
 
     t: Nanoseconds
     fault: Annotated[Fault, Field(discriminator="kind")]
 
 
 class FaultPlan(Protocol):
-    """What draws faults: `plan(size, horizon, rng)`."""
+    """A model that draws faults: `plan(size, horizon, rng)`."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterable[Fault]:
-        """Return the faults among `size` nodes until the horizon, s."""
+        """Return the faults of `size` nodes up to the horizon, s."""
         ...
 
 
 class RandomCrashes(Value):
-    """Every node breaks down at a rate, for an exponential time."""
+    """Each node crashes at a constant rate, for exponentially distributed downtimes."""
 
     kind: Literal["random_crashes"] = "random_crashes"
     rate: Rate = 0.1
-    """Breakdowns per second of each node that is up, 1/s."""
+    """Crash rate of each node that is up, 1/s."""
     mean_downtime: Duration = 1.0
-    """Mean time until it recovers, s."""
+    """Mean time until a crashed node recovers, s."""
     scope: Literal["radio", "robot"] = "robot"
-    """radio: it neither sends nor receives; robot: it does not move or decide either."""
+    """radio: the node neither sends nor receives; robot: it does not move or decide either."""
     memory: Flag = True
-    """Whether it recovers with what it knew."""
+    """Whether the node keeps its beliefs."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
-        """Yield the crashes of each node until the horizon, s."""
+        """Yield the crashes of all nodes that start before the horizon, s, node by node."""
         for node, each in enumerate(rng.spawn(size)):
             t = each.exponential(1.0 / self.rate)
             while t < horizon:
@@ -136,26 +136,26 @@ class RandomCrashes(Value):
 
 
 class RandomFaults(Value):
-    """Crashes, partitions and jamming of all sorts, at random: for soak runs."""
+    """Random crashes, partitions and jamming with random parameters, for soak tests."""
 
     kind: Literal["random"] = "random"
     rate: Rate = 1.0
-    """Faults per second, 1/s."""
+    """Rate of faults, 1/s."""
     mean_duration: Duration = 1.0
     """Mean duration of a fault, s."""
     end: Extent = inf
-    """When the last fault is over at the latest, s."""
+    """Time by which all faults have ended, s."""
     kinds: Annotated[tuple[Literal["crash", "partition", "jamming"], ...], Field(min_length=1)] = (
         "crash",
         "partition",
         "jamming",
     )
-    """What may happen."""
+    """The kinds of faults to draw."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
-        """Yield the faults that begin before the horizon, s, in order of time."""
+        """Yield the faults that start before the horizon, s, ordered by start time."""
         t, end = 0.0, min(self.end, horizon)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
             duration = max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION)
@@ -175,12 +175,12 @@ class RandomFaults(Value):
 
 
 MIN_FAULT_DURATION = 1e-6
-"""No drawn fault is shorter, s."""
+"""Minimum duration of a drawn fault, s."""
 FAULTS = OneOf(Crash, Partition, Jamming, RandomCrashes, RandomFaults, ClockSkew)
 
 
 def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[float, float]]:
-    """Return (offset in s, drift) of each node's clock; later skews add to earlier ones."""
+    """Return (offset in s, drift) of the clock of each node; several skews of a node add up."""
     errors = np.zeros((size, 2))
     for k, skew in enumerate(each for each in given if isinstance(each, ClockSkew)):
         if skew.node is None:
@@ -192,11 +192,11 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
 
 
 MIN_CLOCK_RATE = -0.99
-"""A clock that ran backwards would be none."""
+"""Smallest drift of a clock, so that no clock stands still or runs backwards."""
 
 
 def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:
-    """Return faults with every plan replaced by what it draws; the k-th plan has a stream of its own."""
+    """Return the given faults and the faults drawn by each plan; every plan has its own random stream."""
     faults: list[Fault] = []
     number = count()
     for each in given:
