@@ -11,269 +11,43 @@ made of sightings that are old: where the evader was; where it would be at the v
 be by now.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import groupby
+from collections.abc import Callable, Sequence
 from math import inf
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import click
 import numpy as np
 
-from desim import Result, Scenario, summary
-from desim.analysis.metrics import Summary, active_time, captured, end_time
-from desim.analysis.statistics import estimate, wilson
-from desim.analysis.tables import aligned, json_number
-from desim.kernel.events import Sent
-from desim.kernel.latency import Constant
-from desim.kernel.links import Links
-from desim.pursuit.announcements import Announcements
-from desim.pursuit.evasion import (
-    ConstantHeading,
-    Diffusion,
-    Listener,
-    MaxMin,
-    PureEvasion,
-    Still,
-    Strategy,
-    VoronoiVertex,
-    WeightedFlee,
-    Zigzag,
-)
-from desim.pursuit.events import Sampled
-from desim.pursuit.sensing import Sensing, Sighting
-from desim.scenario.scenario import Evader, Recording, Team
-from scenarios.rivals import N, contender
-from scenarios.study import Options, study
+from desim.analysis.tables import aligned
+from scenarios.rivals_runs import N
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+from dataclasses import asdict
 
-LATENCY = 0.1
-"""One-way latency L, s."""
-STRATEGIES: Mapping[str, Strategy] = MappingProxyType(
-    {
-        "pure evasion": PureEvasion(),
-        "pure, of active": PureEvasion(flees_from="active"),
-        "weighted flee": WeightedFlee(),
-        "max-min": MaxMin(),
-        "max-min, of active": MaxMin(flees_from="active"),
-        "zigzag": Zigzag(),
-        "Voronoi vertex": VoronoiVertex(arena=(0.0, 20.0)),
-        "diffusion": Diffusion(),
-        "constant heading": ConstantHeading(),
-        "listener": Listener(),
-        "still": Still(),
-    }
+import click
+
+from desim.analysis.tables import json_number
+from scenarios.evaders_runs import (
+    CHASERS,
+    CLAIMED,
+    ESTIMATES,
+    HELD,
+    IDEAL,
+    LATENCY,
+    MORE,
+    NEAREST,
+    PROTOCOLS,
+    RADII,
+    REFERENCE,
+    WATCHED,
+    WATCHERS,
+    Cell,
+    Sighted,
+    measure_chases,
+    measure_sight,
 )
-REFERENCE = "pure evasion"
-CLAIMED = "pure, of active"
-"""It lives longer than the reference."""
-IDEAL = "sap, ideal"
-PROTOCOLS = (IDEAL, "sap", "local_min", "cbba", "server", "voronoi", "centralised")
-NEAREST = "voronoi"
-"""In which, of these protocols, the fast pursuer need not come to chase."""
-MORE = 3
-"""How many times as many runs the second table takes, which is about shares."""
-RADII = (2.0, 4.0, 8.0, 16.0, inf)
-"""R_s, m."""
-HELD = "hold"
-ESTIMATES: Mapping[str, str] = MappingProxyType(
-    {HELD: "hold", "constant_velocity": "constant velocity", "worst_case": "worst case"}
-)
-SPOKEN = Announcements(heartbeat=0.5)
-"""Actions are told as they change, and twice a second."""
-WATCHERS, CHASERS = 10, 2
-WATCHED = Scenario(
-    name="limited sight",
-    team=Team(count=WATCHERS + CHASERS, speeds=(0.5,) * WATCHERS + (1.5,) * CHASERS),
-    evader=Evader(speed=1.2, strategy=Diffusion(sigma=0.4)),
-    sensing=Sensing(track_timeout=2.0),
-    protocol=contender("sap"),
-    announce=SPOKEN,
-    record=Recording(messages=True),
-)
-"""Whoever sees the evader cannot chase it, and whoever chases it does not see it at first."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What one strategy came to against one protocol, means over the runs."""
-
-    strategy: str
-    protocol: str
-    latency: float
-    """s"""
-    survival: float
-    """Time to capture, or t_f where there was none, s."""
-    half_width: float
-    """Of the 95 % interval of that, s."""
-    difference: float
-    """Survival less that of pure evasion in the same runs, s."""
-    difference_half_width: float
-    captured: float
-    """Share of the runs."""
-    active_time: float
-    active_half_width: float
-    handovers: float
-
-
-@dataclass(frozen=True)
-class Sighted:
-    """What limited sight came to under one estimate, means over the runs."""
-
-    radius: float
-    """m"""
-    estimate: str
-    captured: float
-    """Share of the runs."""
-    captured_low: float
-    """Ends of its 95 % Wilson interval."""
-    captured_high: float
-    survival: float
-    """Time to capture, or t_f where there was none, s."""
-    half_width: float
-    difference: float
-    """Survival less that in the same runs if the evader is held to be where it was last seen, s."""
-    difference_half_width: float
-    active_time: float
-    active_half_width: float
-    active_difference: float
-    """Active time less that in the same runs if it is held to be there, s."""
-    active_difference_half_width: float
-    never_seen: float
-    """Share of the runs in which nobody ever saw the evader."""
-    lost: float
-    """Share of the runs in which somebody did, and then for longer than `track_timeout` nobody."""
-    reports: float
-    """Messages with sightings, each receiver counted as one, per second of the pursuit."""
-    report_transmissions: float
-    """How many times sightings were put on the air, per second."""
-
-
-class Watched(NamedTuple):
-    """The numbers of one run with limited sight; see `Sighted`."""
-
-    captured: bool
-    survival: float
-    active_time: float
-    never_seen: bool
-    lost: bool
-    reports: int
-    report_transmissions: int
-
-
-def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the first table; the latency (s) does not matter to the ideal network."""
-    ideal = protocol == IDEAL
-    return Scenario(
-        name=f"{strategy}, {protocol}",
-        team=Team(count=N),
-        evader=Evader(strategy=STRATEGIES[strategy]),
-        protocol=contender("sap" if ideal else protocol),
-        announce=SPOKEN,
-        network=Links(latency=Constant(value=0.0 if ideal else latency)),
-        record=Recording(trajectory=0.0),
-    )
-
-
-def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the second table: how far they see (m), what is made of old sightings, latency (s)."""
-    sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
-    return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
-
-
-def measure_chases(options: Options, latency: float) -> list[Cell]:
-    """Run every strategy against every protocol."""
-    keys = [(strategy, protocol) for strategy in STRATEGIES for protocol in PROTOCOLS]
-    scenarios = [chase(*key, latency) for key in keys]
-    runs = dict(zip(keys, options.measure(scenarios, "strategies", summary), strict=True))
-    return [cell(key, latency, runs[key], reference=runs[REFERENCE, key[1]]) for key in keys]
-
-
-def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, reference: Sequence[Summary]) -> Cell:
-    """Return what the runs of a strategy against a protocol came to, beside pure evasion with the same seeds."""
-    survival, active = estimate([run.end_time for run in runs]), estimate([run.active_time for run in runs])
-    paired = estimate([run.end_time - other.end_time for run, other in zip(runs, reference, strict=True)])
-    return Cell(
-        *key,
-        0.0 if key[1] == IDEAL else latency,
-        survival.mean,
-        survival.half_width,
-        paired.mean,
-        paired.half_width,
-        sum(run.captured for run in runs) / len(runs),
-        active.mean,
-        active.half_width,
-        estimate([run.handovers for run in runs]).mean,
-    )
-
-
-def measure_sight(options: Options, latency: float) -> list[Sighted]:
-    """Run every estimate at every radius; where everything is seen they are all the same."""
-    keys = [(radius, made) for radius in RADII for made in (ESTIMATES if radius < inf else [HELD])]
-    more = replace(options, runs=MORE * options.runs)
-    scenarios = [watched(*key, latency) for key in keys]
-    runs = dict(zip(keys, more.measure(scenarios, "sight", observe), strict=True))
-    return [sighted(*key, runs[key], reference=runs[key[0], HELD]) for key in keys]
-
-
-def observe(result: Result) -> Watched:
-    """Return what came of one run with limited sight."""
-    told = [
-        event
-        for event in result.trace.of(Sent)
-        if isinstance(event.body, tuple) and any(isinstance(each, Sighting) for each in event.body)
-    ]
-    sensing, period = result.scenario.sensing, result.scenario.record.trajectory
-    seen = [_seen(sample, sensing.radius) for sample in result.trace.of(Sampled)]
-    since = seen[seen.index(True) :] if any(seen) else []
-    longest = max((len(list(part)) for here, part in groupby(since) if not here), default=0)
-    return Watched(
-        captured(result),
-        end_time(result),
-        active_time(result),
-        not since,
-        longest * period > sensing.track_timeout,
-        len(told),
-        len({event.flight for event in told}),
-    )
-
-
-def _seen(sample: Sampled, radius: float) -> bool:
-    """Return whether anybody is so near to the evader, m."""
-    gaps = np.array(sample.pursuers) - np.array(sample.evader)
-    return bool(np.hypot(gaps[:, 0], gaps[:, 1]).min() <= radius)
-
-
-def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
-    """Return what the runs with one radius and one estimate came to, beside those with the same seeds that hold."""
-    survival, active = estimate([run.survival for run in runs]), estimate([run.active_time for run in runs])
-    pairs = list(zip(runs, reference, strict=True))
-    longer = estimate([run.survival - other.survival for run, other in pairs])
-    more = estimate([run.active_time - other.active_time for run, other in pairs])
-    count, duration = len(runs), sum(run.survival for run in runs)
-    caught = sum(run.captured for run in runs)
-    return Sighted(
-        radius,
-        made,
-        caught / count,
-        *wilson(caught, count),
-        survival.mean,
-        survival.half_width,
-        longer.mean,
-        longer.half_width,
-        active.mean,
-        active.half_width,
-        more.mean,
-        more.half_width,
-        sum(run.never_seen for run in runs) / count,
-        sum(run.lost for run in runs) / count,
-        sum(run.reports for run in runs) / duration,
-        sum(run.report_transmissions for run in runs) / duration,
-    )
+from scenarios.study import Options, study
 
 
 def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:

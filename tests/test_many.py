@@ -13,7 +13,7 @@ from protocols.binary_log_linear import BinaryLogLinear, SelectiveSAP
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.temperature import ConstantTau
-from scenarios import many
+from scenarios import many_runs
 from tests.law import HORIZON, batches, by_batches, distance
 
 TEAM = Team(positions=((4.4, 0.3), (-2.0, 4.0), (-2.6, -3.6)), speeds=0.2)
@@ -38,7 +38,7 @@ def game_of_three(rule, schedule):
     )
 
 
-PHI = many.capture_times(game_of_three(SpatialAdaptivePlay, SharedSeed()), 0)
+PHI = many_runs.capture_times(game_of_three(SpatialAdaptivePlay, SharedSeed()), 0)
 WELFARES = np.array([welfare(PHI, actions, HORIZON) for actions in ORDER])
 
 
@@ -108,10 +108,10 @@ def test_slow_cooling_finds_the_best_assignment_more_often_than_fast_cooling():
     """
     slow, fast = (
         [
-            many.outcome(run(many.frozen(4, 4, "sap", 300, tau).model_copy(update=QUIET), seed)).best
+            many_runs.outcome(run(many_runs.frozen(4, 4, "sap", 300, tau).model_copy(update=QUIET), seed)).best
             for seed in range(120)
         ]
-        for tau in (many.slow(300), many.FAST)
+        for tau in (many_runs.slow(300), many_runs.FAST)
     )
     assert wilson(sum(slow), 120)[0] > wilson(sum(fast), 120)[1]
     better = [a for a, b in zip(slow, fast, strict=True) if a != b]

@@ -33,7 +33,7 @@ from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
 from protocols.schedules import Poisson, Rounds, SharedSeed
 from protocols.token import TokenRing
-from scenarios import rivals
+from scenarios import rivals_runs
 from tests.many import LOSSY, at_rest, by_evader, chased, easy
 from tests.many import times as times_of_all
 
@@ -555,7 +555,7 @@ def test_twenty_of_equal_speed_have_one_winner_but_for_the_time_that_word_takes(
 
     The control, by the same seed: unsensed, 1.5 s without latency (seed 4), and 23.3 s of 29.4 s with 0.2 s (seed 0).
     """
-    scenario = rivals.scenario("relay stress", auction, latency)
+    scenario = rivals_runs.scenario("relay stress", auction, latency)
     told = scenario.model_copy(update={"announce": scenario.announce.model_copy(update={"payload": "time"})})
     seed = 0 if latency else 4
     assert misassigned_time(run(scenario, seed)) < limit

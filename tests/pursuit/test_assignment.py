@@ -223,7 +223,7 @@ def test_the_gibbs_law_is_that_of_the_global_utility():
 
 
 def test_times_of_capture_are_a_matrix_and_for_the_gibbs_law_finite():
-    with pytest.raises(ValueError, match="all times of capture should be finite"):
+    with pytest.raises(ValueError, match="all capture times should be finite"):
         gibbs([[1.0, inf]], 25.0, 1.0)
     with pytest.raises(ValueError, match=r"\(N, M\) matrix"):
         welfare([1.0, 2.0], (0, 1), 25.0)

@@ -214,7 +214,10 @@ PERIODS = [
     ("sensing.period", {"sensing": {"period": 1.5, "radius": 3.0}}),
     ("protocol.slot", {"protocol": {"kind": "centralised", "slot": 1.5}}),
     ("protocol.schedule.slot", {"protocol": {"kind": "sap", "schedule": {"kind": "shared_seed", "slot": 1.5}}}),
-    ("protocol.schedule.holding_time", {"protocol": {"kind": "sap", "schedule": {"kind": "token_ring", "holding_time": 1.5}}}),
+    (
+        "protocol.schedule.holding_time",
+        {"protocol": {"kind": "sap", "schedule": {"kind": "token_ring", "holding_time": 1.5}}},
+    ),
     ("evader.1.strategy.period", {"evader": [{}, {"strategy": {"kind": "zigzag", "period": 1.5}}]}),
 ]
 

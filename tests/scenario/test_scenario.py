@@ -247,7 +247,11 @@ class Called:
 @pytest.mark.parametrize(
     ("make", "place", "says"),
     [
-        (lambda: Announcements(dissemination=Called()), "dissemination", "should have broadcast; <mine> lacks broadcast"),
+        (
+            lambda: Announcements(dissemination=Called()),
+            "dissemination",
+            "should have broadcast; <mine> lacks broadcast",
+        ),
         (lambda: SpatialAdaptivePlay(schedule=Called()), "schedule", "should have mean_slot; <mine> lacks mean_slot"),
         (
             lambda: Links(medium=Called(half_duplex=False, queue_limit=inf)),

@@ -16,8 +16,8 @@ from desim.pursuit.sensing import Sighting
 from desim.scenario.scenario import Motion
 from desim.simulation.run import Result
 from desim.study.batch import run_many
-from scenarios import evaders
-from scenarios.evaders import CLAIMED, IDEAL, REFERENCE
+from scenarios import evaders, evaders_runs
+from scenarios.evaders_runs import CLAIMED, IDEAL, REFERENCE
 
 TINY = ("pure evasion", "pure, of active", "still")
 
@@ -25,11 +25,12 @@ TINY = ("pure evasion", "pure, of active", "still")
 @pytest.fixture
 def tiny(monkeypatch):
     """The study, cut down to what a test has time for."""
-    monkeypatch.setattr(evaders, "STRATEGIES", {name: evaders.STRATEGIES[name] for name in TINY})
-    monkeypatch.setattr(evaders, "PROTOCOLS", (IDEAL, "sap", "voronoi", "centralised"))
-    monkeypatch.setattr(evaders, "RADII", (2.0, np.inf))
-    monkeypatch.setattr(evaders, "MORE", 2)
-    monkeypatch.setattr(evaders, "WATCHED", evaders.WATCHED.model_copy(update={"horizon": 2.0}))
+    for module in (evaders, evaders_runs):
+        monkeypatch.setattr(module, "STRATEGIES", {name: evaders_runs.STRATEGIES[name] for name in TINY}, raising=False)
+        monkeypatch.setattr(module, "PROTOCOLS", (IDEAL, "sap", "voronoi", "centralised"), raising=False)
+        monkeypatch.setattr(module, "RADII", (2.0, np.inf), raising=False)
+        monkeypatch.setattr(module, "MORE", 2, raising=False)
+        monkeypatch.setattr(module, "WATCHED", evaders_runs.WATCHED.model_copy(update={"horizon": 2.0}), raising=False)
 
 
 @pytest.mark.slow
@@ -38,15 +39,15 @@ def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tin
     document, text, picture = study(evaders.main, "--runs", "1", "--seed", "1", "--latency", "0.2")
     assert document["latency"] == 0.2
     cells = {(each["strategy"], each["protocol"]): each for each in document["cells"]}
-    assert list(cells) == [(name, protocol) for name in TINY for protocol in evaders.PROTOCOLS]
+    assert list(cells) == [(name, protocol) for name in TINY for protocol in evaders_runs.PROTOCOLS]
     assert all(each["latency"] == (0.0 if each["protocol"] == IDEAL else 0.2) for each in cells.values())
-    alone = summary(run(cut(evaders.chase("still", "sap", 0.2)), 1))
+    alone = summary(run(cut(evaders_runs.chase("still", "sap", 0.2)), 1))
     assert cells["still", "sap"]["survival"] == alone.end_time
     assert cells["still", "sap"]["active_time"] == alone.active_time
     assert cells["still", "sap"]["difference"] == alone.end_time - cells[REFERENCE, "sap"]["survival"] < 0.0
-    assert all(cells[REFERENCE, protocol]["difference"] == 0.0 for protocol in evaders.PROTOCOLS)
+    assert all(cells[REFERENCE, protocol]["difference"] == 0.0 for protocol in evaders_runs.PROTOCOLS)
     sight = [(each["radius"], each["estimate"]) for each in document["sight"]]
-    assert sight == [*((2.0, made) for made in evaders.ESTIMATES), ("Infinity", "hold")]
+    assert sight == [*((2.0, made) for made in evaders_runs.ESTIMATES), ("Infinity", "hold")]
     assert text.count("\nstill ") == 4
     assert "sap: who flees only the active" in text
     assert "L = 0.2 s, 2 runs" in text
@@ -61,17 +62,17 @@ def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tin
 
 def test_a_scenario_is_of_the_strategy_the_protocol_and_the_latency_it_is_named_for():
     for protocol, kind, latency in ((IDEAL, "sap", 0.0), ("cbba", "cbba", 0.3)):
-        for name, strategy in evaders.STRATEGIES.items():
-            found = evaders.chase(name, protocol, 0.3)
+        for name, strategy in evaders_runs.STRATEGIES.items():
+            found = evaders_runs.chase(name, protocol, 0.3)
             assert (found.evader.strategy, found.protocol.kind) == (strategy, kind)
             assert found.network.latency.value == latency
 
 
 def test_a_cell_is_compared_with_pure_evasion_run_by_run():
     """Times 5 and 7 s, and 4 and 5 s of pure evasion: 1 and 2 s more, so 1.5 s, +- 12.706 * 0.5 s."""
-    one = summary(run(evaders.chase("still", "voronoi").model_copy(update={"horizon": 0.02}), 0))
+    one = summary(run(evaders_runs.chase("still", "voronoi").model_copy(update={"horizon": 0.02}), 0))
     runs, reference = ([replace(one, end_time=t) for t in times] for times in ((5.0, 7.0), (4.0, 5.0)))
-    found = evaders.cell(("still", "sap"), 0.1, runs, reference=reference)
+    found = evaders_runs.cell(("still", "sap"), 0.1, runs, reference=reference)
     assert (found.survival, found.difference, found.captured) == (6.0, 1.5, 0.0)
     assert found.difference_half_width == pytest.approx(12.706 * 0.5, rel=1e-4)
 
@@ -88,7 +89,7 @@ def test_the_table_claims_what_its_interval_allows(difference, half_width, verdi
 
 def made(strategy, protocol, difference, half_width=0.5):
     """Return a cell of which only the paired difference matters, s."""
-    return evaders.Cell(strategy, protocol, 0.0, 6.0, 1.0, difference, half_width, 1.0, 9.0, 1.0, 0.0)
+    return evaders_runs.Cell(strategy, protocol, 0.0, 6.0, 1.0, difference, half_width, 1.0, 9.0, 1.0, 0.0)
 
 
 @pytest.mark.own_trace
@@ -105,7 +106,7 @@ def test_an_evader_is_lost_if_nobody_sees_it_for_long_who_did():
             trace.append(Sent(10**9, 7, 0, dst, 10**9, 10**9, 64, (sighting,)))
         trace.append(Sent(10**9, 8, 0, 1, 10**9, 10**9, 24, ("something else",)))
         trace.append(Ended(30 * 10**9, "horizon", None))
-        return evaders.observe(Result(evaders.watched(4.0, "hold"), 0, trace))
+        return evaders_runs.observe(Result(evaders_runs.watched(4.0, "hold"), 0, trace))
 
     found = observed(9.0, 3.0, *[5.0] * 41)
     assert (found.never_seen, found.lost, found.reports, found.report_transmissions) == (False, True, 2, 1)
@@ -119,11 +120,11 @@ def test_an_evader_is_lost_if_nobody_sees_it_for_long_who_did():
 def test_reports_are_counted_per_second_of_the_pursuits():
     """10 and 50 messages in 2 and 4 s."""
     runs = [
-        evaders.Watched(True, 2.0, 1.0, never_seen=False, lost=True, reports=10, report_transmissions=2),
-        evaders.Watched(False, 4.0, 2.0, never_seen=False, lost=False, reports=50, report_transmissions=10),
+        evaders_runs.Watched(True, 2.0, 1.0, never_seen=False, lost=True, reports=10, report_transmissions=2),
+        evaders_runs.Watched(False, 4.0, 2.0, never_seen=False, lost=False, reports=50, report_transmissions=10),
     ]
     held = [each._replace(survival=each.survival - k, active_time=0.5) for k, each in enumerate(runs)]
-    found = evaders.sighted(4.0, "worst_case", runs, reference=held)
+    found = evaders_runs.sighted(4.0, "worst_case", runs, reference=held)
     assert (found.difference, found.active_difference) == (0.5, 1.0)
     assert (found.reports, found.report_transmissions) == (10.0, 2.0)
     assert (found.captured, found.lost, found.never_seen, found.survival) == (0.5, 0.5, 0.0, 3.0)
@@ -139,7 +140,7 @@ def errors_from_0(differences):
 def test_who_flees_only_the_active_lives_longer_than_who_flees_all():
     """By 1.06 +- 0.08 s (standard error of 200 runs): that of 20 runs is 0.25 s."""
     thrifty = {"announce": Announcements(trigger="change"), "motion": Motion(step=0.02)}
-    all_, active = (evaders.chase(name, IDEAL).model_copy(update=thrifty) for name in (REFERENCE, CLAIMED))
+    all_, active = (evaders_runs.chase(name, IDEAL).model_copy(update=thrifty) for name in (REFERENCE, CLAIMED))
     tasks = [(each, seed) for each, first in ((all_, 0), (active, 0), (all_, 20)) for seed in range(first, first + 20)]
     times = np.reshape(run_many(tasks, 1, "lives", end_time), (3, 20))
     assert errors_from_0(times[1] - times[0]) > 3.0
@@ -154,7 +155,8 @@ def everybody_chases(me):
 
 def test_whom_an_evader_heeds_does_not_matter_if_everybody_chases():
     scenarios = [
-        evaders.chase(name, IDEAL).model_copy(update={"protocol": everybody_chases}) for name in (REFERENCE, CLAIMED)
+        evaders_runs.chase(name, IDEAL).model_copy(update={"protocol": everybody_chases})
+        for name in (REFERENCE, CLAIMED)
     ]
     for seed in (0, 1):
         one, other = (run(each, seed) for each in scenarios)
@@ -163,18 +165,18 @@ def test_whom_an_evader_heeds_does_not_matter_if_everybody_chases():
 
 @pytest.mark.slow
 def test_the_picture_is_as_wide_as_a_column_and_its_text_lies_clear():
-    rows = enumerate(evaders.STRATEGIES)
-    cells = [made(name, protocol, 0.3 * k) for k, name in rows for protocol in evaders.PROTOCOLS]
+    rows = enumerate(evaders_runs.STRATEGIES)
+    cells = [made(name, protocol, 0.3 * k) for k, name in rows for protocol in evaders_runs.PROTOCOLS]
     sight = [
-        evaders.Sighted(radius, name, 0.5, 0.3, 0.7, 9.0, 1.0, 0.0, 1.0, 5.0, 1.0, 0.0, 1.0, 0.1, 0.2, 40.0, 4.0)
-        for radius in evaders.RADII[:-1]
-        for name in evaders.ESTIMATES
+        evaders_runs.Sighted(radius, name, 0.5, 0.3, 0.7, 9.0, 1.0, 0.0, 1.0, 5.0, 1.0, 0.0, 1.0, 0.1, 0.2, 40.0, 4.0)
+        for radius in evaders_runs.RADII[:-1]
+        for name in evaders_runs.ESTIMATES
     ]
     figure = evaders.picture(cells, sight)
     assert figure.get_size_inches()[0] == pytest.approx(COLUMN)
     figure.draw_without_rendering()
     strategies, shares, _ = figure.axes
-    assert [each.get_text() for each in strategies.get_yticklabels()] == list(evaders.STRATEGIES)[1:]
+    assert [each.get_text() for each in strategies.get_yticklabels()] == list(evaders_runs.STRATEGIES)[1:]
     assert [each.get_text() for each in shares.get_xticklabels()] == ["2", "4", "8", "16"]
     said = [each for axes in figure.axes for each in (axes.xaxis.label, axes.yaxis.label) if each.get_text()]
     assert all("(" in each.get_text() for each in said)

@@ -6,7 +6,7 @@ import pytest
 from desim import run
 from desim.pursuit.assignment import optimal_assignment, welfare
 from desim.pursuit.events import Captured, Started
-from scenarios import many
+from scenarios import many, many_runs
 
 FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "local min")
 
@@ -14,15 +14,16 @@ FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "
 @pytest.fixture
 def few(monkeypatch):
     """The study, cut down to what a test has time for."""
-    monkeypatch.setattr(many, "SIZES", ((2, 2), (3, 2)))
-    monkeypatch.setattr(many, "HARD", (2, 2))
-    monkeypatch.setattr(many, "BUDGETS", (10, 20))
-    monkeypatch.setattr(many, "BUDGET", 20)
-    monkeypatch.setattr(many, "TEMPERATURES", (0.1, 1.0))
-    monkeypatch.setattr(many, "HORIZON", 4.0)
-    monkeypatch.setattr(many, "SLOT", 0.05)
-    monkeypatch.setattr(many, "BOX", (0.0, 5.0))
-    monkeypatch.setattr(many, "CONTENDERS", {name: many.CONTENDERS[name] for name in FEW})
+    for module in (many, many_runs):
+        monkeypatch.setattr(module, "SIZES", ((2, 2), (3, 2)), raising=False)
+        monkeypatch.setattr(module, "HARD", (2, 2), raising=False)
+        monkeypatch.setattr(module, "BUDGETS", (10, 20), raising=False)
+        monkeypatch.setattr(module, "BUDGET", 20, raising=False)
+        monkeypatch.setattr(module, "TEMPERATURES", (0.1, 1.0), raising=False)
+        monkeypatch.setattr(module, "HORIZON", 4.0, raising=False)
+        monkeypatch.setattr(module, "SLOT", 0.05, raising=False)
+        monkeypatch.setattr(module, "BOX", (0.0, 5.0), raising=False)
+        monkeypatch.setattr(module, "CONTENDERS", {name: many_runs.CONTENDERS[name] for name in FEW}, raising=False)
 
 
 @pytest.mark.slow
@@ -30,12 +31,17 @@ def test_the_study_shows_what_runs_come_to(few, study):
     document, text, picture = study(many.main, "--runs", "3")
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}
     game = games[3, "SAP, slow", 20]
-    outcomes = [many.outcome(run(many.frozen(3, 2, "sap", 20, many.slow(20)), seed)) for seed in range(3)]
+    outcomes = [
+        many_runs.outcome(run(many_runs.frozen(3, 2, "sap", 20, many_runs.slow(20)), seed)) for seed in range(3)
+    ]
     assert game["share"] == pytest.approx(np.mean([each.share for each in outcomes]))
     assert game["best"] == pytest.approx(np.mean([each.best for each in outcomes]))
     assert game["best_low"] < game["best"] < game["best_high"] or game["best"] in (0.0, 1.0)
     moved = {(each["pursuers"], each["protocol"]): each for each in document["pursuits"]}
-    chases = [many.chase(run(many.moving(3, 2, "sap", many.slow(many.COOLING)), seed)) for seed in range(3)]
+    chases = [
+        many_runs.chase(run(many_runs.moving(3, 2, "sap", many_runs.slow(many_runs.COOLING)), seed))
+        for seed in range(3)
+    ]
     assert moved[3, "SAP, slow"]["duration"] == pytest.approx(np.mean([each.duration for each in chases]))
     assert moved[3, "SAP, slow"]["captured"] == pytest.approx(np.mean([each.captured for each in chases]))
     assert moved[3, "SAP, slow"]["difference"] == 0.0
@@ -52,44 +58,44 @@ def test_an_outcome_is_the_welfare_of_the_last_profile_in_units_of_the_best():
     def still(me):
         yield me.sleep(1.0)
 
-    scenario = many.frozen(3, 2, "sap", 10)
-    phi = many.capture_times(scenario, 4)
+    scenario = many_runs.frozen(3, 2, "sap", 10)
+    phi = many_runs.capture_times(scenario, 4)
     best = optimal_assignment(phi, scenario.horizon)
 
     def told(me):
         yield me.sleep(0.5 + 0.1 * me.id)
         me.assign(best.get(me.id, 0))
 
-    assert many.outcome(run(scenario.model_copy(update={"protocol": told}), 4)).best
+    assert many_runs.outcome(run(scenario.model_copy(update={"protocol": told}), 4)).best
     result = run(scenario.model_copy(update={"protocol": still}), 4)
     start = result.trace.of(Started)[0].active
     share = welfare(phi, start, scenario.horizon) / sum(scenario.horizon - phi[i, j - 1] for i, j in best.items())
-    assert many.outcome(result).share == pytest.approx(share) != 1.0
-    assert not many.outcome(result).best
+    assert many_runs.outcome(result).share == pytest.approx(share) != 1.0
+    assert not many_runs.outcome(result).best
 
 
 def test_the_game_of_the_study_is_that_of_the_runs():
-    scenario = many.moving(3, 2, "sap")
+    scenario = many_runs.moving(3, 2, "sap")
     start = run(scenario.model_copy(update={"horizon": 0.01}), 5).trace.of(Started)[0]
     gaps = np.linalg.norm(np.array(start.pursuers)[:, None] - np.array(start.evaders)[None], axis=2)
-    assert many.capture_times(scenario, 5) == pytest.approx((gaps - 0.1) / (2.0 - 0.9))
+    assert many_runs.capture_times(scenario, 5) == pytest.approx((gaps - 0.1) / (2.0 - 0.9))
 
 
 def test_a_chase_counts_who_was_captured_until_the_horizon():
-    short = many.moving(3, 6, "sap").model_copy(update={"horizon": 4.0})
+    short = many_runs.moving(3, 6, "sap").model_copy(update={"horizon": 4.0})
     result = run(short, 2)
     caught = [event.t for event in result.trace.of(Captured)]
     assert 0 < len(caught) < 6
-    assert many.chase(result) == many.Chase(len(caught) / 6, 4.0)
+    assert many_runs.chase(result) == many_runs.Chase(len(caught) / 6, 4.0)
 
 
 def test_the_temperature_of_slow_cooling_has_fallen_when_a_tenth_of_the_slots_is_left():
-    tau = many.slow(300)
-    assert 1.0 / tau(0) == pytest.approx(many.HOT)
-    assert 1.0 / tau(135) == pytest.approx(np.sqrt(many.HOT * many.COLD))
-    assert 1.0 / tau(269) > many.COLD * 1.01
-    assert 1.0 / tau(271) == pytest.approx(many.COLD)
-    assert 1.0 / many.FAST(10) == pytest.approx(many.COLD)
+    tau = many_runs.slow(300)
+    assert 1.0 / tau(0) == pytest.approx(many_runs.HOT)
+    assert 1.0 / tau(135) == pytest.approx(np.sqrt(many_runs.HOT * many_runs.COLD))
+    assert 1.0 / tau(269) > many_runs.COLD * 1.01
+    assert 1.0 / tau(271) == pytest.approx(many_runs.COLD)
+    assert 1.0 / many_runs.FAST(10) == pytest.approx(many_runs.COLD)
 
 
 def test_the_example_has_six_pursuers_and_captures_three_evaders(run_of):

@@ -12,7 +12,19 @@ from desim.analysis.metrics import active_time, network_regret
 from desim.pursuit.events import Started
 from desim.pursuit.state import complex_points
 from desim.scenario.scenario import PROTOCOLS, Team
-from scenarios import benchmarks, delay, evaders, figures, find_table1, first_picture, many, rivals, table1, two_clocks
+from scenarios import (
+    benchmarks,
+    delay,
+    evaders,
+    figures,
+    find_table1,
+    first_picture,
+    many,
+    rivals,
+    rivals_runs,
+    table1,
+    two_clocks,
+)
 from scenarios import range as ranges
 
 STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
@@ -168,9 +180,10 @@ def test_the_first_picture_counts_the_active_until_the_end(run_of):
 @pytest.fixture
 def few(monkeypatch):
     """The studies of rivals and of range, cut down to what a test has time for."""
-    monkeypatch.setattr(rivals, "N", 8)
-    monkeypatch.setattr(rivals, "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))})
-    monkeypatch.setattr(rivals, "LATENCIES", (0.0, 0.2))
+    for module in (rivals, rivals_runs):
+        monkeypatch.setattr(module, "N", 8, raising=False)
+        monkeypatch.setattr(module, "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))}, raising=False)
+        monkeypatch.setattr(module, "LATENCIES", (0.0, 0.2), raising=False)
     monkeypatch.setattr(ranges, "RANGES", (0.5, 8.0, 30.0))
     monkeypatch.setattr(ranges, "N", 6)
     small = {name: team.model_copy(update={"count": 6}) for name, team in ranges.TEAMS.items()}
@@ -182,19 +195,21 @@ def test_all_rivals_are_compared_in_the_same_runs(few, study, shortened):
     cut = shortened(2.0)
     document, text, picture = study(rivals.main, "--runs", "2")
     cells = {(cell["protocol"], cell["latency"]): cell for cell in document["cells"]}
-    assert {protocol for protocol, _ in cells} == {*PROTOCOLS.choices(), rivals.SILENT}
+    assert {protocol for protocol, _ in cells} == {*PROTOCOLS.choices(), rivals_runs.SILENT}
     assert all(cell["difference"] == 0.0 for cell in cells.values() if cell["protocol"] == "sap")
-    for latency in rivals.LATENCIES:
-        times = [summary(run(cut(rivals.scenario("paper", "cbaa", latency)), seed)).active_time for seed in (0, 1)]
+    for latency in rivals_runs.LATENCIES:
+        times = [summary(run(cut(rivals_runs.scenario("paper", "cbaa", latency)), seed)).active_time for seed in (0, 1)]
         assert cells["cbaa", latency]["active_time"] == pytest.approx(np.mean(times))
     speaking = set(PROTOCOLS.choices()) - {"centralised", "voronoi", "argmin"}
     for protocol, latency in cells:
         rate = cells[protocol, latency]["transmissions"]
-        assert rate == pytest.approx(rivals.N / rivals.PERIOD, rel=0.1) if protocol in speaking else rate == 0.0
+        assert (
+            rate == pytest.approx(rivals_runs.N / rivals_runs.PERIOD, rel=0.1) if protocol in speaking else rate == 0.0
+        )
     assert cells["centralised", 0.0]["active_time"] < cells["sap", 0.0]["active_time"]
-    regrets = [network_regret(run(cut(rivals.scenario("paper", "sap", 0.2)), seed)) for seed in (0, 1)]
+    regrets = [network_regret(run(cut(rivals_runs.scenario("paper", "sap", 0.2)), seed)) for seed in (0, 1)]
     assert cells["sap", 0.2]["network_regret"] == pytest.approx(np.mean(regrets))
-    assert all(cell["saved_per_kilobyte"] is None for cell in cells.values() if cell["protocol"] == rivals.SILENT)
+    assert all(cell["saved_per_kilobyte"] is None for cell in cells.values() if cell["protocol"] == rivals_runs.SILENT)
     assert text.count("\ncbba ") == 3
     assert "one-way latency L (s)" in picture
 
@@ -203,12 +218,12 @@ def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds(
     """Active times 4 and 6 s; of SAP 3 and 3 s; of the silent 10 and 20 s, so 20 s saved by 40 sent, of 2 kB."""
 
     def runs(*times):
-        base = summary(run(rivals.scenario("paper", "cbaa", 0.0).model_copy(update={"horizon": 0.1})))
+        base = summary(run(rivals_runs.scenario("paper", "cbaa", 0.0).model_copy(update={"horizon": 0.1})))
         sent = {"transmissions": 20, "bytes_sent": 1000, "end_time": 4.0}
         return [(replace(base, active_time=t, potential_gap=2 * t, **sent), t if t < 5.0 else None) for t in times]
 
     others = {"reference": runs(3.0, 3.0), "silent": runs(10.0, 20.0), "prompt": runs(2.0, 2.0)}
-    cell = rivals.cell(("paper", "cbaa", 0.2), runs(4.0, 6.0), **others)
+    cell = rivals_runs.cell(("paper", "cbaa", 0.2), runs(4.0, 6.0), **others)
     assert (cell.relayed, cell.time_to_relay) == (0.5, 4.0)
     assert cell.network_regret == (8.0 + 12.0 - 2 * 4.0) / 2
     assert (cell.active_time, cell.difference) == (5.0, 2.0)

@@ -1,0 +1,255 @@
+"""What `python -m scenarios.many` measures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from desim import Result, Scenario
+from desim.analysis.statistics import estimate, wilson
+from desim.kernel.clock import seconds
+from desim.pursuit.assignment import optimum, welfare
+from desim.pursuit.capture import capture_time
+from desim.pursuit.events import Captured, Decided, Ended, Started
+from desim.pursuit.state import Floats
+from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
+from protocols.schedules import SharedSeed
+from protocols.temperature import ConstantTau, GeometricTau, Temperature
+from scenarios.study import Options
+
+SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
+"""Pursuers N and evaders M."""
+HARD = (4, 4)
+"""The size at which cooling is looked at: with as many evaders as pursuers nobody is free to correct a mistake."""
+HORIZON = 15.0
+"""t_f, and in the frozen game r, s."""
+BOX = (0.0, 20.0)
+"""m"""
+SPEED = 2.0
+"""Of pursuers, m/s; evaders are those of the paper."""
+GAMES_PER_RUN = 3
+"""How many games of that size are negotiated for each run."""
+BUDGETS = (30, 100, 300, 1000)
+"""Slots in which a frozen game is negotiated."""
+BUDGET = 300
+TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Constant ones, s."""
+HOT, COLD = 5.0, 0.05
+"""Between which the temperature falls, s: from what one loses who leaves its evader to what most choices are about."""
+SETTLING = 0.1
+"""Share of the slots that is left when the temperature has fallen."""
+COOLING = 100
+"""Slots in which the temperature falls if everybody moves: a second."""
+SLOT = 0.01
+"""If everybody moves, s."""
+FAST = GeometricTau(first=HOT, ratio=0.5, floor=COLD)
+CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
+    {
+        "SAP, slow": ("sap", "slow"),
+        "SAP, fast": ("sap", "fast"),
+        "Selective SAP, slow": ("selective_sap", "slow"),
+        "Selective SAP, fast": ("selective_sap", "fast"),
+        "local min": ("local_min", None),
+        "CBAA": ("cbaa", None),
+        "CBBA": ("cbba", None),
+        "centralised": ("centralised", None),
+    }
+)
+"""Kind of protocol, and how it cools."""
+COOLED = tuple(name for name, (_, cooling) in CONTENDERS.items() if cooling)
+REFERENCE = "SAP, slow"
+Key = tuple[tuple[int, int], str, int, float | None]
+"""Of frozen games: (N, M), protocol, slots, and the temperature if it is constant, s."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a negotiation ended."""
+
+    share: float
+    """Welfare of the final profile in units of that of the best assignment."""
+
+    @property
+    def best(self) -> bool:
+        """Whether it is that of the best assignment."""
+        return self.share > 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class Negotiation:
+    """What the frozen games of one size came to."""
+
+    pursuers: int
+    evaders: int
+    protocol: str
+    slots: int
+    temperature: float | None
+    """If it is constant, s."""
+    share: float
+    """Mean welfare in units of the optimum."""
+    half_width: float
+    """Of its 95 % interval."""
+    least: float
+    best: float
+    """Share of the games that end in the best assignment."""
+    best_low: float
+    """Ends of its 95 % Wilson interval."""
+    best_high: float
+
+
+@dataclass(frozen=True)
+class Chase:
+    """How a pursuit of several evaders went."""
+
+    captured: float
+    """Share of the evaders."""
+    duration: float
+    """Until the last was captured, or t_f, s."""
+
+
+@dataclass(frozen=True)
+class Pursuits:
+    """What the pursuits of one size came to."""
+
+    pursuers: int
+    evaders: int
+    protocol: str
+    captured: float
+    """Mean share of the evaders captured by t_f."""
+    captured_half_width: float
+    all_captured: float
+    """Share of the runs in which all were."""
+    duration: float
+    """Mean time until all were captured, or t_f, s."""
+    half_width: float
+    """Of its 95 % interval, s."""
+    difference: float
+    """Duration less that of slowly cooled Spatial Adaptive Play in the same runs, s."""
+    difference_half_width: float
+
+
+def slow(slots: int) -> GeometricTau:
+    """Return the temperature that falls over almost all of a number of slots."""
+    ratio = (COLD / HOT) ** (1.0 / ((1.0 - SETTLING) * slots))
+    return GeometricTau(first=HOT, ratio=ratio, floor=COLD)
+
+
+def cooled(name: str, slots: int) -> Temperature | None:
+    """Return the temperature of a contender over a number of slots; None if it knows none."""
+    cooling = CONTENDERS[name][1]
+    return None if cooling is None else slow(slots) if cooling == "slow" else FAST
+
+
+def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
+    """Return a protocol in which, if it has turns, one pursuer decides in each slot (s)."""
+    fields = PROTOCOLS.choices()[kind].model_fields
+    settings: dict[str, Any] = {"slot": slot} if "slot" in fields else {}
+    if "schedule" in fields:
+        settings["schedule"] = SharedSeed(slot=slot)
+    return PROTOCOLS.choices()[kind](**settings if tau is None else settings | {"tau": tau})
+
+
+def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = None) -> Scenario:
+    """Return a pursuit of several evaders."""
+    return Scenario(
+        name=f"{kind}, {pursuers} to {evaders}",
+        horizon=HORIZON,
+        team=Team(count=pursuers, box=BOX, speeds=SPEED),
+        evader=Evader(count=evaders, box=BOX),
+        protocol=protocol(kind, SLOT, tau),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def frozen(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
+    """Return the game of t = 0, negotiated for a number of slots."""
+    return moving(pursuers, evaders, kind).model_copy(
+        update={"motion": Motion(static=True), "protocol": protocol(kind, HORIZON / slots, tau)}
+    )
+
+
+def capture_times(scenario: Scenario, seed: int) -> Floats:
+    """Return the (N, M) times of capture at t = 0, s."""
+    at, speeds = scenario.team.start(seed), scenario.team.all_speeds()
+    columns = [
+        capture_time(evader.start(seed, index), at, speeds, evader.speed, scenario.capture.radius)
+        for index, evader in enumerate(scenario.evaders)
+    ]
+    return np.column_stack(columns)
+
+
+def outcome(result: Result) -> Outcome:
+    """Return how the negotiation of a frozen game ended."""
+    actions = list(result.trace.of(Started)[0].active)
+    for decision in result.trace.of(Decided):
+        actions[decision.pursuer] = decision.active
+    phi, reward = capture_times(result.scenario, result.seed), result.scenario.horizon
+    best = optimum(phi, reward)
+    return Outcome(welfare(phi, actions, reward) / best if best else 1.0)
+
+
+def chase(result: Result) -> Chase:
+    """Return how a pursuit went."""
+    captured = len(result.trace.of(Captured))
+    return Chase(captured / len(result.scenario.evaders), seconds(result.trace.of(Ended)[0].t))
+
+
+def negotiations(options: Options) -> list[Negotiation]:
+    """Negotiate frozen games: by protocol at every size, over slots, and at constant temperatures."""
+    by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
+    hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
+    hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
+    more = replace(options, runs=GAMES_PER_RUN * options.runs)
+    return negotiated(by_size, options) + negotiated(hard, more)
+
+
+def negotiated(keys: Sequence[Key], options: Options) -> list[Negotiation]:
+    """Negotiate frozen games and return what they came to."""
+    scenarios = [
+        frozen(*size, kind_of(name), slots, cooled(name, slots) if tau is None else ConstantTau(value=tau))
+        for size, name, slots, tau in keys
+    ]
+    found = options.measure(scenarios, "negotiations", outcome)
+    return [negotiation(key, outcomes) for key, outcomes in zip(keys, found, strict=True)]
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of protocol that a contender is, or that is named."""
+    return CONTENDERS.get(name, (name, None))[0]
+
+
+def negotiation(key: Key, outcomes: Sequence[Outcome]) -> Negotiation:
+    """Return what frozen games came to."""
+    size, name, slots, tau = key
+    shares = [each.share for each in outcomes]
+    count, mean = sum(each.best for each in outcomes), estimate(shares)
+    ends = wilson(count, len(outcomes))
+    return Negotiation(*size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends)
+
+
+def pursuits(options: Options) -> list[Pursuits]:
+    """Let everybody move: every protocol at every size."""
+    keys = [(size, name) for size in SIZES for name in CONTENDERS]
+    scenarios = [moving(*size, kind_of(name), cooled(name, COOLING)) for size, name in keys]
+    runs = dict(zip(keys, options.measure(scenarios, "pursuits", chase), strict=True))
+    return [compared(*key, runs[key], runs[key[0], REFERENCE]) for key in keys]
+
+
+def compared(size: tuple[int, int], name: str, own: Sequence[Chase], reference: Sequence[Chase]) -> Pursuits:
+    """Return what pursuits came to, beside those of the reference with the same seeds."""
+    captured = estimate([each.captured for each in own])
+    duration = estimate([each.duration for each in own])
+    paired = estimate([each.duration - other.duration for each, other in zip(own, reference, strict=True)])
+    return Pursuits(
+        *size,
+        name,
+        captured.mean,
+        captured.half_width,
+        sum(each.captured == 1.0 for each in own) / len(own),
+        duration.mean,
+        duration.half_width,
+        paired.mean,
+        paired.half_width,
+    )

@@ -1,0 +1,166 @@
+"""What `python -m scenarios.rivals` measures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from desim import Result, Scenario, summary
+from desim.analysis.metrics import Summary, time_to_relay
+from desim.analysis.statistics import estimate
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import PROTOCOLS, Motion, Recording, Team
+from protocols.schedules import Poisson
+from scenarios.study import Options
+
+LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)
+"""One-way latency L, s."""
+SHOWN = 0.2
+"""The latency at which everything is shown, s."""
+PERIOD = 0.1
+"""Between two announcements, and on the average two decisions, of a pursuer, s."""
+STEP = 0.01
+"""Of motion, and between two samples of positions, s."""
+N = 20
+WORLDS: Mapping[str, Scenario] = MappingProxyType(
+    {
+        "paper": Scenario(name="paper", team=Team(count=N)),
+        "relay stress": Scenario(name="relay stress", horizon=60.0, team=Team(count=N, speeds=1.0)),
+        "paper, unseen": Scenario(name="paper, unseen", team=Team(count=N), announce=Announcements(payload="state")),
+    }
+)
+SILENT = "nobody talks"
+REFERENCE = "sap"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What one protocol came to in one world at one latency, means over the runs."""
+
+    world: str
+    protocol: str
+    latency: float
+    active_time: float
+    half_width: float
+    """Of the 95 % interval of the active time, s."""
+    difference: float
+    """Active time less that of Spatial Adaptive Play in the same runs, s."""
+    difference_half_width: float
+    captured: float
+    """Share of the runs."""
+    relayed: float
+    """Share of the runs in which the relay pursuer came to chase alone, for two latencies and periods."""
+    time_to_relay: float | None
+    """s, over those runs."""
+    misassigned_time: float
+    network_regret: float
+    """Potential gap less that without delay, s^2."""
+    handovers: float
+    transmissions: float
+    """Per second."""
+    kilobytes: float
+    """Per second."""
+    saved_per_transmission: float | None
+    """Active time saved against a silent team, s per transmission; None without any."""
+    saved_per_kilobyte: float | None
+
+
+def contender(kind: str) -> object:
+    """Return a protocol that decides as often as the others."""
+    fields = PROTOCOLS.choices()[kind].model_fields
+    settings = {key: PERIOD for key in ("slot", "period") if key in fields}
+    schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
+    return PROTOCOLS.choices()[kind](**settings, **schedule)
+
+
+def scenario(world: str, protocol: str, latency: float) -> Scenario:
+    """Return one scenario of the study."""
+    said = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
+    announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | said)
+    return WORLDS[world].model_copy(
+        update={
+            "protocol": contender(REFERENCE if protocol == SILENT else protocol),
+            "announce": announce,
+            "network": Links(latency=Constant(value=latency)),
+            "motion": Motion(step=STEP),
+            "record": Recording(trajectory=STEP),
+        }
+    )
+
+
+def measure(options: Options) -> list[Cell]:
+    """Run every protocol in every world at every latency."""
+    protocols = [*PROTOCOLS.choices(), SILENT]
+    keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
+    runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
+    return [
+        cell(
+            (world, protocol, latency),
+            runs[world, protocol, latency],
+            reference=runs[world, REFERENCE, latency],
+            silent=runs[world, SILENT, latency],
+            prompt=runs[world, protocol, 0.0],
+        )
+        for world, protocol, latency in keys
+    ]
+
+
+def measured(result: Result) -> tuple[Summary, float | None]:
+    """Return the numbers of a run, and its time to relay by a window that is the same for all protocols, s."""
+    latency = result.scenario.network.latency
+    assert isinstance(latency, Constant)
+    return summary(result), time_to_relay(result, 2.0 * (latency.value + PERIOD))
+
+
+def cell(
+    key: tuple[str, str, float],
+    found: Sequence[tuple[Summary, float | None]],
+    *,
+    reference: Sequence[tuple[Summary, float | None]],
+    silent: Sequence[tuple[Summary, float | None]],
+    prompt: Sequence[tuple[Summary, float | None]],
+) -> Cell:
+    """Return what the runs of one protocol came to, beside others with the same seeds.
+
+    Args:
+        key: world, protocol and latency.
+        found: of each run, its numbers and its time to relay.
+        reference: those of Spatial Adaptive Play.
+        silent: those of a team in which nobody talks.
+        prompt: those of the same protocol without delay.
+    """
+    runs = [run for run, _ in found]
+    relays = [time for _, time in found if time is not None]
+    active = estimate([run.active_time for run in runs])
+    paired = estimate([run.active_time - other.active_time for run, (other, _) in zip(runs, reference, strict=True)])
+    saved = sum(other.active_time - run.active_time for run, (other, _) in zip(runs, silent, strict=True))
+    regrets = [_gap(run) - _gap(other) for run, (other, _) in zip(runs, prompt, strict=True)]
+    sent, kilobytes = sum(run.transmissions for run in runs), sum(run.bytes_sent for run in runs) / 1000.0
+    duration = sum(run.end_time for run in runs)
+    return Cell(
+        *key,
+        active.mean,
+        active.half_width,
+        paired.mean,
+        paired.half_width,
+        _mean([float(run.captured) for run in runs]),
+        len(relays) / len(runs),
+        _mean(relays) if relays else None,
+        _mean([run.misassigned_time for run in runs if run.misassigned_time is not None]),
+        _mean(regrets),
+        _mean([float(run.handovers) for run in runs]),
+        sent / duration,
+        kilobytes / duration,
+        saved / sent if sent else None,
+        saved / kilobytes if kilobytes else None,
+    )
+
+
+def _gap(run: Summary) -> float:
+    assert run.potential_gap is not None
+    return run.potential_gap
+
+
+def _mean(values: Sequence[float]) -> float:
+    return estimate(values).mean
