@@ -1,4 +1,4 @@
-"""Static communication graphs: frozen models that make a networkx graph of a number of nodes."""
+"""Static communication graphs: frozen models that create a networkx graph of a given number of nodes."""
 
 import json
 from pathlib import Path
@@ -17,28 +17,28 @@ if TYPE_CHECKING:
     import networkx as nx
 
 MAX_NAMES = 10
-"""How many nodes a text about a graph names."""
+"""Maximum number of nodes listed in an error message."""
 Node = Annotated[int, Field(ge=0, strict=True)]
 
 
 class GraphModel(Protocol):
-    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; its edges may have attributes, see `Edge`."""
+    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; see `Edge` for the attributes of its edges."""
 
     def __call__(self, size: int) -> "nx.Graph[int]": ...  # noqa: D102
 
 
 class Complete(Value):
-    """Everybody is linked to everybody."""
+    """Every node is linked to every other node."""
 
     kind: Literal["complete"] = "complete"
 
     def __call__(self, size: int) -> "nx.Graph[int]":
-        """Return the graph, for reading only; O(1) in time and memory."""
+        """Return the graph, which is read-only; O(1) in time and memory."""
         return complete_graph(size)
 
 
 class Ring(Value):
-    """Each node is linked to the next and the last to the first."""
+    """Each node is linked to the next, and the last to the first."""
 
     kind: Literal["ring"] = "ring"
 
@@ -51,17 +51,17 @@ class Ring(Value):
 
 
 class Star(Value):
-    """One node is linked to all others, and they to nobody else."""
+    """One central node is linked to all others; there are no other links."""
 
     kind: Literal["star"] = "star"
     centre: Node = 0
-    """The node in the middle."""
+    """The central node."""
 
     def __call__(self, size: int) -> "nx.Graph[int]":
         """Return the graph.
 
         Raises:
-            ValueError: if there is no such node.
+            ValueError: if the central node does not exist.
         """
         import networkx as nx
 
@@ -73,7 +73,7 @@ class Star(Value):
 
 
 class Grid(Value):
-    """Rows of a given number of nodes, each linked to those beside, above and below it; the last row may be short."""
+    """A rectangular grid; each node is linked to its horizontal and vertical neighbours; the last row may be short."""
 
     kind: Literal["grid"] = "grid"
     columns: Annotated[int, Field(ge=1, strict=True)] = 5
@@ -90,25 +90,25 @@ class Grid(Value):
 
 
 class Edge(Value):
-    """An edge of a graph; what it says of latency and loss replaces what the network has."""
+    """An edge of a graph; its latency, loss and order override those of the network."""
 
     src: Node
-    """Who speaks."""
+    """The sender."""
     dst: Node
-    """Who hears."""
+    """The receiver."""
     latency: Annotated[Latency, LATENCIES] | None = None
     """One-way latency, s."""
     loss: Annotated[Loss, LOSSES] | None = None
-    """Which messages are lost."""
+    """Loss model."""
     order: Literal["overtaking", "fifo"] | None = None
-    """Whether a message may overtake an earlier one, or waits for it."""
+    """overtaking: a message may overtake an earlier one of this link; fifo: messages arrive in the order sent."""
 
 
 class Link(Edge):
-    """One link of the graph that is not like the rest: what is given replaces what the network has."""
+    """A link of the graph with its own models, which override those of the network."""
 
     both_ways: Flag = False
-    """Whether it is the same from `dst` to `src`."""
+    """Whether the link from `dst` to `src` has the same models."""
 
     @model_validator(mode="after")
     def _differs(self) -> Self:
@@ -117,22 +117,22 @@ class Link(Edge):
         return self
 
     def ways(self) -> list[tuple[int, int]]:
-        """Return the hops that it is about."""
+        """Return the directed links (sender, receiver) that the overrides apply to."""
         return [(self.src, self.dst), *([(self.dst, self.src)] if self.both_ways else [])]
 
 
 class Edges(Value):
-    """A simple graph: a list of edges, or a file in node-link JSON or GraphML; edges may have a latency and a loss."""
+    """A simple graph, given as a list of edges or as a file in node-link JSON or GraphML."""
 
     kind: Literal["edges"] = "edges"
     edges: tuple[Edge, ...] = ()
-    """The edges; each may have a latency and a loss of its own."""
+    """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
-    """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read at once."""
+    """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read once."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
-    """Whether an edge is one-way."""
+    """Whether edges are one-way."""
 
     @model_validator(mode="before")
     @classmethod
@@ -140,7 +140,7 @@ class Edges(Value):
         if not isinstance(given, dict) or given.get("file") is None:
             return given
         if "edges" in given:
-            raise ValueError("should have edges or a file of them, not both")
+            raise ValueError("should have edges or a file of edges, not both")
         return given | {"file": None} | _fields(_graph_in(resolve_path(given["file"], info)))
 
     @model_validator(mode="after")
@@ -154,14 +154,14 @@ class Edges(Value):
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":
-        """Return a networkx graph with nodes 0 .. n - 1 as a value; see `Edge` for the attributes of its edges."""
+        """Convert a networkx graph with nodes 0 .. n - 1; see `Edge` for the attributes of its edges."""
         return cls.model_validate(_fields(graph))
 
     def __call__(self, size: int) -> "nx.Graph[int]":
         """Return the graph.
 
         Raises:
-            ValueError: if it does not have this number of nodes.
+            ValueError: if the graph does not have `size` nodes.
         """
         import networkx as nx
 
@@ -188,15 +188,15 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
         if not isinstance(data, dict):
             raise ValueError("it should be an object with nodes and edges")
         key = "edges" if "edges" in data else "links"  # before networkx 3.4
-        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # or of parallel edges it keeps the last
+        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # else the last parallel edge wins
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
-    except Exception as error:  # whatever the two readers of networkx raise at what they do not expect
+    except Exception as error:  # the readers of networkx raise many types of exception for malformed input
         raise ValueError(f"{file} is not a graph in node-link JSON (.json) or GraphML (.graphml): {error}") from error
 
 
 def _check_plain(xml: bytes) -> None:
-    """Raise ValueError if XML declares a document type: its entities and defaults can stand for any amount of text."""
+    """Raise ValueError if XML declares a document type, whose entities could expand to any amount of text."""
     from xml.parsers.expat import ParserCreate
 
     def refuse(*_: object) -> None:
@@ -208,7 +208,7 @@ def _check_plain(xml: bytes) -> None:
 
 
 def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
-    """Return a networkx graph as the fields of `Edges`."""
+    """Convert a networkx graph to the fields of `Edges`."""
     size = len(graph)
     if set(graph) != set(range(size)):
         raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {_some(graph)}")
@@ -221,13 +221,13 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
 
 
 def _some(graph: "nx.Graph[Any]") -> str:
-    """Return the nodes of a graph as a text that fits in a line, and is no longer for a long name."""
+    """Return the first nodes of a graph as a short text of one line, with long names truncated."""
     names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
 
 
 def as_model(name: str, value: Any) -> Any:
-    """Return the attribute of an edge as a model: a number is a constant latency (s) or a probability of loss."""
+    """Return an edge attribute as a model; a number stands for a constant latency (s) or a loss probability."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return Constant(value=float(value)) if name == "latency" else Bernoulli(p=float(value))

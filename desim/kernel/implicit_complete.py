@@ -1,4 +1,4 @@
-"""Complete graphs that take no room: networkx graphs whose nodes and edges are worked out when somebody looks."""
+"""Implicit complete graphs: networkx graphs whose nodes and edges are computed on access instead of stored."""
 
 from collections.abc import Iterator, Mapping
 from itertools import chain
@@ -9,10 +9,10 @@ if TYPE_CHECKING:
 
 
 class _Nothing(dict[str, Any]):
-    """The attributes of what has none, and cannot have any; a copy can."""
+    """The empty, read-only attributes of a node or an edge of an implicit graph."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("what is worked out has no attributes: copy the graph to give it some")
+        raise TypeError("an implicit graph is read-only: copy the graph to set attributes")
 
     __setitem__ = __ior__ = update = setdefault = _refuse
 
@@ -21,7 +21,7 @@ _NOTHING = _Nothing()
 
 
 class _Range(Mapping[int, Any]):
-    """The nodes 0 .. n - 1, one of them perhaps left out, and what belongs to each."""
+    """A mapping from the nodes 0 .. n - 1, possibly without one of them, to their attributes."""
 
     def __init__(self, size: int, without: int | None = None):
         self.size, self._without = size, without
@@ -37,7 +37,7 @@ class _Range(Mapping[int, Any]):
     def __contains__(self, node: Any) -> bool:
         try:
             return bool(0 <= node < self.size and node != self._without and node == int(node))
-        except (TypeError, ValueError):  # it is no number
+        except (TypeError, ValueError):  # not a number
             return False
 
     def __getitem__(self, node: int) -> Any:
@@ -50,14 +50,14 @@ class _Range(Mapping[int, Any]):
 
 
 class _Everybody(_Range):
-    """Each of the nodes 0 .. n - 1 and its neighbours, all others."""
+    """The adjacency of a complete graph: a mapping from each node 0 .. n - 1 to all other nodes."""
 
     def _of(self, node: int) -> _Range:
         return _Range(self.size, int(node))
 
 
 def complete_graph(size: int) -> "nx.Graph[int]":
-    """Return the complete graph of the nodes 0 .. size - 1, for reading only; O(1) in time and memory."""
+    """Return the read-only complete graph of the nodes 0 .. size - 1; O(1) in time and memory."""
     import networkx as nx
 
     graph: nx.Graph[int] = nx.Graph()
@@ -66,7 +66,7 @@ def complete_graph(size: int) -> "nx.Graph[int]":
 
 
 def complete_digraph(size: int) -> "nx.DiGraph[int]":
-    """Return the complete directed graph of the nodes 0 .. size - 1, for reading only; O(1) in time and memory."""
+    """Return the read-only complete directed graph of the nodes 0 .. size - 1; O(1) in time and memory."""
     import networkx as nx
 
     graph: nx.DiGraph[int] = nx.DiGraph()
@@ -75,7 +75,7 @@ def complete_digraph(size: int) -> "nx.DiGraph[int]":
 
 
 def _materialise(graph: Any, size: int) -> None:
-    """Let a graph have nodes and edges as the views of networkx have theirs: worked out, and not to be changed."""
+    """Replace the node and adjacency dictionaries of a graph by computed, read-only mappings."""
     import networkx as nx
 
     graph._node, graph._adj = _Range(size), _Everybody(size)
@@ -85,12 +85,12 @@ def _materialise(graph: Any, size: int) -> None:
 
 
 def is_implicit(graph: "nx.Graph[int]") -> bool:
-    """Return whether a graph is made here, so that no edge has attributes."""
+    """Return whether a graph is an implicit complete graph, whose edges have no attributes."""
     return isinstance(getattr(graph, "_adj", None), _Everybody)
 
 
 def is_complete(graph: "nx.Graph[int]") -> bool:
-    """Return whether a graph links all of its nodes to each other; O(nodes) if it is not made here."""
+    """Return whether a graph is complete; O(1) for an implicit graph, else O(nodes)."""
     size = len(graph)
     pairs = size * (size - 1) // (1 if graph.is_directed() else 2)
     return is_implicit(graph) or (graph.number_of_edges() == pairs and not graph.is_multigraph())

@@ -1,4 +1,4 @@
-"""Inboxes: where messages wait to be read, and who waits for them is woken."""
+"""Inboxes: queues of received messages that wake waiting processes."""
 
 from bisect import bisect_left
 from math import inf
@@ -12,20 +12,24 @@ from desim.kernel.records import Arrival
 
 
 class Message(NamedTuple):
-    """Something one node told others."""
+    """A message from one node to others."""
 
     src: int
     sent: int
-    """When it was sent, ns."""
+    """Time at which the message was sent, ns."""
     body: Any
 
 
 Letter = tuple[int, int, Message]
-"""When a message arrives, ns; its number in the order of departure; the message."""
+"""The arrival time of a message, ns; its transmission number; the message."""
 
 
 class Inbox:
-    """Where messages wait to be read. Waiting for one never consumes it, so a time-out cannot swallow it."""
+    """The messages of a node that are in flight or wait to be read.
+
+    A message is in flight until its arrival time, then waiting, then removed by `drain`. Waiting for a message
+    (`arrival`) does not consume it, so a time-out cannot lose one.
+    """
 
     __slots__ = ("_alarm", "_bell", "_env", "_mail", "_sorted", "_turn")
 
@@ -33,18 +37,19 @@ class Inbox:
         self._env = env
         self._turn = int(Phase.DECISION) + node
         self._mail: list[Letter] = []
-        """What has arrived or will."""
+        """All messages, waiting and in flight."""
         self._sorted = 0
-        """How much of it is in order, from its beginning on."""
+        """Length of the sorted prefix of `_mail`."""
         self._bell: simpy.Event | None = None
+        """The event that processes wait for, if any."""
         self._alarm: float = inf
-        """When the bell will ring for mail that has yet to arrive, ns."""
+        """Time of the next scheduled wake-up for a message in flight, ns."""
 
     def arrival(self, priority: int | None = None) -> simpy.Event:
-        """Return an event that happens as soon as there is mail: now, if there is some already.
+        """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
-            priority: of the event among those of its instant; that of a decision of the node if None.
+            priority: the SimPy priority of the event; that of a decision of the node if None.
         """
         if priority is not None:
             self._turn = priority
@@ -54,7 +59,7 @@ class Inbox:
         return bell
 
     def drain(self) -> list[Message]:
-        """Return the mail that has arrived and not been read, oldest first, and empty the box."""
+        """Remove and return the waiting messages, oldest first."""
         mail, now = self._in_order(), self._env.now
         end = len(mail) if mail and mail[-1][0] <= now else bisect_left(mail, (now + 1,))
         arrived = mail[:end]
@@ -63,23 +68,23 @@ class Inbox:
         return [message for _, _, message in arrived]
 
     def in_flight(self) -> int:
-        """Return how many messages have yet to arrive."""
+        """Return the number of messages in flight."""
         return sum(arrival > self._env.now for arrival, _, _ in self._mail)
 
     def _in_order(self) -> list[Letter]:
-        """Return the mail in the order in which it arrives."""
+        """Return all messages in the order of arrival."""
         if self._sorted < len(self._mail):
             self._mail.sort()
             self._sorted = len(self._mail)
         return self._mail
 
     def _expect_first(self) -> None:
-        """See to it that the bell rings when the first mail arrives."""
+        """Schedule a wake-up at the first arrival."""
         if self._mail:
             self._expect(self._in_order()[0][0])
 
     def _expect(self, arrival: int) -> None:
-        """See to it that the bell rings when mail arrives, unless it does so before."""
+        """Schedule a wake-up at an arrival time (ns), unless an earlier one is scheduled."""
         if arrival <= self._env.now:
             self._ring()
         elif arrival < self._alarm:
@@ -92,7 +97,7 @@ class Inbox:
             self._expect_first()
 
     def _ring(self) -> None:
-        """Let the event that is waited for, if any, happen in this instant's phase of decisions."""
+        """Trigger the event that processes wait for, if any, at the current time with the priority `_turn`."""
         bell, self._bell = self._bell, None
         if bell is not None:
             bell._ok, bell._value = True, None
@@ -100,7 +105,10 @@ class Inbox:
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Let a message arrive in the boxes of its receivers, after those of lower number, and wake who waits for one."""
+    """Put a message into the inboxes of its receivers and wake the processes that wait there.
+
+    Simultaneous messages are ordered by `number`, the number of their transmission.
+    """
     if isinstance(arrival, int):
         letter = arrival, number, message
         for node in receivers:

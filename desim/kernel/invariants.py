@@ -1,8 +1,8 @@
-"""What must hold in every history of a network, whatever its links and faults: watchers that follow each message.
+"""Invariants of every trace of a network, whatever its links and faults: watchers that follow each message.
 
-A message is a pair (flight, receiver). It is delivered if it is not lost by the end of the instant at which it arrives.
-Faults come first at an instant: what arrives as a crash begins is lost, what arrives as the node recovers is delivered.
-What must hold in every pursuit is in `desim.analysis.invariants`.
+A message is a pair (flight, receiver). It is delivered if it is not lost by the end of its arrival instant. Faults come
+first at an instant: a message that arrives when a crash starts is lost, one that arrives when the node recovers is
+delivered. The invariants of a pursuit are in `desim.analysis.invariants`.
 """
 
 from collections import Counter
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 SOME = 64
-"""How many transmissions are left unjudged at least; more, if more are in flight."""
+"""Minimum number of unchecked transmissions before the deliveries are checked; it grows with those in flight."""
 
 
 class Conservation:
-    """A watcher of one run that raises AssertionError if an invariant is broken, before the next tally is over.
+    """A watcher of one run that raises AssertionError if an invariant is violated, by the next `MessageCounts`.
 
-    - What was sent is delivered, lost or in flight, as the tally says: in total, and by each cause.
-    - Nothing leaves before it was created or arrives before it left; time does not run backwards.
-    - A message is lost once at most: while it waits, as it leaves, or as it arrives.
-    - Nobody whose radio is down says anything, and nothing is delivered to it.
-    - Nothing is delivered across a partition that was open as it left or is open as it arrives.
+    - Each sent message is delivered, lost or in flight; the totals and the losses by cause agree with `MessageCounts`.
+    - No message is transmitted before it was created or arrives before it was transmitted; time never decreases.
+    - A message is lost at most once: while it waits, at transmission, or on arrival.
+    - A node whose radio is down neither transmits nor receives.
+    - No message crosses a partition that is active at its transmission or at its arrival.
 
-    Deliveries are judged together, before a fault begins or ends and whenever many have been made.
+    Deliveries are checked in batches: before a fault starts or ends, and when many transmissions are unchecked.
 
     Args:
-        fifo: whether no message may overtake an earlier one of its link, either.
+        fifo: whether to check also that no message overtakes an earlier one of its link.
     """
 
     def __init__(self, *, fifo: bool = False):
@@ -38,11 +38,11 @@ class Conservation:
         self._now = self._sent = self._delivered = 0
         self._lost: Counter[Cause] = Counter()
         self._waiting: dict[int, set[int]] = {}
-        """Who is to receive each flight."""
+        """The receivers of each waiting flight."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
-        """How each flight left, and when it arrives at whom, or `LOST`."""
+        """The event of each transmitted flight, and its arrival time (ns) or `LOST` by receiver."""
         self._latest: dict[tuple[int, int], int] = {}
-        """The last arrival on each link, from sender to receiver."""
+        """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
         self._room = SOME
         self._notices: dict[type, Callable[[Any], None]] = {
@@ -56,7 +56,7 @@ class Conservation:
         }
 
     def __call__(self, event: Event) -> None:
-        """Take notice of an event."""
+        """Check an event."""
         _require(event.t >= self._now, "time does not run backwards", event)
         self._now = event.t
         notice = self._notices.get(type(event))
@@ -65,15 +65,15 @@ class Conservation:
 
     def _depart(self, event: Broadcast | Sent) -> None:
         fates = dict(event.fates())
-        _require(isinstance(event, Sent) or len(fates) == len(event.dst), "a message leaves once", event)
-        _require(event.created <= event.t, "nothing leaves before it was created", event)
+        _require(isinstance(event, Sent) or len(fates) == len(event.dst), "a message is transmitted once", event)
+        _require(event.created <= event.t, "no message is transmitted before it was created", event)
         if fates and min(fates.values()) < event.t:
             early = any(arrival < event.t for arrival in fates.values() if arrival != LOST)
-            _require(not early, "nothing arrives before it left", event)
+            _require(not early, "no message arrives before it was transmitted", event)
         if self._faults:
-            _require(not self._down(event.src), "who is down says nothing", event)
+            _require(not self._down(event.src), "a node whose radio is down sends nothing", event)
             across = any(self._cut(event.src, dst) for dst, arrival in fates.items() if arrival != LOST)
-            _require(not across, "nothing leaves across an open partition", event)
+            _require(not across, "no message is transmitted across an active partition", event)
         if self._fifo:
             self._follow(event, fates)
         self._sent += len(fates)
@@ -83,7 +83,7 @@ class Conservation:
             waiting.difference_update(fates)
         if event.flight in self._flying:
             left, flying = self._flying[event.flight]
-            _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message leaves once", event)
+            _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
             fates = flying | fates
         self._flying[event.flight] = event, fates
         if len(self._flying) > self._room:
@@ -93,11 +93,11 @@ class Conservation:
     def _follow(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
         for dst, arrival in fates.items():
             if arrival != LOST:
-                _require(arrival >= self._latest.get((event.src, dst), 0), "nothing overtakes on a link", event)
+                _require(arrival >= self._latest.get((event.src, dst), 0), "no message overtakes on a link", event)
                 self._latest[event.src, dst] = arrival
 
     def _queue(self, event: Queued) -> None:
-        _require(not self._down(event.src), "who is down says nothing", event)
+        _require(not self._down(event.src), "a node whose radio is down sends nothing", event)
         self._sent += len(event.dst)
         self._waiting.setdefault(event.flight, set()).update(event.dst)
 
@@ -110,8 +110,8 @@ class Conservation:
             left, flying = self._flying.get(event.flight, (event, {}))
             arrival = flying.pop(event.dst, None)
             due = left.t if arrival == LOST else arrival
-            _require(due is not None and due >= event.t, "only what is on its way is lost, and once", event)
-            _require(due == event.t, "a message is lost as it leaves or as it arrives", event)
+            _require(due is not None and due >= event.t, "only a message under way is lost, and only once", event)
+            _require(due == event.t, "a message is lost at transmission or on arrival", event)
 
     def _begin(self, event: FaultStarted) -> None:
         self._settle(event.t)
@@ -119,7 +119,7 @@ class Conservation:
 
     def _end(self, event: FaultEnded) -> None:
         self._settle(event.t)
-        _require(event.fault in self._faults, "only what began is over", event)
+        _require(event.fault in self._faults, "only a fault that started ends", event)
         self._faults.remove(event.fault)
 
     def _count(self, event: MessageCounts) -> None:
@@ -130,19 +130,19 @@ class Conservation:
         _require(same, f"sent, delivered, lost, in flight are {found}, lost are {dict(self._lost)}", event)
 
     def judge(self) -> None:
-        """Judge what was delivered before the last event."""
+        """Check the deliveries before the last event; call it at the end of a run without `MessageCounts`."""
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Count as delivered what arrived before an instant; no fault has begun or ended since it arrived."""
+        """Check and count the deliveries before a time (ns); no fault has started or ended since they arrived."""
         for flight, (event, flying) in list(self._flying.items()):
             if event.t < before:
-                _require(LOST not in flying.values(), "what never arrives is lost", event)
+                _require(LOST not in flying.values(), "a message that never arrives is lost", event)
                 reached = [dst for dst, arrival in flying.items() if arrival < before]
                 self._delivered += len(reached)
                 for node in reached if self._faults else ():
-                    _require(not self._down(node), f"nothing reaches {node}, whose radio is down", event)
-                    _require(not self._cut(event.src, node), f"nothing reaches {node} across an open partition", event)
+                    _require(not self._down(node), f"no message reaches {node}, whose radio is down", event)
+                    _require(not self._cut(event.src, node), f"no message reaches {node} across a partition", event)
                 if len(reached) == len(flying):
                     del self._flying[flight]
                 else:
@@ -156,20 +156,20 @@ class Conservation:
 
 
 class OneToken:
-    """A watcher of one run that raises AssertionError if there are two tokens where there is to be one.
+    """A watcher of one run that raises AssertionError if there are two tokens where only one is allowed.
 
-    - In one epoch there is one, at any time: a hop of it leads from one node to one node, and later hops come later.
-    - Once everything is settled one is left: an epoch that was followed by another does not return.
+    - Each epoch has one token at any time: its hops are numbered in order, and each leads from one node to one node.
+    - From the time `settled` on one token is left: an older epoch does not reappear after a newer one.
 
-    To send a token again, because no receipt came, is not to pass it on again.
+    A retransmission of a token, because no acknowledgement came, does not count as a hop.
 
     Args:
-        kind: of the bodies that are tokens; each has an `epoch`, and a `hop` that grows as it is passed on.
-        group: the nodes among which one is to be left; None: all.
-        settled: from when on, ns; None: never.
+        kind: the type of the message bodies that are tokens, with an `epoch` and a `hop` that grows with every hop.
+        group: the nodes among which one token is left; None: all nodes.
+        settled: the time from which only one token is left, ns; None: never.
 
     Attributes:
-        spoilt: when there were last two in the group, ns; -1 if never.
+        spoilt: the last time at which the group had two tokens, ns; -1 if never.
     """
 
     def __init__(self, kind: type[Any], group: "Collection[int] | None" = None, *, settled: int | None = None):
@@ -181,7 +181,7 @@ class OneToken:
         self.spoilt = -1
 
     def __call__(self, event: Event) -> None:
-        """Take notice of an event."""
+        """Check an event."""
         if isinstance(event, Sent) and isinstance(event.body, self._kind):
             hop = event.src, event.dst, event.body.epoch, event.body.hop
             if hop not in self._passed and (self._group is None or event.src in self._group):
