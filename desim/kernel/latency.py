@@ -1,9 +1,9 @@
-"""How long a message travels, one way: frozen models that answer for all receivers of a transmission at once.
+"""One-way latency of messages: frozen models that return the latencies to all receivers of a transmission at once.
 
-A latency is always one way; a round trip is two. A model answers with one number if all hops fare alike, else with one
-per hop. A model whose draws are independent of the hop has a method `draw`, so that the network may draw a block ahead;
-one whose quantiles are known has `quantile`, so that each pair of nodes may have a latency of its own (`PerPair`); one
-with memory has `start_run(size)`, which returns what answers for one run.
+A latency is always one-way; a round trip takes two. A model returns one number if all receivers have the same latency,
+else one per receiver. It may have further methods: `draw`, if its draws do not depend on the link, so that the network
+can draw blocks ahead; `quantile`, so that each pair of nodes can have its own latency (`PerPair`); and, if it has
+state, `start_run(size)`, which returns the stateful model of one run.
 """
 
 from dataclasses import replace
@@ -26,14 +26,14 @@ Floats = NDArray[np.float64]
 
 
 class Latency(Protocol):
-    """A model of the one-way latency: `latency(hops, rng)` is a number or (k,) numbers >= 0, s."""
+    """A model of the one-way latency: `latency(context, rng)` is a number or (k,) numbers >= 0, s."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
 
 
 @runtime_checkable
 class Independent(Protocol):
-    """A model whose draws are independent and identically distributed, whatever the hop."""
+    """A model whose draws are independent and identically distributed over all links."""
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
         """Return (count,) draws."""
@@ -41,7 +41,7 @@ class Independent(Protocol):
 
 
 class Constant(Value):
-    """Every message travels for the same time."""
+    """Every message has the same latency."""
 
     kind: Literal["constant"] = "constant"
     value: Time = 0.0
@@ -52,19 +52,19 @@ class Constant(Value):
         return self.value
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the latency, s, whatever u."""
+        """Return the latency, s, which does not depend on u."""
         return np.full_like(u, self.value)
 
 
 class _Drawn(Value):
-    """What models share whose draws are independent of the hop."""
+    """The base of models whose draws are independent of the link."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return (count,) draws, s."""
         return self.quantile(rng.random(count))
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the latency that is exceeded with probability 1 - u, s."""
+        """Return the u-quantile of the latency, s."""
         raise NotImplementedError
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
@@ -73,13 +73,13 @@ class _Drawn(Value):
 
 
 class Uniform(_Drawn):
-    """Every latency between two bounds is equally likely."""
+    """Latencies are uniformly distributed between two bounds."""
 
     kind: Literal["uniform"] = "uniform"
     low: Time = 0.0
-    """Least one-way latency, s."""
+    """Minimum one-way latency, s."""
     high: Time = 0.1
-    """Greatest one-way latency, s."""
+    """Maximum one-way latency, s."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -93,7 +93,7 @@ class Uniform(_Drawn):
 
 
 class ShiftedExponential(_Drawn):
-    """A fixed part and an exponential one: d0 + Exp(m)."""
+    """A fixed part plus an exponentially distributed one: d0 + Exp(m)."""
 
     kind: Literal["shifted_exponential"] = "shifted_exponential"
     offset: Time = 0.0
@@ -113,7 +113,7 @@ class ShiftedExponential(_Drawn):
 
 
 class Gamma(_Drawn):
-    """A fixed part and a gamma-distributed one, as a path of several exponential stages has."""
+    """A fixed part plus a gamma-distributed one, the sum of several exponential stages."""
 
     kind: Literal["gamma"] = "gamma"
     offset: Time = 0.0
@@ -128,14 +128,14 @@ class Gamma(_Drawn):
         return self.offset + rng.gamma(self.shape, self.scale, count)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the inverse of the distribution function, s."""
+        """Return the u-quantile, s."""
         from scipy.special import gammaincinv
 
         return self.offset + self.scale * np.asarray(gammaincinv(self.shape, u))
 
 
 class Lognormal(_Drawn):
-    """A fixed part and a lognormal one: s^2 = ln(1 + cv^2), mu = ln mean - s^2 / 2."""
+    """A fixed part plus a lognormal one: s^2 = ln(1 + cv^2), mu = ln mean - s^2 / 2."""
 
     kind: Literal["lognormal"] = "lognormal"
     offset: Time = 0.0
@@ -143,7 +143,7 @@ class Lognormal(_Drawn):
     mean: Time = 0.05
     """Mean of the lognormal part, s."""
     cv: Annotated[float, Field(ge=0, le=1e3, strict=True)] = 0.5
-    """Its coefficient of variation: standard deviation / mean."""
+    """Coefficient of variation of the lognormal part: standard deviation / mean."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return (count,) draws, s."""
@@ -160,18 +160,18 @@ class Lognormal(_Drawn):
 
     @property
     def _variance(self) -> float:
-        """Of the logarithm."""
+        """The variance s^2 of the logarithm."""
         return log1p(self.cv**2)
 
 
 class Empirical(_Drawn):
-    """Every latency of a list, for instance of measured ones, is equally likely."""
+    """Latencies are drawn uniformly from a list, for instance of measurements."""
 
     kind: Literal["empirical"] = "empirical"
     values: Annotated[tuple[Time, ...], Field(min_length=1)] = ()
     """One-way latencies, s."""
     file: str | None = None
-    """Instead of values: a text file of them, relative to the scenario file; it is read at once."""
+    """Instead of values: a text file of values, relative to the scenario file; read once."""
 
     @model_validator(mode="before")
     @classmethod
@@ -179,13 +179,13 @@ class Empirical(_Drawn):
         if not isinstance(given, dict) or given.get("file") is None:
             return given
         if "values" in given:
-            raise ValueError("should have values or a file of them, not both")
+            raise ValueError("should have values or a file of values, not both")
         return given | {"file": None, "values": _numbers(resolve_path(given["file"], info))}
 
     @model_validator(mode="after")
     def _has_some(self) -> Self:
         if not self.values:
-            raise ValueError("needs values, or a file of them")
+            raise ValueError("should have values, or a file of values")
         return self
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
@@ -193,7 +193,7 @@ class Empirical(_Drawn):
         return np.asarray(self.values)[rng.integers(len(self.values), size=count)]
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the value below which a share u of the list is, s."""
+        """Return the empirical u-quantile of the list, s."""
         return np.sort(self.values)[(u * len(self.values)).astype(np.intp)]
 
 
@@ -213,12 +213,12 @@ def _numbers(file: Path) -> list[float]:
             if not 0.0 <= numbers[-1] < float("inf"):
                 raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {word})")
     if not numbers:
-        raise ValueError(f"{file} holds no numbers")
+        raise ValueError(f"{file} contains no numbers")
     return numbers
 
 
 class Propagation(Value):
-    """Distance over a propagation speed, and a fixed part: sound under water, light between satellites."""
+    """A fixed part plus distance / propagation speed, for instance for sound under water or light in space."""
 
     kind: Literal["propagation"] = "propagation"
     speed: Annotated[Speed, Field(gt=0)] = 1500.0
@@ -232,15 +232,15 @@ class Propagation(Value):
 
 
 class PerPair(Value):
-    """Every pair of nodes has a latency of its own, drawn once from the seed; every message adds a jitter to it."""
+    """Each pair of nodes has its own base latency, drawn once per seed; each message adds a jitter."""
 
     kind: Literal["per_pair"] = "per_pair"
     base: Annotated[Any, OneOf(Lognormal, Constant, Uniform, ShiftedExponential, Gamma, Empirical)] = Lognormal()
-    """What the pairs' own latencies are drawn from."""
+    """Distribution of the base latencies of the pairs."""
     jitter: Annotated[Latency, OneOf(ShiftedExponential, Constant, Uniform, Gamma, Lognormal, Empirical)] = Constant()
-    """What each message adds."""
+    """Additional latency, drawn for each message."""
     symmetric: Flag = True
-    """Whether both ways between two nodes have the same latency."""
+    """Whether both directions between two nodes have the same base latency."""
 
     @model_validator(mode="after")
     def _has_quantiles(self) -> Self:
@@ -249,7 +249,7 @@ class PerPair(Value):
         return self
 
     def start_run(self, size: int) -> Latency:
-        """Return the pairs of one run between `size` nodes; they remember their own latencies."""
+        """Return the model of one run with `size` nodes, which caches the base latencies."""
         return _Pairs(self, size)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
@@ -257,12 +257,12 @@ class PerPair(Value):
         return self.own(context) + self.jitter(context, rng)
 
     def own(self, context: LinkContext) -> Floats:
-        """Return the (k,) latencies that belong to the pairs, s."""
+        """Return the (k,) base latencies of the links, s."""
         return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
 
 
 class _Pairs:
-    """The pairs of one run: what is their own is worked out once per sender, while there is room to keep it."""
+    """`PerPair` in one run: the base latencies of a sender are computed once and cached, up to `ROOM` numbers."""
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)

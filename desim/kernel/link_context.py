@@ -1,4 +1,4 @@
-"""The hops of one transmission: what a model of a link may know when it answers for them."""
+"""The context of one transmission: the inputs of a latency or loss model."""
 
 from dataclasses import dataclass
 
@@ -11,21 +11,21 @@ from desim.kernel.seeds import pair_uniform
 
 @dataclass(slots=True)
 class LinkContext:
-    """From `src` to each of the (k,) nodes `dst`, at a time, with a message of a size."""
+    """The links of one transmission, from `src` to each of the (k,) nodes `dst`."""
 
     src: int
     dst: NDArray[np.intp]
     now: float = 0.0
-    """When the message leaves, s."""
+    """Time of the transmission, s."""
     size: int = 0
-    """Bytes."""
+    """Size of the message, bytes."""
     seed: int = 0
-    """Of the run."""
+    """Seed of the run."""
     positions: PositionSource | None = None
 
     @property
     def distances(self) -> NDArray[np.float64]:
-        """(k,) distances between sender and receivers as the message leaves, m.
+        """The (k,) current distances between the sender and the receivers, m.
 
         Raises:
             ValueError: if the nodes have no positions.
@@ -36,5 +36,5 @@ class LinkContext:
         return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
-        """Return (k,) uniform numbers in (0, 1) that belong to the pairs of nodes and never change."""
+        """Return (k,) uniform draws in (0, 1), one per pair of nodes, which stay the same during a run."""
         return pair_uniform(self.seed, name, self.src, self.dst, symmetric=symmetric)

@@ -1,4 +1,4 @@
-"""The links of a network as one value: who is linked to whom, how far word reaches, how long it takes, what is lost."""
+"""The link models of a network as one value: graph, range, reception, latency, loss, medium."""
 
 from math import inf
 from typing import Annotated, Any, Literal
@@ -15,22 +15,22 @@ from desim.kernel.reception import RECEPTION_MODELS, Disk, ReceptionModel
 
 
 class Processing(Value):
-    """Time that a message spends at both ends, beside its latency."""
+    """Processing delays of a message, in addition to its latency."""
 
     sender: Time = 0.0
-    """From the decision to send to the message's leaving, s."""
+    """Processing delay at the sender, s."""
     receiver: Time = 0.0
-    """From the message's coming in to its being readable, s."""
+    """Processing delay at the receiver, s."""
 
 
 def _completed(given: Any, table: dict[str, Any]) -> Any:
-    """Return a table with what it does not say taken from another of the same kind."""
+    """Return a table with its missing keys filled in from another table of the same kind."""
     alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
     return table | given if alike else given
 
 
 class Links(Value):
-    """What the links of a network are like; the default is the ideal network."""
+    """The models of the links of a network; the default is an ideal network: complete, no latency, no loss."""
 
     preset: (
         Literal[
@@ -48,30 +48,30 @@ class Links(Value):
         ]
         | None
     ) = None
-    """A named network whose values stand where this table gives none, illustrative: wifi, lte, 5g, satellite, acoustic,
+    """A named network that supplies the defaults of this table, illustrative: wifi, lte, 5g, satellite, acoustic,
     lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
-    """Who is linked to whom, before range."""
+    """Communication graph, regardless of range."""
     range: Extent = inf
-    """Distance up to which two nodes hear each other, m; inf = any distance."""
+    """Communication range, m; inf = any distance."""
     reception: Annotated[ReceptionModel, RECEPTION_MODELS] = Disk()
-    """How reception depends on distance and range."""
+    """Probability of reception as a function of distance and range."""
     fading: Literal["per_link", "message"] = "per_link"
-    """Whether chance in the reach is drawn once per pair of nodes, or for every message."""
+    """Whether random reception is drawn once per pair of nodes, or for every message."""
     range_check: Literal["send", "delivery", "both"] = "send"
-    """When the reach is judged: as a message leaves, as it arrives, or both."""
+    """When reception is evaluated: at transmission, on arrival, or both."""
     latency: Annotated[Latency, LATENCIES] = Constant()
     """One-way latency, s."""
     order: Literal["overtaking", "fifo"] = "overtaking"
-    """Whether a message may overtake an earlier one of its link, or waits for it."""
+    """overtaking: a message may overtake an earlier one of its link; fifo: messages arrive in the order sent."""
     processing: Processing = Processing()
-    """Time spent at both ends."""
+    """Processing delays at the sender and the receiver."""
     loss: Annotated[Loss, LOSSES] = Bernoulli()
-    """Which messages are lost."""
+    """Loss model."""
     medium: Annotated[Medium, MEDIA] = Unlimited()
-    """What it takes to put a message on the air."""
+    """Model of the airtime of messages and of access to the channel."""
     link: tuple[Link, ...] = ()
-    """Links that are not like the rest."""
+    """Links with their own models."""
 
     @model_validator(mode="before")
     @classmethod

@@ -1,6 +1,6 @@
-"""Whether a message is lost on its way: frozen models that answer for all receivers of a transmission at once.
+"""Message loss: frozen models that decide for all receivers of a transmission at once.
 
-A model with memory has a method `start_run(size)` that returns what answers for one run; the model itself stays frozen.
+A stateful model has a method `start_run(size)` that returns the model of one run with its state.
 """
 
 from collections import defaultdict
@@ -19,7 +19,7 @@ Bools = NDArray[np.bool_]
 
 
 class Loss(Protocol):
-    """A model of the loss: `loss(hops, rng)` is one truth or (k,) truths, True where the message is lost."""
+    """A loss model: `loss(context, rng)` is one boolean or (k,) booleans, True where the message is lost."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools: ...  # noqa: D102
 
@@ -32,34 +32,35 @@ class Bernoulli(Value):
     """Probability that a message is lost, in [0, 1]."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Bools:
-        """Return (count,) draws."""
+        """Return (count,) draws, True where a message is lost."""
         return rng.random(count) < self.p
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> bool | Bools:
-        """Return which of the hops lose the message."""
+        """Return the (k,) losses, or False if nothing can be lost."""
         return self.draw(len(context.dst), rng) if self.p else False
 
 
 class GilbertElliott(Value):
-    """Losses come in bursts: each link is now good and now bad, and loses messages with a probability of either state.
+    """Burst losses: each link alternates between a good and a bad state, each with its own loss probability.
 
     Gilbert 1960, "Capacity of a Burst-Noise Channel", has no losses in the good state; Elliott 1963, "Estimates of
-    Error Rates for Codes on Burst-Noise Channels", has. With p from good to bad and r from bad to good, the share of
-    bad time is s = p / (p + r) and a link is bad for 1 / r in the mean. It starts from its stationary law. Of all
-    messages s `loss_bad` + (1 - s) `loss_good` are lost: just those sent while a link is bad, unless told otherwise.
+    Error Rates for Codes on Burst-Noise Channels", has. With transition probabilities (or rates) p from good to bad and
+    r from bad to good, the share of bad time is s = p / (p + r) and the mean bad period is 1 / r. A link starts in its
+    stationary distribution. The share of lost messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the
+    messages sent in the bad state are lost.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
     share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
     """Share of the messages, or of the time, for which a link is bad, in [0, 1)."""
     burst: Positive = 5.0
-    """Mean duration of a bad period, in messages of the link, or in s if it advances in time."""
+    """Mean duration of a bad period, in messages of the link, or in s if the state advances with time."""
     advance: Literal["message", "time"] = "message"
-    """Whether a link changes between good and bad with every message it carries, or as time goes by."""
+    """Whether the state of a link advances with every message on it, or with time."""
     loss_good: Probability = 0.0
-    """Probability that a message is lost while its link is good, in [0, 1]."""
+    """Probability of loss in the good state, in [0, 1]."""
     loss_bad: Probability = 1.0
-    """Probability that a message is lost while its link is bad, in [0, 1]."""
+    """Probability of loss in the bad state, in [0, 1]."""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -69,16 +70,16 @@ class GilbertElliott(Value):
         return self
 
     def start_run(self, size: int) -> Loss:
-        """Return the links of one run between `size` nodes; they remember how they were."""
+        """Return the model of one run with `size` nodes, which keeps the state of each link."""
         return _Bursts(self)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Return which of the hops lose a message if nothing is remembered: the stationary law."""
+        """Return (k,) losses drawn from the stationary distribution, without state."""
         return rng.random(len(context.dst)) < self.share * self.loss_bad + (1.0 - self.share) * self.loss_good
 
 
 class _Bursts:
-    """The links of one run, one row per sender; memory for those links only that are used."""
+    """`GilbertElliott` in one run: one row per sender, with the state of the links used so far."""
 
     def __init__(self, model: GilbertElliott):
         self._share, self._in_time = model.share, model.advance == "time"
@@ -88,12 +89,12 @@ class _Bursts:
         self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Return which of the hops lose the message, after each link has advanced."""
+        """Advance the state of each link and return the (k,) losses."""
         row = self._rows[context.src]
         links = row.links(context.dst)
         was_bad, since = row.was_bad[links], row.since[links]
         if self._in_time:
-            # Two states in continuous time: P(bad) tends to its share at the sum of the two rates.
+            # In continuous time P(bad) relaxes to the share of bad time at the sum of the two rates.
             memory = exp((self._failure + self._recovery) * (since - context.now))
             chance = self._share + (was_bad - self._share) * memory
         else:
@@ -107,18 +108,18 @@ class _Bursts:
 
 
 class _Row:
-    """How the links of a sender to those receivers that it has had were when they were last used.
+    """The last state of the links of one sender and the time of their last use; -inf if a link was never used.
 
-    At first, and in time after an eternity, a link has forgotten how it was.
+    A link that was never used starts in the stationary distribution.
     """
 
     def __init__(self, share: float):
         self._share = share
-        self._nodes = np.array([-1])  # nobody
+        self._nodes = np.array([-1])  # no node
         self.was_bad, self.since = np.array([share]), np.array([-np.inf])
 
     def links(self, dst: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return where in the row the links to (k,) nodes are."""
+        """Return the (k,) indices in the row of the links to nodes, which are added if new."""
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
             self._add(dst)
@@ -134,24 +135,24 @@ class _Row:
 
 
 class ByDistance(Value):
-    """The farther away the receiver, the likelier the loss: near + (far - near) min(d / distance, 1)^exponent."""
+    """The probability of loss grows with distance d: near + (far - near) min(d / distance, 1)^exponent."""
 
     kind: Literal["by_distance"] = "by_distance"
     near: Probability = 0.0
-    """Probability of loss at no distance, in [0, 1]."""
+    """Probability of loss at distance 0, in [0, 1]."""
     far: Probability = 1.0
     """Probability of loss at `distance` and beyond, in [0, 1]."""
     distance: Length = 10.0
     """m"""
     exponent: Positive = 2.0
-    """How the probability rises in between."""
+    """Exponent of the rise with distance."""
 
     def probability(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the probability of loss at (k,) distances, m."""
+        """Return the (k,) probabilities of loss at (k,) distances, m."""
         return self.near + (self.far - self.near) * power(np.minimum(distances / self.distance, 1.0), self.exponent)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
-        """Return which of the hops lose the message."""
+        """Return the (k,) losses."""
         return rng.random(len(context.dst)) < self.probability(context.distances)
 
 

@@ -1,12 +1,12 @@
-"""How many bytes a message takes: the layout from which all of them are counted.
+"""The size of messages in bytes, computed from a fixed layout.
 
     4  sender
     4  sequence number
     8  time, s
-    8  each number or truth in the body
+    8  each number or boolean in the body
 
-A record that is passed on inside a body takes what it takes by itself. So an action takes 24 bytes, an action with its
-time of capture 32, and one with a position and a speed 48.
+A record that is forwarded inside a body counts with its own header. For example, an action takes 24 bytes, an action
+with a time of capture 32, and an action with a position and a speed 48.
 """
 
 from copy import deepcopy
@@ -17,18 +17,18 @@ import numpy as np
 from desim.kernel.records import Record
 
 HEADER = 16
-"""Bytes of sender, sequence number and time."""
+"""Size of sender, sequence number and time, bytes."""
 NUMBER = 8
-"""Bytes of a number."""
+"""Size of a number, bytes."""
 SCALARS = frozenset({int, float, bool})
 COLLECTIONS = (tuple, list, set, frozenset)
 
 
 def as_sent(body: Any) -> Any:
-    """Return what the receivers of a message get, which does not change when the sender changes the body later.
+    """Return the body that the receivers of a message get, which later changes by the sender do not affect.
 
-    What is hashable counts as immutable and is not copied: a number, a text, a named tuple of such. A list, a dict or
-    an array, or a tuple that holds one, is copied, once for all receivers.
+    A hashable body, such as a number, a string or a named tuple of such, counts as immutable and is not copied. A list,
+    a dict or an array, or a tuple that contains one, is copied once for all receivers.
     """
     try:
         hash(body)
@@ -38,7 +38,7 @@ def as_sent(body: Any) -> Any:
 
 
 def size_of(body: Any) -> int:
-    """Return the bytes of a message with this body: a number, a text, None, or a collection or array of such."""
+    """Return the size (bytes) of a message whose body is a number, a string, None, or a collection or array of such."""
     return HEADER + _size(body)
 
 
