@@ -1,8 +1,8 @@
-"""A run as a GIF for slides: everyone from above, who is active, and the messages on their way.
+"""A run as a GIF for slides: a plan view of all players, the active pursuers, and the messages in flight.
 
-Messages fly, and are lost, where the replay draws them: see `desim.view.deliveries`.
+Messages in flight and lost messages are drawn as in the replay: see `desim.view.deliveries`.
 
-Frames are drawn over one background in the colours of one palette; equal runs give equal bytes.
+All frames share one background and one palette; equal runs give equal bytes.
 """
 
 from collections.abc import Sequence
@@ -27,23 +27,23 @@ from desim.view.deliveries import deliveries
 from desim.view.paths import HUES, EvaderStyle, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4
-"""Of a frame, in."""
+"""Size of a frame, in."""
 PAD = 0.1
-"""Around everything, in."""
+"""Margin around the figure, in."""
 DPI = 100
 MOST = 1500
-"""Frames; they take 0.4 MB of memory each."""
+"""Maximum number of frames; each takes 0.4 MB of memory."""
 HOLD = 1500
-"""How long the last frame stays, ms."""
+"""Display time of the last frame, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
-"""What is left of the hue of an evader in who chases it beside others, if there are several evaders."""
+"""Share of an evader's hue, the rest white, in pursuers that chase it with others; if there are several evaders."""
 MAX_NAMED = 6
-"""Up to so many evaders are in the legend."""
+"""Maximum number of evaders in the legend."""
 SHORT = 0.02
-"""How far before its receiver the cross of a lost message stands, in widths of the picture."""
+"""Distance between the cross of a lost message and its receiver, in widths of the picture."""
 SHADES = 10
-"""Of each colour, towards white."""
+"""Number of shades of each colour, towards white."""
 
 
 def animate(
@@ -52,20 +52,21 @@ def animate(
     """Write a run as a GIF and return the number of frames.
 
     Args:
-        result: of a run whose positions were recorded; its messages are dots if they were recorded, too.
-        path: of the file.
-        begin: s.
-        end: s; None = the end of the run.
+        result: the result of a run with recorded positions; messages are drawn as dots if they were recorded, too.
+        path: the output file.
+        begin: the start of the window, s.
+        end: the end of the window, s; None = the end of the run.
         speed: simulated seconds per second.
-        fps: frames per second, at most 50; the format counts hundredths of a second, so it may become a little more.
+        fps: frames per second, at most 50; rounded up such that a frame lasts whole hundredths of a second, the unit
+            of the format.
 
     Raises:
-        ValueError: if no positions were recorded, or there is no frame, or too many.
+        ValueError: if no positions were recorded, or the window is empty, or has too many frames.
     """
     last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
     if not 0.0 <= begin < last:
         raise ValueError(
-            f"there is nothing from {begin:g} s to {last:g} s: the run lasted {seconds(ended(result).t):g} s"
+            f"the window from {begin:g} s to {last:g} s is empty: the run lasted {seconds(ended(result).t):g} s"
         )
     if not (0.0 < speed < inf and 1 <= fps <= 50):
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
@@ -75,7 +76,7 @@ def animate(
     if len(times) > MOST:
         raise ValueError(
             f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MOST} frames: choose a higher speed, "
-            "fewer fps, or a part of the run"
+            "fewer fps, or a shorter window"
         )
     first, *rest = frames(result, times)
     pauses = [pause] * len(rest) + [HOLD]
@@ -84,7 +85,7 @@ def animate(
 
 
 def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
-    """Return a picture of the run at each of some times (ns), all in the colours of one palette.
+    """Return a picture of the run at each of the given times (ns), all with the same palette.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -94,7 +95,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
         figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
         canvas: Any = FigureCanvasAgg(figure)
         stage = _Scene(figure, result)
-    for artist in stage.moving:  # it has had its share of the layout
+    for artist in stage.moving:  # after the layout, which accounts for them
         artist.set_animated(True)
     canvas.draw()
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
@@ -116,7 +117,7 @@ def _colours(result: Result) -> tuple[str, ...]:
 
 
 def _palette(of: Sequence[str]) -> Image.Image:
-    """Return an image that has the palette of all frames."""
+    """Return an image with the common palette of all frames: white, and the shades of the given colours."""
     colours = [_shade(each, k / SHADES) for each in of for k in range(1, SHADES + 1)]
     levels = np.rint(255 * np.array([[1.0, 1.0, 1.0], *colours])).astype(int)
     found = Image.new("P", (1, 1))
@@ -125,18 +126,18 @@ def _palette(of: Sequence[str]) -> Image.Image:
 
 
 def _shade(colour: str, share: float) -> Floats:
-    """Return a colour of which a share is left, the rest white."""
+    """Return a colour blended with white, as RGB; `share` in [0, 1] is the weight of the colour."""
     found: Floats = 1.0 + (np.array(to_rgb(colour)) - 1.0) * share
     return found
 
 
 class _EvaderArtists:
-    """What moves about an evader: itself, and who chases it.
+    """The moving artists of one evader: the evader and the pursuers that chase it.
 
     Args:
-        axes: to draw on.
-        evader: 1 .. M
-        count: M
+        axes: the axes to draw on.
+        evader: the number of the evader, 1 .. M.
+        count: the number of evaders M.
     """
 
     def __init__(self, axes: Axes, evader: int, count: int):
@@ -156,7 +157,7 @@ class _EvaderArtists:
 
 
 class _Scene:
-    """What moves on a figure; all else is drawn as it is made."""
+    """The axes of the film and their moving artists; static artists are drawn once, when the scene is created."""
 
     def __init__(self, figure: Figure, result: Result):
         self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
@@ -178,7 +179,7 @@ class _Scene:
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
-        """Return what the legend shows of who chases; where each evader has a hue, in none of them."""
+        """Return the legend entries of active pursuers; grey if there are several evaders, each with its own hue."""
         first = self._quarries[0]
         if len(self._quarries) == 1:
             return [first.beside, first.alone]
@@ -189,7 +190,7 @@ class _Scene:
         ]
 
     def _in_order(self) -> list[Artist]:
-        """Return what moves in the order of drawing."""
+        """Return the moving artists in drawing order."""
 
         def of_each(*names: str) -> list[Artist]:
             return [getattr(each, name) for name in names for each in self._quarries]
@@ -206,7 +207,7 @@ class _Scene:
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
     def at(self, t: int, before: int) -> list[Artist]:
-        """Return what moves as it is at a time, the frame before being of another (ns), in the order of drawing."""
+        """Update the moving artists to time `t` and return them in drawing order; `before` is the last frame's, ns."""
         chases = self._chases(t)
         size = self._paths.pursuers.shape[1]
         places = np.array([self._paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
@@ -219,7 +220,7 @@ class _Scene:
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
-        """Return which evader each active pursuer chases at a time; as the run ends, those who did until then."""
+        """Return the evader of each active pursuer at a time; at the end of the run, as just before it."""
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
             each.pursuer: each.evader
@@ -245,7 +246,7 @@ class _Scene:
         return evader in self._captured and self._captured[evader].t <= t
 
     def _in_words(self, t: int, chases: dict[int, int]) -> str:
-        """Return what a caption says beside the time."""
+        """Return the caption of a frame, without the time."""
         count, by = self._paths.count, ended(self._result).capturer
         captured = sum(self._is_captured(evader, t) for evader in self._captured)
         if count > 1:
@@ -257,22 +258,22 @@ class _Scene:
 
 
 def _joined(paths: Sequence[Floats]) -> Floats:
-    """Return paths (k, 2) as one (2, K), with gaps between them."""
+    """Return several (k, 2) paths as one (2, K) path, separated by NaN."""
     gap = np.full((1, 2), np.nan)
     joined: Floats = np.concatenate([gap, *(part for path in paths for part in (path, gap))]).T
     return joined
 
 
 class _MessageDots:
-    """Messages as points that fly evenly from where the sender was as they left to where the receiver is at arrival.
+    """Messages as dots that move at constant speed from the sender at transmission to the receiver at arrival.
 
     Args:
-        left: (k,) when they left, ns.
-        until: (k,) when they arrived or were lost, ns.
-        lost: (k,) whether they were.
-        source: (k, 2) where the sender was when they left, m.
-        target: (k, 2) where the receiver was when they arrived or were lost, m.
-        short: how far before its receiver a message is lost, m.
+        left: (k,) times of transmission, ns.
+        until: (k,) times of arrival or loss, ns.
+        lost: (k,) whether the message was lost.
+        source: (k, 2) positions of the senders at transmission, m.
+        target: (k, 2) positions of the receivers at arrival or loss, m.
+        short: the distance between the cross of a lost message and its receiver, m.
     """
 
     def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
@@ -280,14 +281,14 @@ class _MessageDots:
         self._short = short
 
     def under_way(self, t: int) -> Floats:
-        """Return the (k, 2) places of messages that are under way."""
+        """Return the (k, 2) positions of the messages in flight, m."""
         flying = (self.left <= t) & (t < self._until)
         share = ((t - self.left[flying]) / (self._until - self.left)[flying])[:, None]
         found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
         return found
 
     def lost_between(self, before: int, t: int) -> Floats:
-        """Return the (k, 2) places, just before their receivers, of messages lost between two times."""
+        """Return the (k, 2) positions of the crosses of messages lost between two times, m."""
         gone = self.lost & (before < self._until) & (self._until <= t)
         way = (self._target - self._source)[gone]
         length = np.hypot(way[:, 0], way[:, 1])
@@ -297,7 +298,7 @@ class _MessageDots:
 
 
 def _flights(result: Result, paths: Paths, short: float) -> _MessageDots:
-    """Return the messages of a run, none if they were not recorded; for `short` see `_MessageDots`."""
+    """Return the messages of a run, or none if they were not recorded; for `short` see `_MessageDots`."""
     own = deliveries(result) if messages_recorded(result) else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))
     source, target = np.zeros((len(own), 2)), np.zeros((len(own), 2))

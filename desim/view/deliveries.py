@@ -1,9 +1,9 @@
-"""What there is to draw of a run beside positions: how each message fared, who chased when, and what was broken.
+"""The contents of pictures other than positions: deliveries of messages, chases, handovers and outages.
 
-In every picture a message goes evenly from where its sender was as it left to where its receiver is as it arrives. One
-that is lost, for whatever reason and whenever that was settled, ends in a cross just before its receiver, at the time
-of the loss: so one sees who did not hear. In a space-time diagram, which has lines for places, one that is lost as it
-arrives ends on the line of its receiver.
+In every picture a message moves at constant speed from its sender's position at transmission to its receiver's position
+at arrival. A lost message ends in a cross just short of its receiver, at the time of the loss, whatever its cause: the
+cross shows which receiver missed the message. In a space-time diagram, where each pursuer is a line, a message lost at
+arrival ends on the line of its receiver.
 """
 
 from collections.abc import Iterator
@@ -17,28 +17,29 @@ from desim.simulation.run import Result
 
 
 class Delivery(NamedTuple):
-    """One message on its way to one receiver."""
+    """The delivery of one message to one receiver; a broadcast has a delivery for each receiver."""
 
     flight: int
     """The number of the transmission."""
     src: int
     dst: int
     created: int
-    """When it was sent, ns; earlier than it left if the transmitter was busy."""
+    """Time at which the sender sent it, ns; earlier than `left` if the transmitter was busy."""
     left: int
-    """When it left or, if it never did, when it was dropped, ns; after the end of the run if it waited then."""
+    """Time of transmission or, if it was dropped from the queue, of the drop, ns; after the end of the run if it was
+    still queued then."""
     until: int
-    """When it arrived or was lost, ns; after the end of the run if it was in flight then."""
+    """Time of arrival or loss, ns; after the end of the run if it was still in flight then."""
     cause: Cause | None
-    """Why it was lost, if it was."""
+    """Cause of the loss; None if it was not lost."""
     size: int
     """Bytes."""
     body: Any
-    """What it said; None if it never left."""
+    """Body of the message; None if it was never transmitted."""
 
 
 def deliveries(result: Result) -> list[Delivery]:
-    """Return how every message fared, in the order of what they left as; a broadcast is one for each receiver.
+    """Return all deliveries of a run, in order of the time of transmission.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -58,7 +59,7 @@ def deliveries(result: Result) -> list[Delivery]:
 
 
 def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
-    """Yield what left or began to wait; if it is lost, when and why follows."""
+    """Yield the deliveries that an event begins; a loss is recorded by a later event."""
     if isinstance(event, Queued):
         for dst in event.dst:
             yield Delivery(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
@@ -68,20 +69,20 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
 
 
 def news(body: Any) -> int | None:
-    """Return what a message says that its sender does: which evader it chases, or 0; None if nothing."""
+    """Return the action that a message announces: the evader that its sender chases, or 0; None if it has none."""
     said = getattr(body, "active", None)
     return said if isinstance(said, int) else None
 
 
 class Interval(NamedTuple):
-    """A time for which something was so, ns."""
+    """An interval of time, ns."""
 
     begin: int
     end: int
 
 
 class Chase(NamedTuple):
-    """A time for which somebody chased an evader, ns."""
+    """An interval in which a pursuer chased an evader, ns."""
 
     begin: int
     end: int
@@ -90,7 +91,7 @@ class Chase(NamedTuple):
 
 
 def chasing(result: Result) -> list[list[Chase]]:
-    """Return when each pursuer chased which evader, in order of time."""
+    """Return the chases of each pursuer, in order of time."""
     actions, end = list(started(result).active), ended(result).t
     since = [0] * len(actions)
     found: list[list[Chase]] = [[] for _ in actions]
@@ -105,7 +106,7 @@ def chasing(result: Result) -> list[list[Chase]]:
 
 
 class Handover(NamedTuple):
-    """Somebody came to be the only one that chases an evader, and was not the last that was so."""
+    """A pursuer became the only one that chases an evader, as the first or as the successor of another pursuer."""
 
     t: int
     """ns"""
@@ -115,13 +116,13 @@ class Handover(NamedTuple):
 
 
 def handover_events(result: Result) -> list[Handover]:
-    """Return who came to chase an evader alone, in order of time; each but the first of an evader is a hand-over."""
+    """Return the handovers of all evaders, in order of time; the first of each evader has no predecessor."""
     count = len(started(result).evaders)
     return sorted(Handover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
 
 def outages(result: Result) -> list[tuple[Fault, Interval]]:
-    """Return what was broken and when, in order of its beginning; what is never over ends with the run."""
+    """Return the faults of a run with their intervals, in order of their start; an open fault ends with the run."""
     end, open_faults = ended(result).t, list[FaultStarted]()
     found: list[tuple[Fault, Interval]] = []
     for event in result.trace:

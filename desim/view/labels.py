@@ -1,4 +1,4 @@
-"""Names beside points, where they cover nothing."""
+"""Placement of text labels beside points, without overlaps where possible."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -13,11 +13,11 @@ from desim.analysis.trace_index import Floats
 
 LabelPosition = tuple[float, float]
 SIZE = 6.0
-"""Of the type, points."""
+"""Font size, points."""
 WIDTH, HEIGHT = 0.66, 0.85
-"""Of a digit with a little room, in units of the size of its type."""
+"""Size of a digit with a small margin, in units of the font size."""
 MARKER = 2.5
-"""Half the width of what is drawn at a point, points."""
+"""Half the width of the marker at a point, points."""
 
 
 def label_points(
@@ -28,16 +28,17 @@ def label_points(
     avoid: Sequence[LabelPosition] = (),
     **look: Any,
 ) -> list[Text]:
-    """Write a short name beside each place, where it covers least: no place, no other name, no edge of the axes.
+    """Write a short label beside each point and return the texts.
 
-    Returns the texts.
+    Each label takes the position that overlaps least with points, earlier labels and the outside of the axes.
 
     Args:
-        axes: to write on; with their final limits, and on a figure that is laid out (`draw_without_rendering`).
-        places: (x, y), in the units of the axes.
-        names: of the places.
-        avoid: more places.
-        look: more of the text's properties.
+        axes: the axes to write on; with their final limits, and on a figure that is laid out
+            (`draw_without_rendering`).
+        places: the points (x, y), in data coordinates.
+        names: the labels of the points.
+        avoid: further points to keep free.
+        look: further properties of the texts.
     """
     assert isinstance(axes.figure, Figure)
     points = 72.0 / axes.figure.dpi
@@ -58,7 +59,7 @@ def label_points(
 
 
 def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:
-    """Return the eight boxes beside a point, first that to the upper right."""
+    """Return the eight candidate boxes around a point, starting at the upper right."""
     x, y = anchor
     lefts = (x + MARKER + 0.5, x - width / 2.0, x - width - MARKER - 0.5)
     bottoms = (y + MARKER - 0.5, y - height / 2.0, y - height - MARKER + 0.5)
@@ -67,7 +68,7 @@ def _beside(anchor: Floats, width: float, height: float) -> list[Floats]:
 
 
 def _common(one: Floats, other: Floats) -> float:
-    """Return the area that two boxes have in common."""
+    """Return the area of the intersection of two boxes."""
     sides = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
     return float(np.prod(np.maximum(sides, 0.0)))
 

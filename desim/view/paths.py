@@ -1,6 +1,6 @@
-"""A pursuit from above, in little room: who chased alone, who chased beside others, and where it was handed over.
+"""A compact plan view of a pursuit: paths of active pursuers, alone and with others, and the handovers.
 
-Of several evaders each has a number, a mark and a hue, which who chases it has, too.
+If there are several evaders, each has a number, a marker and a hue; its pursuers are drawn in the same hue.
 """
 
 from itertools import pairwise
@@ -17,27 +17,27 @@ from desim.view.deliveries import Handover, handover_events
 from desim.view.labels import label_points
 
 HUES = (BLUE, GREEN, PURPLE)
-"""Of who chases which of several evaders."""
+"""Hues of the pursuers by evader, if there are several evaders."""
 MARKS = ("s", "^", "v", "P")
-"""Of evaders."""
+"""Markers of the evaders."""
 HALO = (withStroke(linewidth=1.5, foreground="white"),)
-"""What lets a name be read that lies over a path."""
+"""A white outline that keeps a label legible over a path."""
 
 
 class EvaderStyle(NamedTuple):
-    """How an evader, and who chases it, is drawn."""
+    """The marker and colours of an evader and of its pursuers."""
 
     mark: str
     inner: str
-    """The colour within the mark of the evader."""
+    """The fill colour of the evader's marker."""
     alone: str
-    """The colour of who chases it alone."""
+    """The colour of a pursuer that chases it alone."""
     beside: str
-    """The colour of who chases it beside others."""
+    """The colour of a pursuer that chases it together with others."""
 
     @classmethod
     def of(cls, evader: int, count: int) -> "EvaderStyle":
-        """Return that of one of so many evaders."""
+        """Return the style of evader `evader`, 1 .. M, of `count` = M evaders."""
         if count == 1:
             return cls(MARKS[0], VERMILION, BLUE, SKY)
         hue = HUES[(evader - 1) % len(HUES)]
@@ -45,7 +45,7 @@ class EvaderStyle(NamedTuple):
 
 
 class ActivePeriod(NamedTuple):
-    """A time for which a pursuer chased an evader, alone or beside others."""
+    """An interval in which a pursuer chased an evader, either alone or with others throughout."""
 
     pursuer: int
     begin: int
@@ -53,13 +53,13 @@ class ActivePeriod(NamedTuple):
     end: int
     """ns"""
     alone: bool
-    """Whether nobody else chased that evader."""
+    """Whether no other pursuer chased that evader."""
     evader: int
     """1 .. M"""
 
 
 def active_periods(result: Result) -> list[ActivePeriod]:
-    """Return who chased which evader when, and whether alone, in order of the evaders and then of their ends."""
+    """Return the active periods of all pursuers, ordered by evader and then by end."""
     return [
         stint for evader, hunt in enumerate(evader_pursuits(result), start=1) for stint in _active_periods(evader, hunt)
     ]
@@ -86,7 +86,7 @@ def _active_periods(evader: int, hunt: EvaderPursuit) -> list[ActivePeriod]:
 
 
 class Paths:
-    """Where everyone was at any time: on straight lines between the samples.
+    """The positions of all players at any time, by linear interpolation between the samples.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -102,23 +102,23 @@ class Paths:
 
     @property
     def count(self) -> int:
-        """Number of evaders M."""
+        """The number of evaders M."""
         return len(self.evaders[0])
 
     def of(self, pursuer: int, begin: int, end: int) -> Floats:
-        """Return the (k, 2) path of a pursuer between two times, ns."""
+        """Return the (k, 2) path of a pursuer, m, between two times, ns."""
         return self._between(self.pursuers[:, pursuer], begin, end)
 
     def of_evader(self, evader: int, begin: int, end: int) -> Floats:
-        """Return the (k, 2) path of an evader, 1 .. M, between two times, ns."""
+        """Return the (k, 2) path of an evader, 1 .. M, m, between two times, ns."""
         return self._between(self.evaders[:, evader - 1], begin, end)
 
     def at(self, pursuer: int, times: Integers) -> Floats:
-        """Return the (k, 2) places of a pursuer at (k,) times, ns."""
+        """Return the (k, 2) positions of a pursuer, m, at (k,) times, ns."""
         return self._along(self.pursuers[:, pursuer], times)
 
     def hands_over_at(self, takeover: Handover) -> tuple[float, float]:
-        """Return where somebody took over, m."""
+        """Return the position (x, y) of the pursuer that takes over, m."""
         x, y = self.at(takeover.pursuer, np.array([takeover.t]))[0].tolist()
         return x, y
 
@@ -131,13 +131,13 @@ class Paths:
 
 
 def draw_pursuit(axes: Axes, result: Result) -> None:
-    """Draw a pursuit: bold who chases alone, thin who chases beside others, a diamond where somebody comes to be alone.
+    """Draw the paths of active pursuers, bold while alone and thin with others, with a diamond at each handover.
 
-    Each diamond but the first of an evader is a hand-over; beside it stands the number of the pursuer. Pursuers that
-    never moved are where their circles are.
+    The first diamond of an evader marks the first pursuer alone on it. A pursuer that never moved is only the circle
+    at its initial position. `label_takeovers` adds the numbers of the pursuers.
 
     Raises:
-        ValueError: if the run recorded no positions.
+        ValueError: if no positions were recorded.
     """
     paths = Paths(result)
     looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
@@ -179,9 +179,9 @@ def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, E
 
 
 def label_takeovers(axes: Axes, result: Result) -> None:
-    """Write beside each diamond of `draw_pursuit` who takes over, and where each of several evaders starts its number.
+    """Label each diamond of `draw_pursuit` with its pursuer, and each of several evaders' starts with its number.
 
-    See `label_points` for the axes.
+    See `label_points` for the requirements on the axes.
     """
     paths, chain = Paths(result), handover_events(result)
     everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))

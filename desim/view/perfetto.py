@@ -1,12 +1,13 @@
 """A run as a timeline for the Perfetto UI (https://ui.perfetto.dev): its trace as JSON in the Trace Event Format.
 
 The format is that of Google's document "Trace Event Format", as Perfetto reads it
-(https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source): times
-`ts` and durations `dur` in microseconds, with decimals; "M" names a process or a thread; "X" is a slice of a thread;
-"i" an instant; "C" a counter; "b" and "e", alike in pid, cat, id and name, are the ends of what may overlap, and those
-of one process that have one name make one track.
+(https://perfetto.dev/docs/getting-started/other-formats; `src/trace_processor/importers/json` of its source). Times
+`ts` and durations `dur` are in microseconds, with decimals. The phases `ph` are "M", which names a process or a thread;
+"X", a slice of a thread; "i", an instant; "C", a counter; "b" and "e", the begin and end of an asynchronous slice. The
+two ends of such a slice agree in pid, cat, id and name; slices may overlap, and those of equal name in one process
+share a track.
 
-The pursuers are the threads of one process; each receiver is a process, whose tracks are the links that lead to it.
+The pursuers are the threads of one process. Each receiver is a process whose tracks are its incoming links.
 """
 
 import json
@@ -28,23 +29,26 @@ from desim.view.deliveries import chasing, deliveries, handover_events, outages
 PURSUERS = 1
 """The process whose threads are the pursuers."""
 TEAM = 1
-"""The thread of what concerns all of them."""
+"""The thread of events that concern the whole team."""
 FIRST = 2
-"""The thread of pursuer 0, and the process of what it receives."""
+"""The thread of pursuer 0, and the process of the messages to it."""
 Entry = dict[str, Any]
-"""One object of the format."""
+"""One event of the format, a JSON object."""
 
 
 def trace_events(result: Result) -> list[Entry]:
-    """Return a run as trace events, names first and then in order of time; messages if they were recorded."""
+    """Return a run as trace events: first the names, then all other events in order of time.
+
+    Messages are included if they were recorded.
+    """
     told = list(_messages(result)) if messages_recorded(result) else []
     timed = [*_slices(result), *_instants(result), *_counts(result), *told]
-    timed.sort(key=lambda entry: entry["ts"])  # stable, so that what begins and ends at once begins first
+    timed.sort(key=lambda entry: entry["ts"])  # stable, so that a slice of zero duration begins before it ends
     return [*_names(len(started(result).active), bool(told)), *timed]
 
 
 def perfetto(result: Result) -> str:
-    """Return the JSON text of a run, one event a line; see `trace_events`."""
+    """Return the timeline of a run as JSON text, one event per line; see `trace_events`."""
     entries = ",\n".join(json.dumps(_plain(entry), allow_nan=False) for entry in trace_events(result))
     about = {"scenario": result.scenario.name, "seed": result.seed}
     return f'{{"displayTimeUnit": "ms", "otherData": {json.dumps(about)}, "traceEvents": [\n{entries}\n]}}\n'
@@ -56,7 +60,7 @@ def write(result: Result, path: Path) -> None:
 
 
 def _names(size: int, told: bool) -> Iterator[Entry]:
-    """Yield what processes and threads are called, and in which order they stand."""
+    """Yield the names and the sort order of processes and threads."""
 
     def name(kind: str, pid: int, tid: int, text: str) -> Iterator[Entry]:
         yield {"ph": "M", "pid": pid, "tid": tid, "name": f"{kind}_name", "args": {"name": text}}
@@ -68,12 +72,12 @@ def _names(size: int, told: bool) -> Iterator[Entry]:
     for pursuer in range(size):
         yield from name("thread", PURSUERS, FIRST + pursuer, f"pursuer {pursuer}")
     for pursuer in range(size if told else 0):
-        # Perfetto tells threads apart by tid alone, so that of a receiver has to be another than a pursuer's.
+        # Perfetto identifies threads by tid alone, so the tid of a receiver must differ from those of pursuers.
         yield from name("process", FIRST + pursuer, FIRST + size + pursuer, f"messages to {pursuer}")
 
 
 def _slices(result: Result) -> Iterator[Entry]:
-    """Yield what lasts: chases, and what is broken."""
+    """Yield the slices: chases and faults."""
     several = has_several(result)
     for pursuer, own in enumerate(chasing(result)):
         for begin, end, evader in own:
@@ -87,15 +91,15 @@ def _slices(result: Result) -> Iterator[Entry]:
 
 
 def _instants(result: Result) -> Iterator[Entry]:
-    """Yield what happens at once: decisions, take-overs, captures, and the end."""
+    """Yield the instants: decisions, handovers, captures, and the end of the run."""
     changed, several = {id(change) for change in changes(result)}, has_several(result)
     for each in decisions(result):
-        starts = f"turns to {action(each)}" if several else "starts"
-        name = (starts if chases(each) else "stops") if id(each) in changed else "decides as before"
+        starts = f"switches to {action(each)}" if several else "starts"
+        name = (starts if chases(each) else "stops") if id(each) in changed else "keeps action"
         yield _entry("i", name, FIRST + each.pursuer, each.t, cat="decision", s="t", args={"active": each.active})
     for t, pursuer, evader in handover_events(result):
         whom: dict[str, int] = {"evader": evader} if several else {}
-        name = f"{pursuer} takes {evader} over" if several else f"{pursuer} takes over"
+        name = f"{pursuer} takes over {evader}" if several else f"{pursuer} takes over"
         yield _entry("i", name, TEAM, t, cat="relay", s="t", args={"pursuer": pursuer} | whom)
     for capture in result.trace.of(Captured):
         who = {"evader": capture.evader, "capturer": capture.capturer}
@@ -106,7 +110,7 @@ def _instants(result: Result) -> Iterator[Entry]:
 
 
 def _counts(result: Result) -> Iterator[Entry]:
-    """Yield the number of active pursuers, of several evaders also of those on each, as often as it changes."""
+    """Yield counters, at each change: the active pursuers and, if there are several evaders, the pursuers on each."""
     start = started(result)
     on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
 
@@ -124,7 +128,7 @@ def _counts(result: Result) -> Iterator[Entry]:
 
 
 def _messages(result: Result) -> Iterator[Entry]:
-    """Yield both ends of each message; what is in flight as the run ends goes on until it would arrive."""
+    """Yield the begin and end of each delivery; a message in flight at the end of the run lasts until its arrival."""
     size, over = len(started(result).active), ended(result).t
     for each in deliveries(result):
         link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.flight}.{each.dst}"}
@@ -142,9 +146,9 @@ def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more:
 
 
 def _microseconds(t: int) -> float | int:
-    """Return a time (ns) in microseconds, such that a thousand times it, cut off as Perfetto does, is the time again.
+    """Return a time (ns) in microseconds, such that int(1000 * result), Perfetto's conversion, is the time again.
 
-    A float has room for the nanoseconds of 100 days.
+    A float represents nanoseconds exactly for up to 100 days.
     """
     if t % 1000 == 0:
         return t // 1000
@@ -153,7 +157,7 @@ def _microseconds(t: int) -> float | int:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as what JSON has; of a body that it does not know, the `repr`."""
+    """Return a value in JSON types; a message body of unknown type becomes its `repr`."""
     if isinstance(value, float):
         return to_json(value)
     if value is None or isinstance(value, str | int):

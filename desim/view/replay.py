@@ -1,7 +1,7 @@
-"""The replay of a run: one HTML page with all it needs in it, the same bytes every time.
+"""The replay of a run: one self-contained HTML page; equal runs give equal bytes.
 
-Times are whole ticks, positions whole millimetres or, if they lie far apart, a coarser unit. Columns of numbers are
-typed arrays in base64, little-endian.
+In the data of the page, times are whole ticks and positions whole millimetres or, if they lie far apart, a coarser
+unit. Columns of numbers are little-endian typed arrays in base64.
 """
 
 from base64 import b64encode
@@ -41,17 +41,17 @@ from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
 
 MAX_REPLAY_TIME = 2**32 - 1
-"""The last tick of a column."""
+"""The largest tick that a column holds."""
 DECIDED, HALTED, RELEASED = range(3)
-"""Why somebody does something from some time on: it decided so, broke down, or what it chased was captured."""
+"""The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 ReplayData = dict[str, Any]
-"""What JSON has."""
+"""A JSON object."""
 
 
 def replay(result: Result) -> str:
-    """Return a page that plays a run, with nothing in it that lies elsewhere; jinja2 (the extra `plot`) is needed.
+    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`).
 
-    In a notebook, write it to a file and show that in an `IPython.display.IFrame`.
+    In a notebook, write it to a file and show the file in an `IPython.display.IFrame`.
     """
     from jinja2 import Environment
 
@@ -67,23 +67,23 @@ def replay(result: Result) -> str:
 
 
 def missing_recordings(result: Result) -> Iterator[str]:
-    """Yield what cannot be shown because it was not recorded."""
+    """Yield a warning for each part of the replay that cannot be shown."""
     if not positions_known(result):
         yield (
-            "Positions were not recorded, so nobody moves and who is near whom is as at the start: set "
+            "Positions were not recorded: players and links are shown at the initial positions throughout. Set "
             "record.trajectory to a time greater than 0 s."
         )
     if not _falls(result.scenario.network):
-        yield "The reach does not fall with the distance everywhere, so who hears whom is not shown."
+        yield "Links are not shown: the reception probability does not decrease monotonically with the distance."
     if lacks_messages(result):
         yield (
-            f"Messages were not recorded: the {messages(result).sent:,} that were sent are not shown, nor what was "
-            "believed. Set record.messages = true."
+            f"Messages were not recorded: neither the {messages(result).sent:,} messages sent nor the beliefs are "
+            "shown. Set record.messages = true."
         )
 
 
 def _about(result: Result) -> str:
-    """Return a run in a line."""
+    """Return a one-line description of a run: players, protocol, seed and outcome."""
     end, scenario = ended(result), result.scenario
     players, which = f"{len(started(result).active)} pursuers", ""
     outcome = {
@@ -103,12 +103,12 @@ def _about(result: Result) -> str:
 
 
 class _Ticks(NamedTuple):
-    """The unit of time: the shortest power of ten of a nanosecond in which the run has less than 2^31 of them."""
+    """The unit of time: the smallest power of ten in nanoseconds such that the run has fewer than 2^31 ticks."""
 
     length: int
-    """ns"""
+    """Duration of a tick, ns."""
     end: int
-    """Of the run, ns."""
+    """End of the run, ns."""
 
     @classmethod
     def fit(cls, end: int) -> "_Ticks":
@@ -123,11 +123,11 @@ class _Ticks(NamedTuple):
         return self.nearest(self.end)
 
     def nearest(self, t: int) -> int:
-        """Return the tick of a time, ns."""
+        """Return the tick nearest to a time, ns."""
         return (t + self.length // 2) // self.length
 
     def __call__(self, times: ArrayLike) -> str:
-        """Return times (ns) as a column; those after the end of the run are later ticks than its last."""
+        """Return times (ns) as a column of ticks; times after the end of the run map to ticks after `last`."""
         given = np.asarray(times, np.int64)
         ticks = (given + self.length // 2) // self.length
         ticks = np.where(given > self.end, np.maximum(ticks, self.last + 1), ticks)
@@ -135,20 +135,20 @@ class _Ticks(NamedTuple):
 
 
 def _column(values: ArrayLike, kind: str) -> str:
-    """Return numbers as a column.
+    """Return numbers as a column of a NumPy dtype.
 
     Raises:
-        ValueError: if one is too great for its kind.
+        ValueError: if a number does not fit the dtype.
     """
     given = np.asarray(values)
     column = given.astype(kind)
     if not np.array_equal(column, given):
-        raise ValueError(f"a replay has no room for {np.abs(given).max()} in a column of {np.dtype(kind).name}")
+        raise ValueError(f"a replay cannot store {np.abs(given).max()} in a column of {np.dtype(kind).name}")
     return b64encode(column.tobytes()).decode()
 
 
 def _document(result: Result) -> ReplayData:
-    """Return all that the page shows."""
+    """Return the data of the page."""
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = _Ticks.fit(end.t)
     told = not lacks_messages(result)
@@ -175,18 +175,18 @@ def _document(result: Result) -> ReplayData:
 
 
 def _arcs(result: Result) -> str | None:
-    """Return the pairs (speaker, hearer) that the graph links; None if it links everybody to everybody."""
+    """Return the edges (sender, receiver) of the communication graph as a column; None if it is complete."""
     size = len(started(result).active)
     graph = result.scenario.network.graph(size)
     return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 
 def _reach(result: Result) -> ReplayData:
-    """Return up to which distance two pursuers that are linked hear each other, m, as the network judges it.
+    """Return the maximum distances of reception between linked pursuers, m.
 
-    `radius` is that of all (None: any distance), `radii` those of the pairs i < j, where chance was drawn once for each
-    pair. Where it is drawn for every message (`chance`), it is where every second one is received. With a reach that
-    does not fall with the distance there is no such distance (`known`).
+    `radius` is common to all pairs (None: unlimited). `radii` are those of the pairs i < j, if fading is drawn once per
+    link. If it is drawn for each message (`chance` is true), `radius` is the distance of reception probability 0.5.
+    `known` is false, and no distance given, if the probability does not decrease monotonically with distance.
     """
     links, size = result.scenario.network, len(started(result).active)
     said: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
@@ -204,7 +204,7 @@ def _reach(result: Result) -> ReplayData:
 
 
 def _falls(links: Links) -> bool:
-    """Return whether reception is nowhere likelier than nearer by, as far as can be told."""
+    """Return whether the reception probability never increases with distance, on a grid up to 4 times the range."""
     if not isfinite(links.range):
         return True
     chance = links.reception(np.linspace(0.0, 4.0 * links.range, 1001)[1:], links.range)
@@ -212,7 +212,7 @@ def _falls(links: Links) -> bool:
 
 
 def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
-    """Return the (size, size) distances up to which any two nodes hear each other, m: what halving leaves."""
+    """Return the (size, size) maximum distances of reception between any two nodes, m, by bisection."""
     places = np.zeros((size, 2))
     found = np.zeros((size, size))
     graph = Complete()(size)
@@ -230,12 +230,12 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
 
 
 def _places(result: Result) -> Floats:
-    """Return the (samples, N + M, 2) places of everyone, pursuers first, m."""
+    """Return the (samples, N + M, 2) positions of all players, pursuers first, m."""
     return np.array([[*each.pursuers, *each.evaders] for each in samples(result)])
 
 
 def _per_metre(places: Floats) -> float:
-    """Return how many units of length a metre has: millimetres, or ten times as much until all fits 32 bits."""
+    """Return the units of length per metre: 1000, divided by 10 until all positions fit 32 bits."""
     per_metre = 1000.0
     while np.abs(places).max() * per_metre >= 2**30:
         per_metre /= 10.0
@@ -243,7 +243,7 @@ def _per_metre(places: Floats) -> float:
 
 
 def _path(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return where everyone was, pursuers first: at the start, and by how much that changed until each sample."""
+    """Return the positions of all players, pursuers first: the initial ones and the increments at each sample."""
     places = _places(result)
     per_metre = _per_metre(places)
     units = np.rint(places * per_metre).astype(np.int64).reshape(len(places), -1)
@@ -259,7 +259,7 @@ def _path(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return who decided what when; who stays because it broke down, or what it chased was captured, is among them."""
+    """Return the decisions as columns, including those that a breakdown or the capture of the evader forces."""
     found = list(_acts(result))
     why = {Decided: DECIDED, BrokeDown: HALTED, Released: RELEASED}
     return {
@@ -271,7 +271,7 @@ def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _acts(result: Result) -> Iterator[Change]:
-    """Yield what everybody did, in order, be it what it did before."""
+    """Yield the events that set an action, in order, whether or not they change it."""
     released: defaultdict[int, list[Change]] = defaultdict(list)
     for change, before in moves(result):
         if isinstance(change, Released):
@@ -284,12 +284,12 @@ def _acts(result: Result) -> Iterator[Change]:
 
 
 def _kind(result: Result) -> str:
-    """Return the kind of a column of actions: 0 .. M, and M + 1 if nothing is known."""
+    """Return the dtype of a column of actions: 0 .. M, and M + 1 for unknown."""
     return "u1" if len(started(result).evaders) < 255 else "<u2"
 
 
 def _relays(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return who came to chase which evader alone, and when."""
+    """Return the handovers as columns."""
     found = handover_events(result)
     return {
         "t": ticks([each.t for each in found]),
@@ -299,12 +299,12 @@ def _relays(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
-    """Return what was broken when, in order of time."""
+    """Return the faults with their intervals, in order of time."""
     return [_fault(fault, spell.begin, spell.end, ticks) for fault, spell in outages(result)]
 
 
 def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
-    """Return a fault that was open for a while, ns."""
+    """Return a fault that lasted from `begin` to `until`, ns."""
     said: ReplayData
     if isinstance(fault, Crash):
         said = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
@@ -316,10 +316,10 @@ def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
 
 
 def _messages(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return what was on its way when: rows of transmissions, in order of time, and of each the messages to one.
+    """Return the transmissions, one row each in order of time, and the deliveries of each row to its receivers.
 
-    A message is in flight from the instant at which it is sent, or begins to wait for its transmitter, until it arrives
-    or is lost.
+    A message is in flight from the instant at which it is sent or queued at the transmitter until it arrives or is
+    lost.
     """
     own = sorted(deliveries(result), key=lambda each: (each.created, each.flight, each.dst))
     rows = [list(row) for _, row in groupby(own, key=lambda each: each.flight)]
@@ -338,9 +338,9 @@ def _messages(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _beliefs(known: Pieces, result: Result, ticks: _Ticks) -> ReplayData:
-    """Return from when on who had last heard of whom what it does: 0 .. M, or M + 1 for nothing; only what changed.
+    """Return the changes of beliefs as columns: time, reader, source, and the source's action as last received.
 
-    Of what was heard at one instant, the last counts.
+    An action is 0 .. M, or M + 1 if nothing was received. Of several changes at one instant, the last one counts.
     """
     unheard = len(started(result).evaders) + 1
     warm = result.scenario.announce.warm_start & (known["begin"] == 0)

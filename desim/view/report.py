@@ -1,6 +1,6 @@
-"""The report of a sweep: one HTML page with all that is known of it, the same bytes every time.
+"""The report of a sweep: one self-contained HTML page; equal results give equal bytes.
 
-It holds no script and asks for nothing. Its pictures are inline SVG that takes the colours of the page.
+The page has no script and requests no resources. Its figures are inline SVG in the colours of the page.
 """
 
 import json
@@ -28,35 +28,35 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches", "messages_sent")
-"""The metrics of the small panels, if they were measured."""
+"""The metrics drawn as small multiples, if they were measured."""
 MAPPED = "active_time"
 """The metric of the phase diagram."""
 MAX_FAILURES = 20
-"""How many different tracebacks are shown."""
+"""Maximum number of different tracebacks shown."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
-"""What is too dark on a dark page, and what stands for it there."""
+"""Colours that are illegible on a dark page, and the CSS colours that replace them."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """All that a folder has of a sweep."""
+    """The contents of a folder of results."""
 
     result: SweepResult
     fixed: Mapping[str, str]
-    """What is the same in all configurations, by dotted key, as JSON has it."""
+    """The parameters common to all configurations: JSON text by dotted key."""
     made: provenance.Document | None
-    """Where it comes from; None if nobody wrote that down, as of stores that were merged."""
+    """The provenance; None if the folder has no run.json."""
     explanation: Explanation | None = None
-    """What imperfections cost, if that was asked."""
+    """The cost of each imperfection, if `desim explain` computed it."""
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Return what is in a folder of `desim sweep`, of `desim explain`, or of both.
+        """Read a folder of `desim sweep`, of `desim explain`, or of both.
 
         Raises:
-            OSError: if something cannot be read, or there is no store (StoreError).
-            ValueError: if something is not what it should be (ProvenanceError, ...).
+            OSError: if a file cannot be read, or there is no store (StoreError).
+            ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
         with Store(folder / STORE, read_only=True) as kept:
             result, base = SweepResult.of(kept), kept.said("scenario", dict[str, Any])
@@ -70,12 +70,12 @@ class Study:
 
     @property
     def runs(self) -> int:
-        """How many runs are there."""
+        """The number of runs in the store."""
         return sum(len(group.rows) for group in self.result.groups)
 
     @property
     def parameters(self) -> dict[str, list[str]]:
-        """The values of each key of the grid, in its order."""
+        """The values of each key of the grid, in the order of the grid."""
         return {
             key: list(dict.fromkeys(text(group.settings[key]) for group in self.result.groups))
             for key in self.result.keys
@@ -83,7 +83,7 @@ class Study:
 
     @property
     def measured(self) -> list[str]:
-        """The metrics that some run has, but for the capture, of which every table tells."""
+        """The metrics with a value in at least one run, except `captured`, which every table includes."""
         groups = self.result.groups
         return [
             name
@@ -95,7 +95,7 @@ class Study:
 
 
 def report(study: Study) -> str:
-    """Return a page about a sweep; jinja2 and matplotlib (the extra `plot`) are needed."""
+    """Return a self-contained HTML page about a sweep; needs jinja2 and matplotlib (the extra `plot`)."""
     from jinja2 import Environment
 
     from desim.study.figures import multiples, phase, swept_numbers, waterfall
@@ -128,7 +128,7 @@ def report(study: Study) -> str:
 
 
 def _explanation(folder: Path) -> Explanation | None:
-    """Return what imperfections cost, if a folder, or `explain` in it, has that."""
+    """Return the explanation in a folder or in its subfolder `explain`; None if there is none."""
     for path in (folder / "explain.json", folder / "explain" / "explain.json"):
         if path.exists():
             try:
@@ -139,12 +139,12 @@ def _explanation(folder: Path) -> Explanation | None:
 
 
 def _has_keys(node: Any) -> bool:
-    """Return whether a table, or a table in a list, has keys; a list of numbers or texts is one value."""
+    """Return whether a node is a table with keys or a list of tables; a list of numbers or strings is one value."""
     return any(isinstance(each, dict) for each in node) if isinstance(node, list) else bool(node)
 
 
 def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
-    """Yield each different traceback: what was raised, the whole, and which runs raised it."""
+    """Yield each different traceback: the exception, the traceback, and descriptions of the runs that raised it."""
     runs: dict[tuple[str, str], list[str]] = {}
     for group in result.groups:
         for row in group.failed:
@@ -155,18 +155,18 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
 
 
 def _origin(made: provenance.Document) -> dict[str, str]:
-    """Return where results come from, as a reader has it."""
-    state = "" if made["dirty"] is None else " with changes" if made["dirty"] else ", unchanged"
+    """Return the provenance as labels and texts."""
+    state = "" if made["dirty"] is None else ", with uncommitted changes" if made["dirty"] else ", unchanged"
     told = {
-        "seeds from": str(made["seed"]),
-        "commit": f"{made['commit']}{state}" if made["commit"] else "of no commit",
-        "hash of the code": made["code"],
+        "first seed": str(made["seed"]),
+        "commit": f"{made['commit']}{state}" if made["commit"] else "unknown",
+        "hash of the source code": made["code"],
         **{f"version of {name}": each or "unknown" for name, each in made["versions"].items()},
         **{str(name): each for name, each in made["platform"].items()},
-        "folder of the scenario": made["folder"] or "none: it was made by a script",
+        "folder of the scenario": made["folder"] or "none: built by a script",
     }
     if made["unrecorded"]:
-        told["parameters that are not recorded"] = ", ".join(map(str, made["unrecorded"]))
+        told["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
     return {name: str(each) for name, each in told.items()}
 
 
@@ -175,7 +175,7 @@ def _signs(cell: str) -> str:
 
 
 def _inline(figure: "Figure", name: str) -> "Markup":
-    """Return a figure as SVG within HTML: what it calls its parts begins with a name, for others are on the page."""
+    """Return a figure as inline SVG for HTML; its ids are prefixed with `name`, to be unique on the page."""
     import matplotlib as mpl
     from markupsafe import Markup
 
@@ -196,14 +196,14 @@ def _inline(figure: "Figure", name: str) -> "Markup":
         element.attrib.update({key: _attribute(key, each, name) for key, each in attributes.items()})
     for key in ("height", "version"):
         root.attrib.pop(key, None)
-    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # type as large as in print
+    root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # font sizes as in print
     root.set("role", "img")
     root.set("aria-labelledby", f"{name}-title")
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree
 
 
 def _attribute(key: str, value: str, name: str) -> str:
-    """Return an attribute of SVG with colours of the page, and ids that no other picture has."""
+    """Return the value of an SVG attribute with the colours of the page and ids prefixed with `name`."""
     if key == "id":
         return f"{name}-{value}"
     if key == "href":

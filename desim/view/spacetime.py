@@ -1,8 +1,8 @@
 """The space-time diagram of a run: a line per pursuer, time to the right, each message an arrow from send to arrival.
 
-After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. A message whose loss
-is settled as it leaves has no latency: it is drawn to just before its receiver, at the mean latency of those that
-arrive. One that is lost as it arrives ends on the line of its receiver.
+After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. A message lost at
+transmission has no arrival time: it is drawn ending just short of its receiver, with the mean latency of the messages
+that arrive. A message lost at arrival ends on the line of its receiver.
 """
 
 from collections.abc import Sequence
@@ -27,20 +27,20 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
 MOST = 24
-"""How many messages can be told apart in a centimetre; half of them are easily."""
+"""Maximum number of messages per centimetre that can be told apart; half as many are easy to read."""
 ARROWS: dict[str, Any] = {
     **{"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.008},
     **{"headwidth": 6.0, "headlength": 7.0, "headaxislength": 6.0, "minshaft": 1.0, "minlength": 0.0},
 }
-"""From a place to another, inches wide; heads in widths."""
+"""Arrows between two points in data coordinates; shaft width in inches, heads in shaft widths."""
 SHORT = 0.25
-"""How far before its receiver's line the way of a message ends that is lost as it leaves, in lines."""
+"""Distance between the end of a message lost at transmission and the line of its receiver, in line spacings."""
 WIDE = 12.0
-"""From this width on there is room for larger type, cm."""
+"""Minimum width of a figure with the larger font size, cm."""
 PALE = "#8c8c8c"
-"""What says that somebody is inactive; lighter in grey than what says the contrary."""
+"""Colour of messages that announce inactivity; in greyscale lighter than that of announced activity."""
 MAX_SHOWN = 10
-"""Up to so many pursuers are all drawn if nobody says which."""
+"""Maximum number of pursuers that are all drawn by default."""
 
 
 def spacetime(
@@ -50,16 +50,17 @@ def spacetime(
     pursuers: Sequence[int] | None = None,
     width: float = 17.0,
 ) -> Figure:
-    """Draw the messages among pursuers in a window of time, what they decided, and what was broken.
+    """Draw the messages among pursuers in a window of time, their decisions, and the faults.
 
-    What is not said is chosen such that there is something to see, and not too much.
+    The default window and pursuers give a legible number of messages.
 
     Args:
-        result: of a run whose messages were recorded.
-        begin: of the window, s; None = the start of the run.
-        end: of the window, s; None = as late as the messages can be told apart.
-        pursuers: who, from top to bottom; None = everybody or, of more than ten, those six that changed action most.
-        width: of the figure, cm; that of a column of a paper is 8.5.
+        result: the result of a run with recorded messages.
+        begin: the start of the window, s; None = the start of the run.
+        end: the end of the window, s; None = as late as the messages can easily be told apart.
+        pursuers: the pursuers to draw, from top to bottom; None = all or, of more than ten, the six with most changes
+            of action.
+        width: the width of the figure, cm; that of a column of a paper is 8.5.
 
     Raises:
         ValueError: if messages were not recorded, a pursuer does not exist, the window is empty, or the messages in it
@@ -96,7 +97,7 @@ def spacetime(
 
 
 def _busiest(result: Result) -> list[int]:
-    """Return the pursuers to draw: all if they are few, else those that changed action most often, ascending."""
+    """Return the pursuers to draw, ascending: all of up to `MAX_SHOWN`, else the six with most changes of action."""
     size, most = len(started(result).active), 6
     if size <= MAX_SHOWN:
         return list(range(size))
@@ -110,7 +111,7 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
         if not 0 <= pursuer < size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {size - 1}")
     if len(set(shown)) < len(shown) or not shown:
-        raise ValueError(f"pursuers should be named once each, and at least one, got {list(shown)}")
+        raise ValueError(f"pursuers should be given once each, and at least one, got {list(shown)}")
     if not 0.0 <= (begin or 0.0) < min(inf if end is None else end, last):
         until = "its end" if end is None else f"{end:g} s"
         raise ValueError(f"the window from {begin or 0.0:g} s to {until} is empty: the run lasted {last:g} s")
@@ -119,9 +120,9 @@ def _check(result: Result, shown: Sequence[int], begin: float | None, end: float
 def _window(
     result: Result, shown: Sequence[int], begin: float | None, end: float | None, most: int
 ) -> tuple[Interval, list[Delivery]]:
-    """Return the window (ns) and the messages among those shown that are on their way in it.
+    """Return the window (ns) and the deliveries among the pursuers shown that are in flight in it.
 
-    Without an end they are half as many as can be told apart, or those of one instant.
+    Without an end, the window holds half of the `most` messages that can be told apart, or those of one instant.
     """
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
@@ -139,19 +140,19 @@ def _window(
         advice = f"end the window at {seconds(fits):.9f} s, or " if fits > first else ""
         raise ValueError(
             f"{len(own)} messages among {len(shown)} pursuers from {seconds(first):g} s to {seconds(last):g} s are "
-            f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider picture"
+            f"more than the {most} that can be told apart: {advice}choose fewer pursuers or a wider figure"
         )
     return Interval(first, last), own
 
 
 def _mean_latency(own: Sequence[Delivery]) -> float:
-    """Return the mean time from send to arrival, s; 0 if nothing arrives."""
+    """Return the mean latency of the messages that arrive, s; 0 if none does."""
     times = [each.until - each.left for each in own if each.cause is None]
     return float(np.mean(times)) / SECOND if times else 0.0
 
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw a thin line for each pursuer, thick while it is active; of several evaders, with the number of its own."""
+    """Draw a thin line for each pursuer, thick while it is active; label it with its evader if there are several."""
     spells, several = chasing(result), has_several(result)
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
@@ -161,7 +162,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
         for spell in spells[pursuer]
         if spell.begin <= window.end and spell.end >= window.begin
     ]
-    for row, spell in sorted(inside, key=lambda each: each[1].evader):  # so it is in the legend
+    for row, spell in sorted(inside, key=lambda each: each[1].evader):  # the order of the legend
         x = [max(spell.begin, window.begin) / SECOND, min(spell.end, window.end) / SECOND]
         colour = _hue(spell.evader, several)
         label = f"chases {spell.evader}" if several else "active"
@@ -172,7 +173,7 @@ def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 
 def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Shade what was broken: the line of a pursuer, or the whole height."""
+    """Shade the faults: a crash on the line of its pursuer, other faults over the whole height."""
     inside = [each for each in outages(result) if each[1].begin < window.end and each[1].end > window.begin]
     level = 0
     for fault, (begin, end) in inside:
@@ -183,18 +184,18 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
             axes.annotate(fault.kind, (x[0], -0.8), lower, textcoords="offset points", va="top", fontsize=7)
         elif fault.node in rows:
             row = rows[fault.node]
-            kind = "broken down" if fault.scope == "robot" else "radio down"
+            kind = "robot down" if fault.scope == "robot" else "radio down"
             look: dict[str, Any] = {"robot": {"hatch": "/////"}, "radio": {"hatch": "xxxx"}}[fault.scope]
             axes.fill_between(x, row - 0.3, row + 0.3, fc="white", ec=GREY, lw=0.6, zorder=1.5, label=kind, **look)
 
 
 def _hue(evader: int, several: bool) -> str:
-    """Return the colour of who chases an evader."""
+    """Return the colour of the pursuers of an evader."""
     return EvaderStyle.of(evader, 2 if several else 1).alone
 
 
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw when several evaders were captured, which, and by whom."""
+    """Draw the captures if there are several evaders: the time, the evader and the capturing pursuer."""
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
             axes.axvline(t / SECOND, color="black", lw=0.8, ls=(0, (4, 2)), zorder=1)
@@ -217,15 +218,15 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 
 def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
-    """Draw the messages that arrive as arrows, those that do not as dotted lines to a cross."""
+    """Draw messages that arrive as arrows, and lost messages as dotted lines to a cross."""
 
     def kind(each: Delivery) -> tuple[str, str]:
         said = news(each.body)
         if said is None:
             return "#555555", "message"
         if not said:
-            return PALE, "says: inactive"
-        return _hue(said, evaders > 1), f"says: chases {said}" if evaders > 1 else "says: active"
+            return PALE, "message: inactive"
+        return _hue(said, evaders > 1), f"message: chases {said}" if evaders > 1 else "message: active"
 
     arrived = sorted((each for each in own if each.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):
@@ -249,25 +250,25 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
 
 
 def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:
-    """Return (2, k) times (s) and rows at which messages begin and end."""
+    """Return the (2, k) times, s, and the (2, k) rows at which deliveries begin and end."""
     t = np.array([(each.left, each.until) for each in own], dtype=float).T / SECOND
     return t, np.array([(rows[each.src], rows[each.dst]) for each in own], dtype=float).T
 
 
 def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Mark the decisions: a tick for each, a triangle where the action changed."""
+    """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
     inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
     changed = {id(each) for each in changes(result)}
     turns = {id(each) for each, before in moves(result) if before and chases(each)}
     looks: list[tuple[str, dict[str, Any], list[Any]]] = [
-        ("decides as before", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
+        ("keeps action", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
         (
             "starts",
             {"marker": "^", "mfc": "black", "mec": "black", "ms": 5},
             [x for x in inside if id(x) in changed - turns and chases(x)],
         ),
         (
-            "turns to another",
+            "switches evader",
             {"marker": "D", "mfc": "black", "mec": "black", "ms": 4},
             [x for x in inside if id(x) in turns],
         ),

@@ -104,7 +104,7 @@ def test_what_a_page_says_is_golden(full):
     """
     fixed = {key: each for key, each in full.study.fixed.items() if key.startswith("team.")}
     lines = Elements(full.text).lines
-    begin = lines.index("h2: What imperfections cost")
+    begin = lines.index("h2: Cost of each imperfection")
     end = lines.index("h2: Means and 95 % intervals")
     said = {f"dt: {key}" for key in full.study.fixed.keys() - fixed.keys()}
     kept = [k for k in range(len(lines)) if lines[k] not in said and not (k and lines[k - 1] in said)]
@@ -122,7 +122,7 @@ def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(full):
     elements = Elements(report(Study.read(full.path.parent / "explain")))
     assert elements.tags.count("svg") == 2
     assert {"waterfall-title", "multiples-title"} <= set(elements.ids)
-    assert "The scenario as it is" in elements.texts
+    assert "All parameters of the scenario" in elements.texts
 
 
 def test_a_swept_table_is_not_fixed(tmp_path):
