@@ -1,7 +1,7 @@
-"""The agent: all that a pursuer's protocol may know and do.
+"""The agent: the interface through which a protocol controls one pursuer.
 
-It senses positions (its own and its teammates', and the evader's), knows the rules of the game, and hears from its
-teammates only what the network has brought it.
+The agent senses positions (its own, its teammates' and the evaders'), knows the rules of the game, and knows of its
+teammates' decisions only through messages that the network has delivered.
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Sequence
@@ -25,42 +25,45 @@ from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.views import GlobalState, PursuerView
 
 Process = Generator[simpy.Event, Any, None]
-"""What a protocol is when it runs: it yields the events it waits for."""
+"""A running protocol: a generator that yields the SimPy events it waits for."""
 PAPER = Mean()
-"""The utility of the paper."""
+"""The utility of Lee & Bakolas."""
 NEVER = " (a protocol that waits for nothing more returns)"
-"""What to do instead of waiting for an infinite time."""
+"""Hint in error messages about an infinite waiting time."""
 
 
 @dataclass(slots=True)
 class AnnouncementState:
-    """What is remembered of a pursuer by all its processes."""
+    """The announcement state of a pursuer, shared by all its processes."""
 
     news: Any
-    """What was new about its last announcement; None if the others need not know of any."""
+    """The `news` of its last announcement; None if the next announcement is due whatever it says."""
     payload: Any = None
-    """What its protocol announces in place of the payload."""
+    """The body set by `Agent.set_payload`; None for the payload of `announce.payload`."""
     restarts: int = 0
-    """How often it has started anew, without memory."""
+    """Number of restarts without memory."""
 
 
 class Agent:
-    """One pursuer, as its protocol sees it. What returns an event ends up behind `yield`; all else returns at once.
+    """One pursuer, as its protocol sees it.
+
+    Methods that return an event (`at`, `sleep`, `arrival`, `after_decisions`) belong behind `yield`; all others return
+    at once.
 
     Attributes:
         id: 0 .. team_size - 1.
-        rng: the stream of its decisions.
-        whole: the world as it is, past the network: for omniscient benchmarks only.
+        rng: random stream of its decisions.
+        global_state: the true state of the world, bypassing sensing and network; for omniscient benchmarks only.
 
     Args:
         pursuer: its id.
         env: the clock of the simulation.
-        world: what it senses and acts on.
-        whole: the same as it is.
-        network: by which it talks.
-        seed: of its random streams.
-        announcements: what it tells the others, and when.
-        clock: its own.
+        world: its view of the world, which it senses and acts on.
+        whole: the true state of the world.
+        network: the network that carries its messages.
+        seed: seed of its random streams.
+        announcements: the content and the times of its announcements.
+        clock: its own clock.
     """
 
     def __init__(
@@ -86,13 +89,13 @@ class Agent:
         self._streams: dict[str, np.random.Generator] = {}
 
     def in_phase(self, phase: Phase) -> Self:
-        """Return the same pursuer, for a process whose turn comes in another phase of an instant."""
+        """Return a copy of this agent for a process that is scheduled in another phase of each instant."""
         other = copy(self)
         other._turn = int(phase) + self.id
         return other
 
     def recovered(self, *, restarted: bool) -> None:
-        """Take note that it was broken: what it said last may not have gone out."""
+        """Register a recovery from a crash: the last announcement may not have been sent."""
         self._said.news = None
         if restarted:
             self._said.payload = None
@@ -102,7 +105,7 @@ class Agent:
 
     @property
     def restarts(self) -> int:
-        """How often it has started anew, without memory."""
+        """Number of restarts without memory after a crash."""
         return self._said.restarts
 
     @property
@@ -112,16 +115,16 @@ class Agent:
 
     @property
     def team_size(self) -> int:
-        """How many pursuers there are."""
+        """Number of pursuers, N."""
         return self._world.size
 
     @property
     def action(self) -> int:
-        """Which evader it chases, 1 .. M, or 0 if it stays."""
+        """The evader that it chases, 1 .. M, or 0 if it stays."""
         return self._world.action(self.id)
 
     def evaders(self) -> Sequence[int]:
-        """Return the evaders that have not been captured."""
+        """Return the numbers of the evaders that have not been captured."""
         return self._world.evaders()
 
     def options(self) -> Sequence[int]:
@@ -129,25 +132,25 @@ class Agent:
         return self._world.options(self.id)
 
     def has_choice(self) -> bool:
-        """Return whether it has a choice at all."""
+        """Return whether it may choose any action but 0."""
         return len(self._world.options(self.id)) > 1
 
     @property
     def evader_count(self) -> int:
-        """How many evaders there were at first, M."""
+        """Number of evaders at the start, M."""
         return self._world.evader_count
 
     def capture_time(self, evader: int = 1) -> float:
-        """Return its own time of capture phi_i of an evader, s."""
+        """Return its own capture time phi_i of an evader, s."""
         (time,) = self._world.capture_times_of([self.id], evader)
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
-        """Return the time left to the horizon by its own clock, r, s; now, or what will be left so much later (s)."""
+        """Return the time r left to the horizon by its own clock, s, at present or a time `ahead` (s) from it."""
         return self._world.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
-        """Return whether it has the choice to chase an evader (`Scenario.prune`)."""
+        """Return whether it may choose to chase an evader (`Scenario.prune`)."""
         return self._world.may_chase(self.id, evader)
 
     def place(self) -> complex:
@@ -156,7 +159,7 @@ class Agent:
 
     @property
     def speed(self) -> float:
-        """How fast it moves if it does, m/s."""
+        """Its speed while it chases, m/s."""
         return self._world.speed(self.id)
 
     def evader(self, evader: int = 1) -> complex:
@@ -165,55 +168,56 @@ class Agent:
 
     @property
     def radius(self) -> float:
-        """The distance eps at which the evader is captured, m."""
+        """The capture radius eps, m."""
         return self._world.radius
 
     def latest_records(self) -> Table:
-        """Return the newest announcement that has arrived from each teammate."""
+        """Return the newest announcement received from each teammate, with its time of arrival, however old."""
         return self._beliefs.latest_records()
 
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
-        """Return the teammates that it believes to chase an evader, and the times of capture it believes them to have.
+        """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
-        Whose last word arrived longer ago than `belief_timeout` is not believed active. Times in s; nan if not told.
+        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is
+        nan if the announcement does not contain it.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
 
     def believed_active(self, evader: int = 1) -> list[int]:
-        """Return the teammates that it believes to chase an evader; see `believed`."""
+        """Return the teammates that it believes to chase an evader; see `believed_chasers`."""
         return self._beliefs.rivals(evader)[1]
 
     def beliefs(self, period: float | None = None, evader: int = 1, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return what it believes of each teammate whose last word arrived no longer ago than `belief_timeout`.
+        """Return the belief about each teammate whose last announcement arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
-            evader: to which times of capture belong.
-            orders: what teammates have been ordered to do: who tells its position is reckoned on by these, not as if it
-                went on as it said.
+            period: time between two announcements of a teammate, s, if it is not the heartbeat.
+            evader: the evader to which the capture times refer.
+            orders: orders sent to teammates. Announced positions are extrapolated along these orders instead of the
+                announced action.
         """
         return self._beliefs.all(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `belief_timeout`."""
+        """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago."""
         return self._beliefs.trusted()
 
     def team_estimate(self, evader: int = 1) -> TeamEstimate:
-        """Return where it believes itself and its teammates to be: as it senses them, or as far as they have told it.
+        """Return its estimate of the positions, speeds and capture times of itself and its teammates.
 
-        Who moves is reckoned on from what it said (`announce.reckoning`); see also `trusted`. Times of capture are of
-        the evader that is asked for.
+        Positions are sensed, or extrapolated from trusted announcements (`announce.reckoning`, `trusted`). Capture
+        times refer to the given evader.
         """
         return self._beliefs.team_estimate(evader)
 
     @property
     def senses_others(self) -> bool:
-        """Whether it senses where its teammates are, so that they need not say it."""
+        """Whether it senses the positions of its teammates, so that announcements need not contain them."""
         return self._beliefs.senses_others
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return what it gains by chasing an evader, given who it believes does, s; see `desim.pursuit.game.gain`."""
+        """Return the gain of chasing an evader over staying, given its beliefs, s; see `desim.pursuit.game.gain`."""
         own, rivals, times = self._beliefs.rivals(evader)
         counted_teammates = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [
@@ -224,18 +228,18 @@ class Agent:
         return utility(own, others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
-        """Return who hears it now, or who hears a teammate, as its radio would find out."""
+        """Return the nodes that receive its transmissions now, or those of a teammate (`of`), ascending."""
         return self._network.neighbours(self.id if of is None else of)
 
     @property
     def mean_degree(self) -> float:
-        """How many hear a pursuer, averaged over the team as of the first time that somebody asks."""
+        """Mean number of neighbours of a pursuer, computed at the first access during the run."""
         return self._network.mean_degree
 
     def counted_teammates(self, scope: Scope) -> Collection[int]:
-        """Return the teammates whose actions count: all that it hears of, or those it hears at one hop, or at several.
+        """Return the ids whose actions count in its utility: all, those it hears directly, or those of its component.
 
-        Who is near is known if positions are sensed; if not, all those count of whom it has word.
+        Without sensed positions the scope cannot be restricted, and all announced teammates count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
@@ -243,24 +247,24 @@ class Agent:
 
     @property
     def latency(self) -> float:
-        """The mean one-way latency L of the network, s: what its designer would know.
+        """The mean one-way latency L of the network, s, as its specification would state it.
 
-        Processing at both ends is included, airtime and queues are not.
+        It includes processing at both ends, but neither airtime nor queueing.
         """
         return self._network.typical_latency
 
     def airtime(self, body: Any) -> float:
-        """Return how long a message keeps the transmitter busy, s."""
+        """Return the airtime of a message with this body, s."""
         return self._network.airtime(body)
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return a random stream of its own; asked for again, also after a restart, it goes on."""
+        """Return its own random stream of this name; later calls, also after a restart, continue the same stream."""
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
 
     def shared_stream(self, name: str) -> np.random.Generator:
-        """Return a random stream that is the same for everyone who asks for it by this name."""
+        """Return a new random stream that yields the same draws for every pursuer that uses this name."""
         return stream(self._seed, f"shared {name}")
 
     # What it does.
@@ -268,79 +272,84 @@ class Agent:
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or stay (0) from now on.
 
-        Who may not chase it (`Scenario.prune`) stays whatever it wants.
+        Call it after each decision, then `announce`. A pursuer that may not chase this evader (`Scenario.prune`) stays.
         """
         self._world.set_action(self.id, action)
 
     def announce(self) -> None:
-        """Tell the others its action after a revision, if that is a time to tell it (`announce.trigger`)."""
+        """Announce its action after a revision, if `announce.trigger` asks for it.
+
+        Call it after every `assign`: it sends only when due. Use `broadcast` to send in any case.
+        """
         trigger = self._announcements.trigger
         if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._said.news):
             self.broadcast()
 
     def broadcast(self) -> None:
-        """Tell the others its action, whether or not it has changed."""
+        """Announce its action through `announce.dissemination`, whether or not it has changed."""
         self._said.news = self._news()
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def set_payload(self, body: Any) -> None:
-        """From now on announce this in place of the payload.
+        """Announce this body instead of the standard payload from now on.
 
-        Its attribute `active` is to be the action, its attribute `news` what must change for it to be told at once.
+        Its attribute `active` is the action; an announcement is due at once when its attribute `news` changes.
         """
         self._said.payload = body
 
     def set_initial_belief(self) -> None:
-        """Let everyone know its action from the start."""
+        """Give all teammates its current announcement as their initial belief, without a transmission."""
         self._network.set_initial_belief(self.id, self.announcement(), self._clock.stamp)
 
     def announcement(self) -> Any:
-        """Return what it would announce now."""
+        """Return the body that it would announce now."""
         claim = self._said.payload
         return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if claim is None else claim
 
     def located(self) -> LocatedAssignment:
-        """Return what it would announce now if the payload were "state"."""
+        """Return the body that it would announce now if the payload were "state"."""
         return LocatedAssignment.said_by(self.id, self._world)
 
     def record(self, body: Any) -> Record:
-        """Return the next record of its own, for who spreads it by other means than `publish`."""
+        """Return its next record with this body, for a dissemination that does not use `publish`."""
         return self._network.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
-        """Announce something to the neighbours, as state: they read it when they next look.
+        """Publish a record to all neighbours; a receiver reads the newest one at its next decision.
 
-        They share it as it is now, see `send`.
+        Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
+        The body is shared as in `send`.
         """
         self._network.publish(self.id, body, sent=self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
-        """Take note of records that reached it inside a message; older ones never replace newer ones."""
+        """Merge records received inside a message into its own table; the newest record of each source is kept."""
         for record in records:
             self._network.insert(self.id, record)
 
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
-        """Send a message to a teammate, or to all neighbours (None); ports keep different talks apart.
+        """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
-        The body is sent as it is now: what is done to a list, a dict or an array afterwards changes nothing on the way.
-        All receivers get the same object, which they must not change; a tuple or a NamedTuple is never copied.
+        Use it for events, each of which wakes a receiver that waits at this port (`arrival`, `mail`). The body is
+        copied at sending: changing a list, a dict or an array afterwards has no effect on the message. All receivers
+        get the same object and must not change it. A tuple or a NamedTuple is never copied.
 
         Raises:
-            ValueError: if it is for itself, or there is no such teammate.
+            ValueError: if the receiver is the sender, or there is no such teammate.
         """
         self._network.send(self.id, dst, body, port=port)
 
     def mail(self, port: str = "") -> list[Message]:
-        """Return the messages that have arrived at a port and not been read."""
+        """Return and remove the unread messages of a port, without waiting."""
         return self._network.inbox(self.id, port).drain()
 
     # What it waits for.
 
     def at(self, time: float) -> simpy.Event:
-        """Return an event at a time on its own clock, s, to the nearest nanosecond; now, if that has passed.
+        """Return an event at a time on its own clock, s, to the nearest nanosecond; at once if that has passed.
 
         Raises:
-            ValueError: if it is infinite or no number.
+            ValueError: if the time is infinite or nan.
         """
         try:
             return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
@@ -348,10 +357,10 @@ class Agent:
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{NEVER}") from error
 
     def sleep(self, duration: float) -> simpy.Event:
-        """Return an event a duration from now, by its own clock, s.
+        """Return an event a duration (s, by its own clock) from now.
 
         Raises:
-            ValueError: if it is negative, infinite or no number.
+            ValueError: if the duration is negative, infinite or nan.
         """
         try:
             return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
@@ -360,7 +369,7 @@ class Agent:
             raise ValueError(told) from error
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
-        """Do something a duration from now, by its own clock, s, without waiting for it, unless it starts anew."""
+        """Schedule a call a duration (s, by its own clock) from now; a restart without memory cancels it."""
         life = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -370,26 +379,26 @@ class Agent:
         self.sleep(duration).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
-        """Return an event at this very instant, when everybody has decided who decides at it."""
+        """Return an event at the present instant, after all decisions that are made at it."""
         return Instant(self._env, self._env.now, int(Phase.HEARTBEAT) + self.id)
 
     def arrival(self, port: str = "") -> simpy.Event:
-        """Return an event that happens as soon as there is mail."""
+        """Return an event that happens as soon as the inbox of a port is not empty; `mail` returns its messages."""
         return self._network.inbox(self.id, port).arrival(self._turn)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Do something every period (s) of its own clock, from a random phase on, which the stream of a name gives."""
+        """Call a function every period (s, by its own clock), from a random phase drawn from the stream of a name."""
         first = self.now + self.stream(name).uniform(0.0, period)
         for k in count():
             yield self.at(first + k * period)
             act()
 
-    # How it speaks.
+    # How it announces.
 
     def _news(self) -> Any:
-        """Return what must change for an announcement to be made at once."""
+        """Return the value whose change makes an announcement due at once."""
         return (self.action,) if self._said.payload is None else self._said.payload.news
 
 
 Behaviour = Callable[[Agent], Process]
-"""A protocol: the process that a pursuer runs."""
+"""A protocol: a function that returns the process of a pursuer, given its agent."""

@@ -1,4 +1,4 @@
-"""What pursuers tell each other: what an announcement says, when it is made, and when it is no longer believed."""
+"""Announcements of pursuers: their payload, when they are sent, and how long they are believed."""
 
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -14,34 +14,34 @@ from desim.pursuit.views import PursuerView
 
 
 class Assignment(NamedTuple):
-    """Payload "action": what a pursuer does. 24 bytes."""
+    """Payload "action": the action of a pursuer. 24 bytes."""
 
     active: int
-    """Which evader it chases, 1 .. M, or 0."""
+    """The evader that it chases, 1 .. M, or 0."""
 
     @classmethod
     def said_by(cls, pursuer: int, world: PursuerView) -> Self:
-        """Return what a pursuer says now, by what it senses."""
+        """Return the announcement of a pursuer now, given its view of the world."""
         return cls(world.action(pursuer))
 
 
 class TimedAssignment(NamedTuple):
-    """Payload "time": what it does, and its time of capture as it says so. 32 bytes."""
+    """Payload "time": the action of a pursuer and its capture time at sending. 32 bytes."""
 
     active: int
     capture_time: float
-    """Of the evader it chases or, if it stays, of the one it would capture first, s."""
+    """Capture time of the evader that it chases or, if it stays, the least over all evaders, s."""
 
     @classmethod
     def said_by(cls, pursuer: int, world: PursuerView) -> Self:
-        """Return what a pursuer says now, by what it senses."""
+        """Return the announcement of a pursuer now, given its view of the world."""
         action = world.action(pursuer)
         phi = [world.capture_times_of([pursuer], evader)[0] for evader in ([action] if action else world.evaders())]
         return cls(action, min(phi, default=inf))
 
 
 class LocatedAssignment(NamedTuple):
-    """Payload "state": what it does, where it is as it says so, and how fast it moves if it does. 48 bytes."""
+    """Payload "state": the action of a pursuer, its position at sending and its speed while it chases. 48 bytes."""
 
     active: int
     x: float
@@ -53,7 +53,7 @@ class LocatedAssignment(NamedTuple):
 
     @classmethod
     def said_by(cls, pursuer: int, world: PursuerView) -> Self:
-        """Return what a pursuer says now, by what it senses."""
+        """Return the announcement of a pursuer now, given its view of the world."""
         place = world.place(pursuer)
         return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
 
@@ -63,24 +63,24 @@ PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
     "time": TimedAssignment,
     "state": LocatedAssignment,
 }
-"""What can be announced (`Announcements.payload`)."""
+"""The class of each payload (`Announcements.payload`)."""
 
 
 class Forwarded(NamedTuple):
-    """Word of others, or of oneself, that is passed on."""
+    """A message that relays records, of its sender or of other pursuers."""
 
     records: tuple[Record, ...]
     hops: int = 1
-    """How many more hops it may take, this one included."""
+    """Number of hops that it may still travel, the present one included."""
 
 
 def tells_of_chase(body: Any) -> bool:
-    """Return whether it is the word of one that chases; what protocols publish beside announcements is not."""
+    """Return whether a body announces a chase; other bodies that protocols publish do not."""
     return bool(getattr(body, "active", False))
 
 
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
-    """Return the records that a transmission carries: those it relays, or its own if it is an announcement."""
+    """Return the records in a transmission: those that it relays, or the record of an announcement itself."""
     relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
     if relayed is not None:
         return relayed
@@ -88,11 +88,11 @@ def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
 
 
 DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",))
-"""The ways to spread word that are installed."""
+"""The installed ways to disseminate announcements."""
 
 
 def one_hop() -> Any:
-    """Return the dissemination that is the default."""
+    """Return the default dissemination."""
     made: Any = DISSEMINATIONS.choice("one_hop")
     return made()
 
@@ -102,33 +102,33 @@ def _form(value: Any) -> str:
 
 
 class Announcements(Value):
-    """What pursuers announce, when, and how long it is believed."""
+    """The content of announcements, when they are sent, and how long they are believed."""
 
     payload: Literal["action", "time", "state"] = "action"
-    """action: positions are sensed, the action is heard (the paper); time: the action and the time of capture as of
-    sending; state: the action, the position and the speed as of sending."""
+    """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
+    sending; state: the action, the position and the speed at sending."""
     reckoning: Literal["exact", "straight_line"] = "exact"
-    """How a moving teammate is extrapolated from its state: along its pursuit of the evader, or straight to it."""
+    """Dead reckoning of a moving teammate from its state: along its pursuit of the evader, or straight to it."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
-    """When an action is announced: as it changes, every heartbeat, both, at every revision, or never."""
+    """When an action is announced: when it changes, every heartbeat, both, at every revision, or never."""
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
     ] = "auto"
-    """How long after its last word arrived a teammate is believed active, s; "auto" is 3 heartbeats and twice the
-    typical latency and airtime of an announcement, or inf without heartbeats."""
+    """Time after its last announcement arrived for which a teammate is believed active, s; "auto" is 3 heartbeats plus
+    twice the typical latency and airtime of an announcement, or inf without heartbeats."""
     warm_start: Flag = True
-    """Whether everyone knows at first who is active; if not, nobody has heard of anybody."""
+    """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
-    """How word spreads beyond those who hear it first."""
+    """How announcements spread beyond the first receivers."""
 
     @property
     def payload_size(self) -> int:
-        """Bytes of a payload; what an auction announces in its place takes `claim_size`."""
+        """Size of a payload in bytes; protocols with a payload of their own have a `claim_size` instead."""
         return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
 
     @property
     def beats(self) -> bool:
-        """Whether there are heartbeats."""
+        """Whether the trigger includes heartbeats."""
         return self.trigger in {"heartbeat", "both"}

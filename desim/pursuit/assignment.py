@@ -1,18 +1,20 @@
-"""The pursuit game with several evaders: who is to chase which.
+"""The pursuit game with several evaders: the assignment of pursuers to evaders.
 
-N pursuers each choose one of M evaders, or to stay: an action is 0 or the number of an evader, 1 .. M. With phi_ij the
-time pursuer i would need to capture evader j and r the time that is left, the global utility is the sum over the
-evaders of that of the game with one (`desim.pursuit.game`),
+Each of N pursuers chooses one of M evaders or stays: an action is 0 or the number of an evader, 1 .. M. Let phi_ij be
+the capture time of pursuer i for evader j, and r the time left. The global utility is the sum over the evaders of the
+utility of the game with one evader (`desim.pursuit.game`),
 
-    Phi = sum over the engaged evaders j of (r - mean of phi_ij over who chases j),
+    Phi = sum over the chased evaders j of (r - mean of phi_ij over the pursuers that chase j).
 
-and an exact potential for the wonderful-life utilities: what a pursuer contributes to the term of its own evader.
+It is an exact potential for the wonderful-life utilities: the marginal contribution of a pursuer to the term of its
+evader.
 
-If the times are distinct, an equilibrium is a matching, for of several on one evader the slowest had better stay.
-Often there are many. The best profile, which is a best matching, is one of them. Each of the others is worth at least
-a third of it, and there are games in which one is worth no more: where pursuer i is worth u_i, the best profile sends
-it to an evader on which it would be worth w alone. If nobody chases that one, w <= u_i, for i does not change; if
-pursuer m does, (w - u_m) / 2 <= u_i. The sum over all i is at most 3 times the sum of all u_i.
+If the capture times are distinct, every equilibrium is a matching, because the slowest of several pursuers of one
+evader gains by staying. There are often many equilibria; the optimal profile, a maximum-weight matching, is one of
+them. Every equilibrium has at least a third of the optimal utility, and the bound is tight. Proof: let u_i be the
+utility of pursuer i in the equilibrium and w its utility alone on the evader that the optimal profile gives it. If this
+evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w - u_m) / 2 <= u_i. The sum of all w is
+therefore at most 3 times the sum of all u_i.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,22 +28,22 @@ from desim.pursuit import game
 from desim.pursuit.state import Floats
 
 Actions = tuple[int, ...]
-"""What each pursuer does: 0 stays, j chases evader j."""
+"""The action of each pursuer: 0 stays, j chases evader j."""
 
 
 def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
     """Return the global utility Phi of a profile, s.
 
     Args:
-        phi: (N, M) times of capture, s; who has inf on an evader does not count on it.
-        actions: what each pursuer does.
-        reward: the time that is left, r, s.
+        phi: (N, M) capture times, s; a pursuer with inf for its evader does not count.
+        actions: (N,) action of each pursuer.
+        reward: the time left, r, s.
     """
     return sum(game.potential(times, chasing, reward) for times, chasing in _games(phi, actions))
 
 
 def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
-    """Return what pursuer i contributes to the global utility, s: to the term of the evader that it chases."""
+    """Return the marginal contribution of pursuer i to the global utility, s, that is to the term of its evader."""
     if not actions[i]:
         return 0.0
     times, chasing = _games(phi, actions)[actions[i] - 1]
@@ -68,34 +70,34 @@ def equilibria(phi: ArrayLike, reward: float) -> list[Actions]:
 
 
 def profiles(pursuers: int, evaders: int) -> list[Actions]:
-    """Return all (M + 1)^N profiles in the order of numbers whose first digit is what pursuer 0 does."""
+    """Return all (M + 1)^N profiles in lexicographic order, the action of pursuer 0 first."""
     return list(product(range(evaders + 1), repeat=pursuers))
 
 
 def gibbs(phi: ArrayLike, reward: float, tau: float) -> Floats:
-    """Return the ((M + 1)^N,) stationary law of log-linear learning at temperature tau (s), in order of `profiles`.
+    """Return the ((M + 1)^N,) stationary distribution of log-linear learning at tau (s), in the order of `profiles`.
 
     P(profile) is proportional to exp(Phi(profile) / tau); see `desim.pursuit.game.gibbs`.
 
     Raises:
-        ValueError: if not all times of capture are finite.
+        ValueError: if not all capture times are finite.
     """
     times = _times(phi)
     if not np.isfinite(times).all():
-        raise ValueError(f"all times of capture should be finite, got {times.tolist()}")
+        raise ValueError(f"all capture times should be finite, got {times.tolist()}")
     heights = [welfare(times, actions, reward) for actions in profiles(*times.shape)]
     return np.array(game.logit(heights, 1.0 / tau))
 
 
 def optimal_assignment(phi: ArrayLike, reward: float) -> dict[int, int]:
-    """Return which evader each pursuer chases in a profile of greatest global utility; who stays is left out.
+    """Return the assignment of pursuers to evaders with the greatest global utility.
 
     Args:
-        phi: (N, M) times of capture, s; inf or nan for who is not to chase an evader.
-        reward: the time that is left, r, s; who would not be in time chases nobody.
+        phi: (N, M) capture times, s; inf or nan excludes a pair.
+        reward: the time left, r, s; pairs with phi >= r are excluded.
 
     Returns:
-        The evader, 1 .. M, of each pursuer that has one, pursuers ascending.
+        The evader, 1 .. M, of each assigned pursuer, pursuers ascending.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -105,20 +107,20 @@ def optimal_assignment(phi: ArrayLike, reward: float) -> dict[int, int]:
 
 
 def optimum(phi: ArrayLike, reward: float) -> float:
-    """Return the greatest global utility of all profiles, s; see `optimal_assignment`."""
+    """Return the greatest global utility over all profiles, s; see `optimal_assignment`."""
     worth = _worth(phi, reward)
     return float(sum(worth[i, j - 1] for i, j in optimal_assignment(phi, reward).items()))
 
 
 def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:
-    """Return which evader each pursuer chases if, in order of (phi, pursuer, evader), each free pair is made.
+    """Return the greedy assignment: take pairs in order of (phi, pursuer, evader) if both are still free.
 
     Args:
-        phi: of each evader the times of capture of pursuers, s; nan if it is not known.
-        reward: the time that is left, s; who would not be in time chases nobody.
+        phi: for each evader the capture times of pursuers, s; nan if unknown.
+        reward: the time left, s; pairs with phi >= reward are excluded.
 
     Returns:
-        The evader of each pursuer that has one.
+        The evader of each assigned pursuer.
     """
     pairs = sorted((t, i, j) for j, times in phi.items() for i, t in times.items() if t < reward)
     chased: dict[int, int] = {}
@@ -129,24 +131,24 @@ def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> 
 
 
 def _games(phi: ArrayLike, actions: Sequence[int]) -> list[tuple[list[float], list[bool]]]:
-    """Return of each evader the game with it alone: every pursuer's time of capture (s), and whether it chases it."""
+    """Return for each evader its single-evader game: the capture time (s) of each pursuer, and whether it chases it."""
     times = _times(phi)
     return [(column.tolist(), [action == j for action in actions]) for j, column in enumerate(times.T, start=1)]
 
 
 def _times(phi: ArrayLike) -> Floats:
-    """Return (N, M) times of capture, s.
+    """Return the (N, M) capture times, s.
 
     Raises:
-        ValueError: if they are no matrix.
+        ValueError: if they are not a matrix.
     """
     times = np.asarray(phi, dtype=float)
     if times.ndim != 2:
-        raise ValueError(f"times of capture should be an (N, M) matrix, got one of shape {times.shape}")
+        raise ValueError(f"capture times should be an (N, M) matrix, got shape {times.shape}")
     return times
 
 
 def _worth(phi: ArrayLike, reward: float) -> Floats:
-    """Return (N, M) what each pursuer is worth alone on each evader, s; 0 if it would not be in time."""
+    """Return the (N, M) utility of each pursuer alone on each evader, s; 0 if phi >= reward."""
     times = _times(phi)
     return np.asarray(np.where(times < reward, reward - times, 0.0))

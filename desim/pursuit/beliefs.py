@@ -1,4 +1,4 @@
-"""What a pursuer believes of its teammates: what has arrived of each, as long as it is trusted, reckoned on to now."""
+"""Beliefs of a pursuer about its teammates: their last announcements, while trusted, extrapolated to the present."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -18,43 +18,43 @@ from desim.pursuit.state import Floats, Points
 from desim.pursuit.views import PursuerView
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
-"""Of teammates: [(t, action)], ascending: by order each takes up an action at a time t (ns, by the reader's clock)."""
+"""For each teammate [(t, action)], ascending: the actions it is ordered to take from time t on (ns, reader's clock)."""
 UNORDERED: Orders = MappingProxyType({})
-"""Nobody has been ordered to do anything: a teammate that chases goes on."""
+"""No orders: every teammate continues its announced action."""
 
 
 class Belief(NamedTuple):
-    """What a pursuer believes of a teammate that it has heard of and not forgotten."""
+    """The belief of a pursuer about a teammate whose announcement has not expired."""
 
     active: int
-    """Which evader it chases, or 0."""
+    """The evader that it chases, or 0."""
     capture_time: float
-    """s; nan if it has not told it."""
+    """s; nan if unknown."""
 
 
 class TeamEstimate(NamedTuple):
-    """Where a pursuer believes itself and teammates to be; those of whom it knows nothing are left out."""
+    """A pursuer's estimate of the positions of itself and its teammates; teammates without a belief are left out."""
 
     ids: list[int]
-    """(n,) who they are, ascending; itself among them."""
+    """(n,) ids, ascending, its own included."""
     places: Points
-    """(n,) m; nan for who has not told it."""
+    """(n,) positions, m; nan if unknown."""
     speeds: Floats
-    """(n,) m/s"""
+    """(n,) speeds while chasing, m/s"""
     capture_times: Floats
-    """(n,) s"""
+    """(n,) capture times, s"""
 
 
 class Beliefs:
     """The beliefs of one pursuer.
 
     Args:
-        pursuer: whose they are.
-        clock: its own.
-        world: what it senses.
-        network: from which it hears.
-        announcements: what teammates announce, and how long it is believed.
-        announcement: returns one, for its length.
+        pursuer: its id.
+        clock: its own clock.
+        world: its view of the world.
+        network: the network that delivers announcements.
+        announcements: the content of announcements, and how long they are believed.
+        announcement: returns an announcement, from which the airtime is computed.
     """
 
     def __init__(
@@ -71,20 +71,20 @@ class Beliefs:
         self.senses_others = announcements.payload == "action"
 
     def latest_records(self) -> Table:
-        """Return the newest announcement that has arrived from each teammate."""
+        """Return the newest announcement received from each teammate, with its time of arrival, however old."""
         return self._network.latest_records(self._id)
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
-        """Return the newest announcement of each teammate, if it arrived no longer ago than `belief_timeout`.
+        """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two words of a teammate, if it is not the heartbeat that brings them, s.
+            period: time between two announcements of a teammate, s, if it is not the heartbeat.
         """
         oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
         return {j: record for j, (arrival, record) in self.latest_records().items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
-        """Return its own time of capture of an evader, the trusted teammates believed to chase it, and theirs, s."""
+        """Return its own capture time of an evader, s, the trusted teammates believed to chase it, and their times."""
         oldest, words = self._clock.true - self._memory, self._network.matching(self._id)
         chasing = [j for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest]
         if self.senses_others:
@@ -94,14 +94,14 @@ class Beliefs:
         return own, chasing, [self._time(words[j][1], evader) for j in chasing]
 
     def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return what is believed of each trusted teammate, times of capture of one evader; see `trusted`."""
+        """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
         words = self.trusted(period).items()
         return {j: Belief(word.body.active, self._time(word, evader, orders)) for j, word in words}
 
     def team_estimate(self, evader: int) -> TeamEstimate:
-        """Return where everyone is believed to be, and how soon it would capture an evader.
+        """Return the estimated positions and speeds of the team, and the capture times of an evader.
 
-        Places are as they are sensed, or as far as they have been told.
+        Positions are sensed, or extrapolated from trusted announcements.
         """
         world = self._world
         if self.senses_others:
@@ -124,16 +124,16 @@ class Beliefs:
 
     @cached_property
     def _speeds(self) -> Floats:
-        """How fast each of the team moves if it does, (N,) m/s."""
+        """The (N,) speeds of the team while chasing, m/s."""
         return np.array([self._world.speed(pursuer) for pursuer in range(self._world.size)])
 
     @cached_property
     def _memory(self) -> float:
-        """How long it is believed what was heard, true ns."""
+        """How long an announcement is believed, ns of true time."""
         return self._remembers(self._announcements.heartbeat if self._announcements.beats else inf)
 
     def _remembers(self, period: float) -> float:
-        """Return how long it is believed what is heard every period (s), true ns."""
+        """Return how long announcements repeated every period (s) are believed, ns of true time."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
             flight = self._network.typical_latency + self._network.airtime(self._announcement())
@@ -141,7 +141,7 @@ class Beliefs:
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run is longer
 
     def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
-        """Return the time in which a teammate would capture an evader, from its record, s; nan if it is not known."""
+        """Return the capture time of a teammate for an evader, computed from its record, s; nan if unknown."""
         body = record.body
         if isinstance(body, TimedAssignment):
             return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
@@ -150,9 +150,9 @@ class Beliefs:
         return self._world.capture_time_from(record.src, self._place(record, orders), evader)
 
     def _place(self, record: Record, orders: Orders = UNORDERED) -> complex:
-        """Return the position of a teammate, from its record, m; nan if neither that tells it nor a sense.
+        """Return the position of a teammate, m: extrapolated from its record, or sensed; nan if neither is possible.
 
-        It goes on as it said, or as it has been ordered to since.
+        The teammate is assumed to continue its announced action until an order changes it.
         """
         body = record.body
         if not isinstance(body, LocatedAssignment):

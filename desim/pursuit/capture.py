@@ -1,7 +1,7 @@
-"""How long a pursuer needs to capture the evader, by the flight that is assumed of it.
+"""Capture times: the time a pursuer needs to capture the evader under an assumed motion of the evader.
 
-Lee & Bakolas, "Time-of-Capture": phi_i for an evader that flees straight from pursuer i, and for one that keeps its
-velocity. A pursuer with phi_i = inf can never capture.
+Lee & Bakolas, "Time-of-Capture": phi_i for an evader that flees straight from pursuer i, and for an evader of constant
+velocity. A pursuer with phi_i = inf can never capture it.
 """
 
 from math import inf
@@ -15,17 +15,17 @@ from desim.pursuit.state import Floats
 def capture_time(
     evader: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, evader_speed: float, radius: float
 ) -> Floats:
-    """Return the (N,) time each pursuer needs to capture an evader that flees straight from it, s.
+    """Return the (N,) capture times of an evader that flees straight from each pursuer, s.
 
     phi_i = (d_i - eps) / (v_i - v_e), the radial case of Lee & Bakolas, "Time-of-Capture"; 0 inside the capture
-    ball, inf for a pursuer no faster than the evader.
+    radius, inf for a pursuer no faster than the evader.
 
     Args:
         evader: (2,) position, m.
         pursuers: (N, 2) positions, m.
         speeds: (N,) speeds of the pursuers, m/s.
-        evader_speed: m/s.
-        radius: of capture, eps, m.
+        evader_speed: speed of the evader, m/s.
+        radius: capture radius eps, m.
 
     Raises:
         ValueError: if shapes disagree or radius <= 0.
@@ -35,22 +35,22 @@ def capture_time(
 
 
 NO_SPEED = 1e-12
-"""A difference of speeds up to this is rounding, m/s."""
+"""Differences of speeds up to this count as 0, m/s."""
 
 
 class RadialTime:
-    """The (N,) times of capture of one team as a function of its (N,) distances alone; see `capture_time`."""
+    """The (N,) capture times of one team as a function of its (N,) distances to the evader; see `capture_time`."""
 
     def __init__(self, speeds: Floats, evader_speed: float, radius: float):
         closing = speeds - evader_speed
         self._radius = radius
-        self.slow = closing <= NO_SPEED  # (N,) who can never capture
+        self.slow = closing <= NO_SPEED  # (N,) whether a pursuer can never capture the evader
         self._some_slow = bool(self.slow.any())
         self._closing = np.where(self.slow, 1.0, closing)
         self._each: list[tuple[bool, float]] = list(zip(self.slow.tolist(), self._closing.tolist(), strict=True))
 
     def __call__(self, distances: Floats) -> Floats:
-        """Return the times of capture, s, given distances, m."""
+        """Return the (N,) capture times, s, given (N,) distances, m."""
         gap = np.maximum(distances - self._radius, 0.0)
         time = gap / self._closing
         if self._some_slow:
@@ -58,7 +58,7 @@ class RadialTime:
         return time
 
     def of(self, pursuer: int, distance: float) -> float:
-        """Return the time of capture of one pursuer, s, given its distance, m."""
+        """Return the capture time of one pursuer, s, given its distance, m."""
         slow, closing = self._each[pursuer]
         gap = distance - self._radius
         return 0.0 if gap <= 0.0 else inf if slow else gap / closing
@@ -67,17 +67,17 @@ class RadialTime:
 def intercept_time(
     evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
 ) -> Floats:
-    """Return the (N,) or (K, N) shortest time in which each pursuer can capture an evader of constant velocity, s.
+    """Return the (N,) or (K, N) least time in which each pursuer can capture an evader of constant velocity, s.
 
     The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
-    there is none. Written so that it is stable whatever the sign of |w| - v_i.
+    there is none. Numerically stable for any sign of |w| - v_i.
 
     Args:
         evader: (2,) position, m.
         evader_velocity: (2,) velocity w, or (K, 2) of them, m/s.
         pursuers: (N, 2) positions, m.
         speeds: (N,) speeds of the pursuers, m/s.
-        radius: of capture, eps, m.
+        radius: capture radius eps, m.
 
     Raises:
         ValueError: if shapes disagree or radius <= 0.

@@ -1,7 +1,7 @@
-"""Dead reckoning: where a pursuer is by now that was somewhere some time ago and has chased since.
+"""Dead reckoning: the present position of a pursuer that has chased since its last known position.
 
-During a motion step all pursuers see the same: an evader that goes on straight from where it was as the step began. A
-law of guidance knows nothing else, so whoever has seen the path of the evader can retrace that of a teammate.
+During a motion step every pursuer observes an evader that moves straight from its position at the start of the step. A
+guidance law uses nothing else, so a pursuer that has observed the evader can retrace the path of a teammate.
 """
 
 from bisect import bisect_left, bisect_right
@@ -13,33 +13,33 @@ from desim.pursuit.guidance import Guidance, guided_velocity
 from desim.pursuit.kinematics import SMALLEST
 
 MAX_RETRACINGS = 10_000
-"""How many teammates' paths are remembered between two times that somebody asks for them."""
+"""Maximum number of retraced paths in the cache."""
 
 
 class TrackSegment(NamedTuple):
-    """What pursuers see of the evader during a motion step."""
+    """The evader as pursuers observe it during one motion step."""
 
     begun: int
-    """When the step began, ns."""
+    """Start of the step, ns."""
     evader: complex
-    """Where the evader was by then, m."""
+    """Position of the evader at the start of the step, m."""
     aim: complex
-    """What pursuers aim at, m."""
+    """The point that pursuers aim at, m."""
     flight: complex
-    """The velocity of the evader as they see it, m/s."""
+    """The observed velocity of the evader, m/s."""
 
     def at(self, t: int) -> complex:
-        """Return where the evader is seen at an instant (ns), m."""
+        """Return the observed position of the evader at an instant (ns), m."""
         return self.evader + self.flight * seconds(t - self.begun)
 
 
 class EvaderTrack:
-    """What was seen of the path of the evader: the present motion step and, if it remembers, all before it.
+    """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
 
-    Steps are seen, and places asked for, in the order of time.
+    Calls of `see` and of `place` must be in the order of time.
 
     Attributes:
-        last: what is seen during the present step.
+        last: the present step.
     """
 
     last: TrackSegment
@@ -50,16 +50,16 @@ class EvaderTrack:
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
 
     def see(self, t: int, evader: complex, aim: complex, flight: complex) -> None:
-        """See the evader as a step begins; the arguments as in `TrackSegment`."""
+        """Append a motion step at its start; the arguments are those of `TrackSegment`."""
         self.last = TrackSegment(t, evader, aim, flight)
         if self._remembers:
             self._legs.append(self.last)
 
     def place(self, position: complex, speed: float, since: int, now: int) -> complex:
-        """Return where a pursuer is now (ns) that was at a position (m) at an instant (ns) and has chased since, m.
+        """Return the position at `now` (ns) of a pursuer that was at `position` (m) at `since` (ns) and has chased, m.
 
-        It goes on from where the step began in which it was when last asked for, if it was; cost O(motion steps since
-        then). Before 0 nobody moves.
+        The previous result for the same start is cached, so the cost is O(motion steps since the previous call). There
+        is no motion before 0.
         """
         assert self._remembers
         known = (position, speed, since)
@@ -74,11 +74,11 @@ class EvaderTrack:
             t = end
         self._retracings[known] = (began, origin)
         if len(self._retracings) > MAX_RETRACINGS:
-            del self._retracings[next(iter(self._retracings))]  # the one not asked for for longest
+            del self._retracings[next(iter(self._retracings))]  # the least recently used
         return place
 
 
 def nearer(position: complex, evader: complex, length: float) -> complex:
-    """Return where one is that has gone a length (m) from a position straight towards the evader, at most to it, m."""
+    """Return the point at a length (m) from a position straight towards the evader, at most the evader's own, m."""
     gap = evader - position
     return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

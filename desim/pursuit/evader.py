@@ -1,4 +1,4 @@
-"""A target: one of the evaders of a run, with all that is particular to it."""
+"""An evader in a run: its body, its controller, its delayed perception and its eavesdropping on the radio."""
 
 from collections import deque
 from collections.abc import Collection, Iterable
@@ -23,16 +23,16 @@ from desim.pursuit.state import Floats, Points, State
 
 
 class EvaderController:
-    """One evader's perception and choice in one run.
+    """The perception and the decisions of one evader in one run.
 
     Args:
-        strategy: how it chooses.
-        rng: the stream of its choices, its alone.
-        speed: how fast it moves, m/s.
-        speeds: (N,) of the pursuers, m/s.
-        radius: distance at which it is captured, m.
-        sight: how far it sees pursuers, m.
-        reaction: how old what it sees is, s.
+        strategy: chooses its heading.
+        rng: random stream of its decisions, used by nothing else.
+        speed: its speed, m/s.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: capture radius, m.
+        sight: range up to which it senses pursuers, m.
+        reaction_delay: age of the state that it perceives, s.
     """
 
     def __init__(
@@ -55,14 +55,14 @@ class EvaderController:
         self._since: int | None = None
 
     def heading(self, state: State, handover: bool = False) -> complex:
-        """Return the heading that it chooses in a state, at most 1 long; it is asked in the order of time.
+        """Return its heading in a state, of length at most 1; calls must be in the order of time.
 
         Args:
-            state: as it is.
-            handover: whether word of a change of action is in flight.
+            state: the true state.
+            handover: whether an announcement of a change of action is in flight.
 
         Raises:
-            ValueError: if its strategy returns a longer one.
+            ValueError: if its strategy returns a longer heading.
         """
         if self._plain:  # the evader of the paper: the same, several times faster
             return away(state)
@@ -79,15 +79,15 @@ class EvaderController:
             outlook = outlook.only(outlook.distances <= self._sight)
         heading = self._strategy(outlook, self._rng)
         if not abs(heading) <= 1.0 + 1e-9:
-            raise ValueError(f"an evader's heading should be at most 1 long, got {heading} from {self._strategy!r}")
+            raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
         self._heading, self._since = complex(heading), state.t
         return heading
 
 
 class Eavesdropper:
-    """A watcher of events that listens to the radio: it knows when word of a change of action is in flight.
+    """A watcher of events that overhears the radio and knows when an announcement of a change of action is in flight.
 
-    What waits to be transmitted is not heard; nor are the orders of a server, only the reports of who obeys them.
+    It hears neither queued messages nor the orders of a server, only the reports of the pursuers that follow them.
     """
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class Eavesdropper:
         self._until = 0
 
     def __call__(self, event: Event) -> None:
-        """Listen to what happens."""
+        """Process an event of the run."""
         if isinstance(event, Started):
             self._actions = dict(enumerate(event.active))
         elif isinstance(event, Broadcast | Sent):
@@ -104,11 +104,11 @@ class Eavesdropper:
                 self._hear(record, event)
 
     def hands_over(self, now: int) -> bool:
-        """Return whether the word of a pursuer that does something else than it said before is in flight, now (ns)."""
+        """Return whether an announcement that differs from the previous one of its sender is in flight at `now`, ns."""
         return now < self._until
 
     def _hear(self, record: Record, event: Broadcast | Sent) -> None:
-        """Take note of a record that is transmitted."""
+        """Process a transmitted record."""
         action, newer = getattr(record.body, "active", None), record.seq > self._changed.get(record.src, 0)
         if newer and action is not None and action != self._actions.get(record.src, 0):
             self._actions[record.src], self._changed[record.src] = action, record.seq
@@ -117,10 +117,10 @@ class Eavesdropper:
 
 
 class DelayedState:
-    """What was seen lately: `memory(state)` is a state with the pursuers as they were some time (ns) before it.
+    """Delayed perception: a call returns the state with the pursuers as they were a delay (ns) earlier.
 
-    Between two states that it has been told of they moved straight, and chased as in the first of the two; before the
-    first state they were as in that.
+    Positions are interpolated linearly between two given states, and the actions are those of the earlier one. Before
+    the first state the pursuers are as in the first.
     """
 
     def __init__(self, delay: int):
@@ -128,7 +128,7 @@ class DelayedState:
         self._seen: deque[State] = deque()
 
     def __call__(self, state: State) -> State:
-        """Take note of a state, none earlier than the last, and return it as it is perceived."""
+        """Append a state, not earlier than the last, and return the perceived state."""
         seen, then = self._seen, state.t - self._delay
         seen.append(state)
         while len(seen) > 1 and seen[1].t <= then:
@@ -141,25 +141,27 @@ class DelayedState:
 
 
 SINGLY = 16
-"""Up to so many pursuers it is faster to ask for each by itself than for all at once."""
+"""Up to this number of pursuers, scalar computations are faster than array operations over the team."""
 
 
 class EvaderBody:
-    """An evader that flees, what its speed makes of the pursuers, and what is known of it at this instant.
+    """An evader in the world: its position and velocity, the capture times of the pursuers, and its capture.
+
+    It is at large until `captured` is set; from then on it stands still and all capture times are inf.
 
     Args:
-        number: 1 .. M, which is the action of a pursuer that chases it.
-        speed: m/s.
-        mind: how it chooses its heading.
-        path: its path, as pursuers see it.
-        players: where everyone is: the N pursuers, then the evaders in order.
-        speeds: (N,) of the pursuers, m/s.
-        radius: distance at which it is captured, m.
+        number: 1 .. M, the action of a pursuer that chases it.
+        speed: its speed, m/s.
+        mind: its controller, which chooses its heading.
+        path: its path, as pursuers observe it.
+        players: positions and velocities of all players: the N pursuers, then the evaders in order.
+        speeds: (N,) speeds of the pursuers, m/s.
+        radius: capture radius, m.
 
     Attributes:
-        slow: (N,) who can never capture it.
-        captured: when it was, ns; None if it has not been.
-        player: its number among the players.
+        slow: (N,) whether a pursuer can never capture it.
+        captured: time of its capture, ns; None while it is at large.
+        player: its index among the players.
     """
 
     def __init__(
@@ -179,26 +181,26 @@ class EvaderBody:
         self._mind, self._players = mind, players
         self._radial_time = RadialTime(speeds, speed, radius)
         self.slow: list[bool] = self._radial_time.slow.tolist()
-        self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # at least how fast a distance to it can fall, m/s
+        self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # bound on the closing speed, m/s
         self.captured: int | None = None
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
-        self._safe_until = -1  # nobody can capture it before, ns
+        self._safe_until = -1  # no capture is possible up to this time, ns
         self._state: State | None = None
-        self._read: Points | None = None  # the positions of which that is the state
+        self._read: Points | None = None  # the positions from which that state was computed
         self._times: tuple[float, ...] | None = None
 
     @property
     def place(self) -> complex:
-        """Where it is now, m."""
+        """Its present position, m."""
         return self._players.place(self.player)
 
     def set_chasers(self, chasers: NDArray[np.bool_]) -> None:
-        """Take note of (N,) who chases it from now on."""
+        """Set the (N,) mask of the pursuers that chase it from now on."""
         chasers.setflags(write=False)
         self._chasers, self._read = chasers, None
 
     def state(self, now: int) -> State:
-        """Return where the pursuers and it are now (ns), and who chases it."""
+        """Return the state of the pursuit of this evader at `now` (ns)."""
         places = self._players.places()
         if self._state is None or places is not self._read:
             self._state = State(now, places[: self._size], places.item(self.player), self._chasers)
@@ -206,7 +208,7 @@ class EvaderBody:
         return self._state
 
     def capture_times(self, now: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture now (ns), s; inf once it has been captured."""
+        """Return the capture time of each pursuer at `now` (ns), s; inf once it has been captured."""
         if self.captured is not None:
             return (inf,) * self._size
         state = self.state(now)
@@ -215,7 +217,7 @@ class EvaderBody:
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
-        """Return the times of capture of some pursuers now (ns), s; inf once it has been captured."""
+        """Return the capture times of some pursuers at `now` (ns), s; inf once it has been captured."""
         if len(pursuers) > SINGLY or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
@@ -226,19 +228,19 @@ class EvaderBody:
         return list(map(self._radial_time.of, pursuers, distances))
 
     def capture_time_over(self, pursuer: int, distance: float) -> float:
-        """Return the time of capture of a pursuer over a distance (m), s."""
+        """Return the capture time of a pursuer at a distance (m), s."""
         return self._radial_time.of(pursuer, distance)
 
     def capture_times_over(self, distances: Floats) -> tuple[float, ...]:
-        """Return every pursuer's time of capture over (N,) distances (m), s."""
+        """Return the capture time of each pursuer, given (N,) distances (m), s."""
         return tuple(self._radial_time(distances).tolist())
 
     def flight(self, state: State, *, handover: bool) -> complex:
-        """Return the velocity it chooses in the present state, m/s; 0 once it has been captured.
+        """Return the velocity that it chooses in the present state, m/s; 0 once it has been captured.
 
         Args:
             state: as `state` returns it.
-            handover: whether word of a change of action is in flight.
+            handover: whether an announcement of a change of action is in flight.
         """
         if self.captured is not None:
             return 0j
@@ -247,19 +249,22 @@ class EvaderBody:
     def contact(
         self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]
     ) -> tuple[float, int] | None:
-        """Return in how many s, and by whom, it is captured if everybody goes on until an instant; None if it is not.
+        """Return the first capture if all velocities stay constant until an instant; None if there is none.
 
         Args:
-            now: ns.
-            until: ns.
-            broken: (N,) who captures nobody.
+            now: the present, ns.
+            until: end of the interval, ns.
+            broken: (N,) mask of pursuers that are down and capture nothing.
             test: see `desim.scenario.scenario.Capture`.
+
+        Returns:
+            (time from now to the capture, s; id of the capturer).
         """
         if until <= self._safe_until:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # Whatever all do; a little less, for rounding, and nothing if there is no gap.
+        # A lower bound on the time to capture for any motion, with a margin for rounding; no time if there is no gap.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

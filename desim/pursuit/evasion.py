@@ -1,7 +1,7 @@
-"""How an evader flees: a strategy maps what the evader knows to a heading.
+"""Evasion strategies: a strategy maps the observation of an evader to a heading.
 
-A strategy is a frozen value that remembers nothing: of the past it is told the heading it chose last, and how long ago.
-No parameter depends on the motion step, so that a strategy obeys the same law however often it is asked.
+A strategy is a frozen value without memory: the observation contains the previous heading and the time since it was
+chosen. No parameter depends on the motion step, so the law of motion does not change with the step.
 """
 
 from cmath import rect
@@ -27,22 +27,22 @@ def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
 
 
 class Strategy(Protocol):
-    """An evader's strategy: `strategy(state, rng)` is a unit heading (a complex number), or 0 to stand still.
+    """An evader's strategy: `strategy(state, rng)` returns a unit heading (a complex number), or 0 to stand still.
 
-    One that reads `state.handover` has an attribute `listens` that is true.
+    A strategy that reads `state.handover` has an attribute `listens = True`.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex: ...  # noqa: D102
 
 
 class Fleeing(Value):
-    """What strategies share that flee from pursuers: while there are none to flee from, the evader stands still."""
+    """Base of the strategies that flee from pursuers; without a pursuer to flee from, the evader stands still."""
 
     flees_from: Literal["all", "active"] = "all"
-    """Whom it flees: all pursuers that it sees, or only those of them that chase."""
+    """The pursuers from which it flees: all that it senses, or only the active ones among them."""
 
     def fled_from(self, state: EvaderObservation) -> EvaderObservation:
-        """Return what is left of an outlook without those that do not matter."""
+        """Return an observation restricted to the pursuers from which the evader flees."""
         return state if self.flees_from == "all" else state.only(state.active)
 
 
@@ -52,23 +52,23 @@ class PureEvasion(Fleeing):
     kind: Literal["pure_evasion"] = "pure_evasion"
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; 0 if it is right here."""
+        """Return u_e = (x_e - x_k) / |x_e - x_k| for the nearest pursuer k; 0 if it is at the evader's position."""
         return away(self.fled_from(state))
 
 
 ROUNDING = 1e-12
-"""Unit vectors that add up to less than this each cancel."""
+"""A sum of unit vectors shorter than this times their number counts as 0."""
 
 
 class WeightedFlee(Fleeing):
-    """Flee from all pursuers at once, the more from each the nearer it is."""
+    """Flee from all pursuers at once, weighted by distance."""
 
     kind: Literal["weighted_flee"] = "weighted_flee"
     power: Limit = 2.0
-    """How much more the nearer count, p: as 1 / distance^p; inf: only the nearest."""
+    """Exponent p of the weights 1 / distance^p; inf: only the nearest counts."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the direction of sum_i xi_i / |xi_i|^(p + 1), xi_i = x_e - x_i; 0 if it cancels or one is here."""
+        """Return the direction of sum_i xi_i / |xi_i|^(p + 1), xi_i = x_e - x_i; 0 if the sum or an xi_i is 0."""
         fled_from = self.fled_from(state)
         if not away(fled_from):
             return 0j
@@ -79,14 +79,14 @@ class WeightedFlee(Fleeing):
 
 
 class MaxMin(Fleeing):
-    """Flee on the straight line on which the first capture is latest, if all pursuers head it off."""
+    """Flee on the straight line that maximises the least intercept time over all pursuers."""
 
     kind: Literal["max_min"] = "max_min"
     candidates: Annotated[int, Field(ge=1, le=3600, strict=True)] = 72
-    """Number of headings that are compared, evenly spaced; one is that of pure evasion."""
+    """Number of candidate headings, evenly spaced and including that of pure evasion."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the u among the candidates with the greatest min_i phi_i(u), the first from pure evasion on."""
+        """Return the candidate u with the greatest min_i phi_i(u); ties go to the first, counted from pure evasion."""
         fled_from = self.fled_from(state)
         straight = away(fled_from)
         if not straight:
@@ -97,35 +97,35 @@ class MaxMin(Fleeing):
 
 
 class Zigzag(Fleeing):
-    """Flee from the nearest pursuer, half a period to the left of straight away, and half a period to the right."""
+    """Flee from the nearest pursuer, turned to the left for half a period and to the right for the other half."""
 
     kind: Literal["zigzag"] = "zigzag"
     period: Period = 2.0
-    """Time of a turn to the left and one to the right, s; the first begins at 0."""
+    """Period of a turn to the left and one to the right, s; the first begins at time 0."""
     amplitude: Annotated[float, Field(ge=0, le=pi, strict=True)] = 0.7
-    """Angle from straight away, rad."""
+    """Angle from the heading of pure evasion, rad."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of pure evasion, turned."""
+        """Return the heading of pure evasion, turned by the amplitude."""
         halves = 2 * state.t // round(self.period * 1e9)  # ns
         return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
 
 
 class VoronoiVertex(Fleeing):
-    """Go to the farthest point of an arena that it could reach before any pursuer, were all equally fast.
+    """Go to the farthest point of an arena that it would reach before any pursuer if all had equal speeds.
 
-    That is a vertex of its Voronoi cell. As it goes there others become farther; the hysteresis lets it go on for a
-    while before it turns. From outside the arena it goes to the nearest point of it.
+    This point is a vertex of its Voronoi cell. Another vertex becomes the farthest on the way; the hysteresis delays
+    the turn. An evader outside the arena goes to the nearest point of the arena.
     """
 
     kind: Literal["voronoi_vertex"] = "voronoi_vertex"
     arena: Annotated[tuple[Coordinate, Coordinate], AfterValidator(_with_area)]
-    """Lower and upper bound of both coordinates, m."""
+    """Lower and upper bound of both coordinates of the arena, m."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
-    """By which share another vertex must be farther than the one ahead for it to turn."""
+    """Share by which another vertex must be farther than the vertex ahead before the evader turns to it."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of the farthest vertex, or of the one ahead if that is almost as far."""
+        """Return the heading to the farthest vertex, or to the vertex ahead if that is almost as far."""
         fled_from = self.fled_from(state)
         if not len(fled_from.pursuers):
             return 0j
@@ -140,25 +140,25 @@ class VoronoiVertex(Fleeing):
 
 
 class Diffusion(Value):
-    """Wander: the heading is anything at first, and then a Brownian motion, whatever the pursuers do."""
+    """Wander, independently of the pursuers: the angle is uniform at first and then follows a Brownian motion."""
 
     kind: Literal["diffusion"] = "diffusion"
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
-    """After a time t the heading has turned by an angle of standard deviation sigma sqrt(t), rad/sqrt(s)."""
+    """Diffusion of the angle: its standard deviation after a time t is sigma sqrt(t), rad/sqrt(s)."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the present heading, turned by a normal angle of variance sigma^2 times the time that has passed."""
+        """Return the present heading, turned by a normal angle of variance sigma^2 times the elapsed time."""
         if not state.heading:
             return random_heading(rng)
         return unit(state.heading * rect(1.0, rng.normal(0.0, self.sigma * sqrt(state.elapsed))))
 
 
 class ConstantHeading(Value):
-    """Go straight on, whatever the pursuers do."""
+    """Move straight, independently of the pursuers."""
 
     kind: Literal["constant_heading"] = "constant_heading"
     angle: Annotated[float, Field(ge=-2 * pi, le=2 * pi, strict=True)] | None = None
-    """Angle from the x axis, rad; if absent it is drawn as the evader sets off, anew for every seed."""
+    """Angle from the x axis, rad; if absent, a uniform random draw per seed."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading."""
@@ -180,25 +180,26 @@ CALLED_WITH = ("state", "rng")
 
 
 class Listener(Value):
-    """Listen to the pursuers' radio: one strategy while a hand-over is in flight, another else.
+    """Eavesdrop on the pursuers' radio: follow one strategy during a hand-over, and another otherwise.
 
-    A hand-over is in flight while word of a change of action is. Each strategy goes on from the heading of the other.
+    A hand-over lasts while an announcement of a change of action is in flight. Each strategy continues from the heading
+    of the other.
     """
 
     listens: ClassVar[bool] = True
     kind: Literal["listener"] = "listener"
     during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = PureEvasion()
-    """What it does while a hand-over is in flight."""
+    """The strategy during a hand-over."""
     normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = Still()
-    """What it does else."""
+    """The strategy at all other times."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of the strategy whose turn it is."""
+        """Return the heading of the strategy that applies."""
         return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
 STRATEGIES = OneOf(*SIMPLE, Listener, takes=CALLED_WITH)
-"""What an evader may do."""
+"""The strategies of an evader."""
 
 
 def unit(vector: complex) -> complex:
@@ -207,23 +208,23 @@ def unit(vector: complex) -> complex:
 
 
 def random_heading(rng: np.random.Generator) -> complex:
-    """Return a heading in any direction."""
+    """Return a heading of uniform random direction."""
     return rect(1.0, rng.uniform(0.0, 2.0 * pi))
 
 
 @lru_cache(maxsize=256)
 def _turns(count: int) -> Points:
-    """Return the (count,) unit vectors that are evenly spaced, counter-clockwise from the x axis."""
+    """Return (count,) evenly spaced unit vectors, counter-clockwise from the x axis."""
     return np.array([rect(1.0, 2.0 * pi * k / count) for k in range(count)])
 
 
 def away(state: State) -> complex:
-    """Return the heading straight away from the nearest pursuer; 0 if it is right here or there is none."""
+    """Return the heading straight away from the nearest pursuer; 0 at distance 0 or without pursuers."""
     return unit(complex(state.offsets[state.nearest])) if state.nearest >= 0 else 0j
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return when the first pursuer could capture an evader that keeps to each of (K,) headings, s."""
+    """Return the (K,) least intercept times over all pursuers of an evader that keeps each of (K,) headings, s."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
@@ -231,19 +232,19 @@ def first_captures(state: EvaderObservation, headings: Points) -> Floats:
 
 
 def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
-    """Return the vertices of what is nearer to the evader than to all pursuers in an arena, seen from the evader, m."""
+    """Return the vertices of the evader's Voronoi cell in an arena, relative to the evader, m."""
     (low, high), evader = arena, state.evader
     cell = [complex(x, y) - evader for x, y in ((low, low), (high, low), (high, high), (low, high))]
     for pursuer in state.distances.argsort():
         middle = complex(state.offsets[pursuer]) / -2.0
         if abs(middle) >= max(map(abs, cell)):
-            break  # nobody from here on is near enough
+            break  # no farther pursuer bounds the cell
         cell = _clipped(cell, middle)
     return cell
 
 
 def _clipped(polygon: list[complex], middle: complex) -> list[complex]:
-    """Return what of a convex polygon is on the near side of the line that is perpendicular to `middle` there."""
+    """Return a convex polygon clipped to the side of the origin of the line through `middle`, perpendicular to it."""
     beyond = [((z - middle) * middle.conjugate()).real for z in polygon]
     kept = []
     for k, z in enumerate(polygon):

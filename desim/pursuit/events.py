@@ -1,4 +1,4 @@
-"""What can happen in a pursuit; the events of the network are in `desim.kernel.events`."""
+"""Events of a pursuit in the trace; the events of the network are in `desim.kernel.events`."""
 
 from typing import Annotated, Literal, NamedTuple
 
@@ -9,8 +9,8 @@ Point = tuple[float, float]
 Evader = Annotated[int, "evader"]
 """The number of an evader, 1 .. M."""
 Action = Annotated[int, "action"]
-"""Which evader a pursuer chases, 1 .. M, or 0."""
-# Tuples of one entry for each pursuer, and of the places of the evaders 2 .. M.
+"""The evader that a pursuer chases, 1 .. M, or 0 if it stays."""
+# Tuples with one entry for each pursuer, and the positions of the evaders 2 .. M.
 Points = Annotated[tuple[Point, ...], "pursuers"]
 Speeds = Annotated[tuple[float, ...], "pursuers"]
 Actions = Annotated[tuple[Action, ...], "pursuers"]
@@ -28,9 +28,9 @@ class Started(NamedTuple):
     speeds: Speeds
     """m/s"""
     active: Actions
-    """What each pursuer does, as in `Decided`."""
+    """The action of each pursuer, as in `Decided`."""
     others: Others = ()
-    """The evaders 2 .. M, m."""
+    """Positions of the evaders 2 .. M, m."""
 
     @property
     def evaders(self) -> tuple[Point, ...]:
@@ -44,18 +44,18 @@ class Decided(NamedTuple):
     t: Nanoseconds
     pursuer: NodeId
     active: Action
-    """Which evader it chases, 1 .. M, or 0."""
+    """The evader that it chases, 1 .. M, or 0."""
 
 
 class BrokeDown(NamedTuple):
-    """A pursuer that was active broke down."""
+    """An active pursuer broke down."""
 
     t: Nanoseconds
     pursuer: NodeId
 
 
 class Sampled(NamedTuple):
-    """Where everyone was."""
+    """A sample of all positions."""
 
     t: Nanoseconds
     evader: Point
@@ -63,7 +63,7 @@ class Sampled(NamedTuple):
     pursuers: Points
     """m"""
     others: Others = ()
-    """The evaders 2 .. M, m; who has been captured is where that happened."""
+    """Positions of the evaders 2 .. M, m; a captured evader stays where it was captured."""
 
     @property
     def evaders(self) -> tuple[Point, ...]:
@@ -72,7 +72,7 @@ class Sampled(NamedTuple):
 
 
 class Captured(NamedTuple):
-    """One of several evaders was captured, and who chased it stays until it decides anew."""
+    """One of several evaders was captured; its pursuers stay until they decide again."""
 
     t: Nanoseconds
     evader: Evader
@@ -81,9 +81,9 @@ class Captured(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """The pursuit was over."""
+    """The pursuit ended."""
 
     t: Nanoseconds
     reason: Literal["captured", "horizon", "stopped"]
     capturer: NodeId | None
-    """Who captured the evader, or the last of several, if anybody did."""
+    """The pursuer that captured the evader, or the last of several; None without a capture."""

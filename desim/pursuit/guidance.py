@@ -1,7 +1,7 @@
-"""Guidance: how a pursuer that chases heads for the evader.
+"""Guidance laws: the heading of a pursuer that chases an evader.
 
-A law maps what is seen of the evader to the velocities of the whole team. Points and velocities are complex numbers, as
-in `desim.pursuit.state`.
+A law maps the observed motion of the evader to the velocities of the whole team. Points and velocities are complex
+numbers, as in `desim.pursuit.state`.
 """
 
 from typing import Literal, Protocol
@@ -18,15 +18,15 @@ EvaderVelocity = complex | Points
 
 
 class Guidance(Protocol):
-    """A law of guidance: `guidance(gaps, aims, flight, speeds)` is the (N,) velocities, m/s, none above its speed.
+    """A guidance law: `guidance(gaps, aims, flight, speeds)` returns the (N,) velocities, m/s, within the speeds.
 
     Args:
-        gaps: (N,) from each pursuer to its evader as it is seen, m: since the motion step began it moves at `flight`.
-        aims: (N,) from each pursuer to where its evader will be at the end of the motion step if it moves first, else
-            to where it was at its beginning (`motion.set_action`), m.
-        flight: velocity of the evader as it is seen: that of the present step if the evader moves first, else that of
-            the step before, m/s; (N,) if pursuers chase different evaders.
-        speeds: (N,) m/s, 0 for who stays.
+        gaps: (N,) from each pursuer to the observed position of its evader, m; it moves at `flight` during the step.
+        aims: (N,) from each pursuer to the position of its evader at the end of the motion step if the evader moves
+            first, else to its position at the beginning of the step (`motion.order`), m.
+        flight: observed velocity of the evader: that of the present step if the evader moves first, else that of the
+            step before, m/s; (N,) if pursuers chase different evaders.
+        speeds: (N,) speeds, m/s, 0 for pursuers that stay.
     """
 
     def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points: ...  # noqa: D102
@@ -43,12 +43,12 @@ class PurePursuit(Value):
 
 
 class ConstantBearing(Value):
-    """Head for where one would meet the evader if it kept its velocity; who cannot meet it heads straight for it.
+    """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
 
-    The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. On the way there the line of sight keeps
-    its direction b (parallel navigation): across it the pursuer moves as the evader does, and what is left of its speed
-    it spends along it, u = b (sqrt(v^2 - w_across^2) + i w_across). It closes in at sqrt(v^2 - w_across^2) - w_along;
-    if that is not positive they do not meet.
+    The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The line of sight keeps its direction b
+    (parallel navigation): the pursuer matches the velocity of the evader across it, and uses the rest of its speed
+    along it, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along; there
+    is no intercept point unless it is positive.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"
@@ -66,19 +66,19 @@ class ConstantBearing(Value):
 
 
 def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
-    """Return the velocities that a law gives, m/s; the arguments as in `Guidance`.
+    """Return the (N,) velocities given by a law, m/s; the arguments are those of `Guidance`.
 
     Raises:
-        ValueError: if it leads anybody faster than at its speed.
+        ValueError: if the law exceeds the speed of a pursuer.
     """
     velocities = law(gaps, aims, flight, speeds)
     if not isinstance(law, PurePursuit | ConstantBearing) and not (lengths(velocities) <= speeds * (1.0 + 1e-9)).all():
-        raise ValueError(f"nobody should be led faster than at {speeds} m/s, got {velocities} from {law!r}")
+        raise ValueError(f"velocities should be within the speeds {speeds} m/s, got {velocities} from {law!r}")
     return velocities
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float) -> complex:
-    """Return the velocity that a law gives one pursuer, m/s; as `guided_velocities`."""
-    if isinstance(law, PurePursuit):  # the same, several times faster
+    """Return the velocity given by a law to one pursuer, m/s; see `guided_velocities`."""
+    if isinstance(law, PurePursuit):  # the same result, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
     return complex(guided_velocities(law, np.array([gap]), np.array([aim]), flight, np.array([speed]))[0])

@@ -1,7 +1,7 @@
-"""Where players are: everyone moves in straight pieces, which all began at one instant.
+"""Kinematics: the positions of all players, which move on straight pieces that begin at a common instant.
 
-The position of anyone at any instant is a closed form, origin + velocity * (t - since): it is read, not integrated, so
-reading that of one player costs nothing for the others.
+A position is a closed form, origin + velocity * (t - since). Nothing is integrated, and reading the position of one
+player has no cost for the others.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,40 +14,39 @@ from desim.kernel.clock import SECOND, Clock
 from desim.pursuit.state import Floats, Points, lengths
 
 SMALLEST = 1e-290
-"""Stands in for a distance of 0, so that 0 / 0 is 0, m."""
+"""Lower bound of divisors, so that a gap of 0 has a direction of 0, m."""
 
 
 def toward(gaps: Points, speeds: Floats) -> Points:
-    """Return the velocities that close each gap at its speed, m/s; none where there is no gap.
+    """Return the (N,) velocities that close each gap at its speed, m/s; 0 for a gap of 0.
 
     Args:
         gaps: (N,) from each pursuer to its target, m.
-        speeds: (N,) m/s, 0 for who stays.
+        speeds: (N,) speeds, m/s, 0 for pursuers that stay.
     """
     return gaps * (speeds / np.maximum(lengths(gaps), SMALLEST))
 
 
 def first_contact(offsets: Points, velocities: Points, radius: float, duration: float) -> tuple[float, int] | None:
-    """Return when, and for which row, a straight relative motion first comes within a radius of the origin.
+    """Return the first time, and the row, at which a straight relative motion comes within a radius of the origin.
 
-    The smallest root of |p + s q| = eps over 0 <= s <= duration, 0 if it is inside already. Ties go to the lowest
-    row.
+    The smallest root of |p + s q| = eps over 0 <= s <= duration, 0 if |p| <= eps. Ties go to the lowest row.
 
     Args:
         offsets: (N,) relative positions p at s = 0, m.
         velocities: (N,) relative velocities q, m/s.
         radius: eps, m.
-        duration: of the piece, s.
+        duration: length of the interval, s.
 
     Returns:
-        (s, row), or None if nobody comes so near.
+        (s, row), or None without a contact.
     """
     a = lengths(velocities) ** 2
     b = offsets.real * velocities.real + offsets.imag * velocities.imag
     c = lengths(offsets) ** 2 - radius**2
     discriminant = b**2 - a * c
     times = np.full(len(a), inf)
-    # Approaching, and near enough: the smaller root, in the form that does not cancel.
+    # Approaching and passing within the radius: the smaller root, in the form without cancellation.
     meets = (b < 0.0) & (discriminant >= 0.0)
     np.divide(c, np.sqrt(np.maximum(discriminant, 0.0)) - b, out=times, where=meets)
     times[c <= 0.0] = 0.0
@@ -56,7 +55,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
 
 
 def within(offsets: Points, radius: float) -> int | None:
-    """Return the row of the (N,) offsets (m) that is nearest to the origin, if it is within a radius (m)."""
+    """Return the row of the (N,) offsets (m) nearest to the origin, or None if it is outside a radius (m)."""
     distances = lengths(offsets)
     row = int(distances.argmin())
     return row if distances[row] <= radius else None
@@ -67,11 +66,11 @@ class Kinematics:
 
     Args:
         env: the clock of the simulation.
-        start: (K,) positions as it begins, m.
-        static: whether nobody ever moves.
+        start: (K,) initial positions, m.
+        static: whether all players stand still for the whole run.
 
     Attributes:
-        velocities: (K,) of the present pieces, m/s; not to be written to.
+        velocities: (K,) velocities of the present pieces, m/s; read-only.
     """
 
     def __init__(self, env: Clock, start: Points, *, static: bool = False):
@@ -83,11 +82,11 @@ class Kinematics:
 
     @property
     def are_known(self) -> bool:
-        """Whether somebody has asked for all positions at this instant."""
+        """Whether all positions of this instant are cached."""
         return self._read == self._env.now or self._static
 
     def places(self) -> Points:
-        """Return the (K,) positions now, m; not to be written to."""
+        """Return the (K,) positions now, m; read-only."""
         now = self._env.now
         if self._read != now and not self._static:
             self._places = self._origins + self.velocities * ((now - self._since) / SECOND)
@@ -103,7 +102,7 @@ class Kinematics:
         return self._origins.item(player) + self.velocities.item(player) * ((now - self._since) / SECOND)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
-        """Return how far some players are from another now, m."""
+        """Return the distances of some players from another now, m."""
         now, start, velocity = self._env.now, self._origins.item, self.velocities.item
         if self._read == now or self._static:
             place = self._places.item
@@ -120,6 +119,6 @@ class Kinematics:
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
     def go(self, velocities: Points) -> None:
-        """Begin new pieces here and now, (K,) m/s."""
+        """Begin new straight pieces at the present positions and instant, with (K,) velocities, m/s."""
         self._origins, self._since = self.places(), self._env.now
         self.velocities = velocities

@@ -1,4 +1,4 @@
-"""What an evader knows as it chooses a heading."""
+"""The observation of an evader, from which its strategy chooses a heading."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,17 +7,17 @@ from desim.pursuit.state import Floats, State
 
 
 class EvaderObservation(State):
-    """The state of the pursuit as an evader sees it, what it knows of itself, and what it did before.
+    """The observation of an evader: the perceived state of the pursuit, its own parameters and its previous heading.
 
-    Those it does not see are in no array, so that pursuers keep their order but not their numbers.
+    Unobserved pursuers are left out of all arrays: the order of the pursuers is kept, but an index is not an id.
 
     Attributes:
-        speeds: (N,) of the pursuers, m/s.
-        speed: its own, m/s.
-        radius: distance at which it is captured, m.
-        heading: the one it has, at most 1 long; 0 if it stands still, and at first.
-        elapsed: time since it chose that, s; 0 at first.
-        handover: whether word of a change of action is in flight; False for whoever does not listen to the radio.
+        speeds: (N,) speeds of the pursuers, m/s.
+        speed: its own speed, m/s.
+        radius: capture radius, m.
+        heading: its present heading, of length at most 1; 0 at the start and while it stands still.
+        elapsed: time since it chose this heading, s; 0 at the start.
+        handover: whether an announcement of a change of action is in flight; False if the strategy does not listen.
     """
 
     def __init__(
@@ -30,7 +30,7 @@ class EvaderObservation(State):
         elapsed: float = 0.0,
         handover: bool = False,
     ):
-        self.__dict__.update(state.__dict__)  # the same arrays
+        self.__dict__.update(state.__dict__)  # shares its arrays
         for array in (self.offsets, self.distances):
             array.setflags(write=False)
         self.speeds = speeds
@@ -41,7 +41,7 @@ class EvaderObservation(State):
         self.handover = handover
 
     def only(self, who: NDArray[np.bool_]) -> "EvaderObservation":
-        """Return the outlook of an evader that sees only (N,) some of the pursuers."""
+        """Return this observation restricted to the pursuers in an (N,) mask."""
         if who.all():
             return self
         return EvaderObservation(

@@ -1,9 +1,8 @@
-"""Sensing: what pursuers see of the evaders if they do not see far, and what they make of what they have seen.
+"""Sensing of evaders by pursuers with a limited range, and estimation from past sightings.
 
-Within the sensing radius a pursuer sees an evader as it is. Else it goes by the newest sighting it knows of, its own or
-one that was reported to it, and by how old that is (`Sensing.estimate`). Everything it decides then rests on that
-estimate, and it is the estimate that it chases. Teammates are sensed, or say where they are, as ever; and everybody
-knows which evaders have been captured.
+Within the sensing radius a pursuer sees the true position of an evader. Beyond it, the pursuer extrapolates the newest
+sighting it knows, its own or a reported one (`Sensing.estimate`). It decides by this estimate and chases it. The
+positions of teammates are sensed or announced as without limit, and all pursuers know which evaders are captured.
 """
 
 from cmath import rect
@@ -24,47 +23,47 @@ if TYPE_CHECKING:
     from desim.pursuit.state import Points
 
 PORT = "sightings"
-"""Where reports of sightings come in."""
+"""The port of sighting reports."""
 NEVER = -1
-"""When an evader was last seen that never was."""
+"""Time of the last sighting of an evader that was never seen, ns."""
 NOWHERE = complex(np.nan, np.nan)
-"""Where an evader is of which nothing is known, m."""
+"""Position of an evader without any sighting, m."""
 
 
 class Sensing(Value):
-    """What pursuers see of the evaders, and what they make of what they have seen."""
+    """The sensing of evaders, and the estimation of the positions of unseen ones."""
 
     radius: Limit = inf
-    """Distance R_s up to which a pursuer sees an evader, m."""
+    """Sensing radius R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
-    """Where an evader is that is not seen: where it was last seen (hold); where it would be had it kept the velocity it
-    had then; or somewhere within v_e age of where it was, so that with equal clocks phi is a bound:
-    (d + v_e age - eps) / (v_i - v_e)."""
+    """Estimated position of an unseen evader. hold: that of the last sighting; constant_velocity: extrapolated with the
+    velocity at the last sighting; worst_case: anywhere within v_e age of the last sighting, so that with equal clocks
+    phi is an upper bound: (d + v_e age - eps) / (v_i - v_e)."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, s. It tells the last sighting of its own until that is `track_timeout` old
-    or it hears of a newer one, again and again, for reports are lost as other messages are."""
+    """Time between two reports of a pursuer, s. It repeats its own last sighting, because reports may be lost, until
+    the sighting is `track_timeout` old or a newer one is reported to it."""
     relay: Flag = False
-    """Whether the newest that others have reported is told, too, so that it spreads over several hops."""
+    """Whether a pursuer also relays the newest reported sighting, so that it spreads over several hops."""
     track_timeout: Timeout = 5.0
-    """Age T_lost of a sighting from which on the evader is lost, s."""
+    """Age T_lost of the newest sighting at which the evader is lost, s."""
     on_lost: Literal["stay", "search"] = "search"
-    """What to do about an evader that is lost: nothing; or to look for it along a spiral about where it was believed to
-    be, with turns 2 R_s apart, each pursuer in a direction of its own. The spiral begins as the evader is lost,
-    wherever the pursuer is by then. Who has never heard of it stays."""
+    """Action on a lost evader. stay: it may not be chased; search: follow a spiral around its last estimated position,
+    with turns 2 R_s apart, rotated for each pursuer. The spiral begins when the evader is lost, wherever the pursuer
+    is. A pursuer without any sighting stays."""
 
     @property
     def limited(self) -> bool:
-        """Whether there is anything that is not seen."""
+        """Whether the sensing radius is finite."""
         return self.radius < inf
 
 
 class Sighting(NamedTuple):
-    """Where an evader was seen."""
+    """A past observation of an evader."""
 
     evader: int
     """1 .. M"""
     seen: float
-    """When, by the clock of who saw it, s."""
+    """Time of the sighting by the clock of the observer, s."""
     x: float
     """m"""
     y: float
@@ -76,31 +75,31 @@ class Sighting(NamedTuple):
 
     @property
     def place(self) -> complex:
-        """Where it was, m."""
+        """Position of the evader at the sighting, m."""
         return complex(self.x, self.y)
 
     @property
     def velocity(self) -> complex:
-        """How it moved, m/s."""
+        """Velocity of the evader at the sighting, m/s."""
         return complex(self.velocity_x, self.velocity_y)
 
 
 class EvaderEstimate(NamedTuple):
-    """Where an evader is believed to be."""
+    """The estimated position of an evader."""
 
     place: complex
     """m"""
     velocity: complex = 0j
     """m/s"""
     uncertainty: float = 0.0
-    """How much farther it may be from anywhere, m."""
+    """Upper bound of the distance of the evader from `place`, m; 0 if the estimate gives none."""
 
 
 class TeamSensor:
-    """What the whole team sees; looked at once every motion step, for all pursuers and evaders at a time.
+    """The sensors of the whole team, sampled once every motion step for all pursuers and evaders together.
 
     Attributes:
-        sights: (N,) what each pursuer makes of it.
+        sights: (N,) the sensed view of each pursuer.
     """
 
     def __init__(self, sensing: Sensing, world: GlobalState, network: Network, clocks: Iterable[NodeClock]):
@@ -112,7 +111,7 @@ class TeamSensor:
         self.sights = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
 
     def look(self, now: int) -> None:
-        """Let everybody that is not broken remember the evaders that it sees at an instant, ns."""
+        """Record the evaders in the sensing range of each pursuer that is not down, at an instant, ns."""
         able = ~self._world.broken()
         for evader in self._world.evaders():
             seeing = able & (self._world.distances(evader) <= self.sensing.radius)
@@ -122,7 +121,7 @@ class TeamSensor:
             self._velocities[row, seeing] = self._world.velocity(evader)
 
     def blind(self, actions: NDArray[np.int64]) -> list[int]:
-        """Return who does not see now what it chases, given what everybody chases."""
+        """Return the pursuers whose evader is out of sensing range now, given the (N,) actions."""
         unseen = np.zeros(self._world.size, dtype=bool)
         for evader in self._world.evaders():
             unseen |= (actions == evader) & (self._world.distances(evader) > self.sensing.radius)
@@ -130,24 +129,26 @@ class TeamSensor:
         return found
 
     def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
-        """Return when a pursuer last saw an evader (ns, or `NEVER`), where (m), and its velocity (m/s)."""
+        """Return the last sighting of an evader by a pursuer: time (ns, or `NEVER`), position (m), velocity (m/s)."""
         cell = evader - 1, pursuer
         return int(self._seen[cell]), complex(self._places[cell]), complex(self._velocities[cell])
 
     def forget(self, pursuer: int) -> None:
-        """Let a pursuer forget what it has seen."""
+        """Delete all sightings by a pursuer itself."""
         self._seen[:, pursuer] = NEVER
 
 
 class SensedView:
-    """The world as one pursuer sees it: the `PursuerView` of its agent.
+    """The world as sensed by one pursuer: the `PursuerView` of its agent.
+
+    An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost, or unknown.
 
     Args:
-        pursuer: whose it is.
-        watch: what it sees with its own eyes.
-        world: as it is.
-        network: which brings reports.
-        clock: its own.
+        pursuer: its id.
+        watch: the sensors of the team, with its own sightings.
+        world: the true state of the world.
+        network: the network that delivers reports.
+        clock: its own clock.
     """
 
     def __init__(self, pursuer: int, watch: TeamSensor, world: GlobalState, network: Network, clock: NodeClock):
@@ -159,14 +160,14 @@ class SensedView:
         self.evaders, self.time_left = world.evaders, world.time_left
         self._heard: dict[int, Sighting] = {}
 
-    # What it knows of an evader.
+    # Sightings and estimates of an evader.
 
     def sees(self, evader: int) -> bool:
-        """Return whether it sees an evader now."""
+        """Return whether an evader is within its sensing radius now."""
         return bool(self._world.distances(evader)[self._id] <= self._sensing.radius)
 
     def newest(self, evader: int) -> Sighting | None:
-        """Return the newest sighting it knows of, its own or one it heard of; None if there is none."""
+        """Return the newest sighting of an evader, its own or a reported one; None if there is none."""
         self._listen()
         heard = self._heard.get(evader)
         if self.sees(evader):
@@ -178,7 +179,7 @@ class SensedView:
         return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
-        """Return where it believes an evader to be; None if it has never heard of it, or has lost it and stays."""
+        """Return the estimate of an evader; None if it has no sighting of it, or has lost it and does not search."""
         if self.sees(evader):
             return EvaderEstimate(self._world.evader(evader), self._world.velocity(evader))
         sighting, sensing = self.newest(evader), self._sensing
@@ -193,14 +194,14 @@ class SensedView:
         if sensing.on_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
-        arm = rect(1.0, 2.0 * pi * self._id / self.size)  # so that who is equally fast goes another way
+        arm = rect(1.0, 2.0 * pi * self._id / self.size)  # pursuers of equal speed search in different directions
         off = arm * spiral(self.speed(self._id) * (age - sensing.track_timeout), apart)
         return EvaderEstimate(
             sighting.place + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
         )
 
     def report(self) -> None:
-        """Tell the neighbours the newest sightings that are not too old."""
+        """Report the newest sightings that have not expired to the neighbours."""
         oldest = self._clock.now - self._sensing.track_timeout
         news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
         told = tuple(each for each in news if self._sensing.relay or each is not self._heard.get(each.evader))
@@ -208,29 +209,29 @@ class SensedView:
             self._network.send(self._id, None, told, port=PORT)
 
     def forget(self, *, heard_only: bool) -> None:
-        """Forget what has been reported to it, or all sightings."""
+        """Delete the reported sightings, and its own as well unless `heard_only`."""
         self._listen()
         self._heard.clear()
         if not heard_only:
             self._watch.forget(self._id)
 
     def _listen(self) -> None:
-        """Take note of what has been reported to it."""
+        """Process the reports that have arrived."""
         for message in self._network.inbox(self._id, PORT).drain():
             for sighting in message.body:
                 known = self._heard.get(sighting.evader)
                 if known is None or sighting.seen > known.seen:
                     self._heard[sighting.evader] = sighting
 
-    # What it makes of that, as its agent's surroundings.
+    # The view of its agent.
 
     def evader(self, evader: int) -> complex:
-        """Return where it believes an evader to be, m; nan if it does not know."""
+        """Return the estimated position of an evader, m; nan if unknown."""
         estimate = self.estimate(evader)
         return NOWHERE if estimate is None else estimate.place
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture of an evader where it is believed to be, s; inf if that is unknown."""
+        """Return the capture time of each pursuer for an evader at its estimated position, s; inf if unknown."""
         if self.sees(evader) or evader not in self._world.evaders():
             return self._world.capture_times(evader)
         estimate = self.estimate(evader)
@@ -239,19 +240,19 @@ class SensedView:
         return self._world.capture_times_at(estimate.place, estimate.uncertainty, evader)
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
-        """Return the times of capture of some pursuers, s; as `capture_times`."""
+        """Return the capture times of some pursuers, s; see `capture_times`."""
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        """Return the capture time of a pursuer from a hypothetical position (m), s."""
         estimate = self.estimate(evader)
         if estimate is None:
             return inf
         return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.uncertainty, evader)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer has the choice to chase an evader, for which it has to be known where that is."""
+        """Return whether a pursuer may choose to chase an evader, which requires an estimate of its position."""
         return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
 
     def options(self, pursuer: int) -> tuple[int, ...]:
@@ -261,9 +262,9 @@ class SensedView:
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
+        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
 
-        Straight towards where the evader is believed to be, for nobody has seen its whole path.
+        It is extrapolated straight towards the estimated evader, because no pursuer has observed its whole path.
         """
         if evader not in self._world.evaders():
             return self._world.reckoned(position, speed, age, evader, exact=False, ended=ended)
@@ -274,9 +275,9 @@ class SensedView:
 
 
 def spiral(length: float, apart: float) -> complex:
-    """Return the point at an arc length (m) along an Archimedean spiral from the origin with turns so far apart, m.
+    """Return the point at an arc length (m) along an Archimedean spiral from the origin with turns `apart` m, m.
 
-    From r = apart angle / 2 pi and the arc length r angle / 2 that follows for many turns.
+    From r = apart angle / 2 pi and the arc length r angle / 2, which holds approximately after many turns.
     """
     if apart == 0.0:
         return 0j

@@ -1,7 +1,7 @@
-"""The state of the pursuit at one instant, as its strategies see it.
+"""The state of the pursuit at one instant.
 
 A point of the plane is a complex number x + iy: the heading from p to q is (q - p) / |q - p|, a turn by an angle a is a
-product with e^(ia), and each of these is one operation on a whole team. Files, traces and results have [x, y].
+product with e^(ia), and each is one array operation on a whole team. Files, traces and results have [x, y].
 """
 
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ Floats = NDArray[np.float64]
 
 
 class State:
-    """Where the pursuers and an evader are at one instant, and who chases it; its arrays are not to be written to.
+    """The positions of the pursuers and one evader, and the pursuers that chase it; its arrays are read-only.
 
     Attributes:
         t: the instant, ns.
         pursuers: (N,) positions, m.
-        evader: its position, m.
-        active: (N,) who chases it.
+        evader: position of the evader, m.
+        active: (N,) whether each pursuer chases the evader.
         offsets: (N,) from each pursuer to the evader, m.
-        distances: (N,) of each pursuer to the evader, m.
-        nearest: the pursuer nearest to the evader, active or not; the lowest id if several are, -1 if there is none.
+        distances: (N,) from each pursuer to the evader, m.
+        nearest: index of the pursuer nearest to the evader, active or not; ties go to the lowest, -1 without pursuers.
     """
 
     def __init__(self, t: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
@@ -37,7 +37,7 @@ class State:
 
 
 def lengths(vectors: Points) -> Floats:
-    """Return the (k,) absolute values, exactly those that `abs` gives of each; `np.abs` rounds by processor."""
+    """Return the (k,) absolute values, equal to those of `abs`; the rounding of `np.abs` depends on the processor."""
     found: Floats = np.hypot(vectors.real, vectors.imag)
     return found
 

@@ -1,4 +1,4 @@
-"""Steering: which velocity everybody takes, at each motion step and when an order comes inside one."""
+"""Steering: the velocities of all players, at each motion step and when an action changes within one."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
     from desim.pursuit.sensing import TeamSensor
 
 Actions = NDArray[np.int64]
-"""(N,) which evader each pursuer chases, 1 .. M, or 0."""
+"""(N,) the evader that each pursuer chases, 1 .. M, or 0."""
 
 
 class Steering:
-    """Leads the pursuers by a law of guidance, and lets the evaders flee.
+    """Sets the velocities of the pursuers by a guidance law, and those of the evaders by their strategies.
 
     Args:
-        players: whom it leads: the N pursuers, then the evaders.
+        players: the kinematics of the N pursuers, then the evaders.
         targets: the evaders.
-        law: of guidance.
-        speeds: (N,) of the pursuers, m/s.
-        evader_first: whether pursuers head for where the evader will be at the end of the step, or for where it was.
+        law: the guidance law.
+        speeds: (N,) speeds of the pursuers, m/s.
+        evader_first: whether pursuers aim at the evader's position at the end of the step, or at its beginning.
 
     Attributes:
-        watch: what pursuers see, if they do not see everything.
+        watch: the sensor of the team; None if sensing is unlimited.
     """
 
     def __init__(
@@ -43,20 +43,20 @@ class Steering:
         self.watch: TeamSensor | None = None
 
     def set_actions(self, actions: Actions) -> None:
-        """Take note of what everybody does from now on."""
+        """Set the actions of all pursuers from now on."""
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
-        self._chases: list[tuple[int, EvaderBody]] | None = None  # who chases whom, if they are few
+        self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader), if there are few
         if len(moving) <= SINGLY:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
-        """Give everyone the velocity that it keeps for a motion step.
+        """Set the velocity of each player for a motion step.
 
         Args:
-            now: when the step begins, ns.
-            until: when it ends, ns.
-            handover: whether word of a change of action is in flight.
+            now: start of the step, ns.
+            until: end of the step, ns.
+            handover: whether an announcement of a change of action is in flight.
         """
         duration, players, law = seconds(until - now), self._players, self._law
         velocities = self._stillness.copy()
@@ -80,12 +80,12 @@ class Steering:
         players.go(velocities)
 
     def turn(self, pursuer: int, now: int, until: int) -> None:
-        """Give one pursuer another velocity inside a step, for it does something else from now on.
+        """Set the velocity of a pursuer whose action changes within a step.
 
         Args:
-            pursuer: who.
-            now: ns.
-            until: when the step ends, ns.
+            pursuer: its id.
+            now: the present, ns.
+            until: end of the step, ns.
         """
         velocities, evader = self._players.velocities.copy(), self._actions.item(pursuer)
         if not evader:
@@ -99,7 +99,7 @@ class Steering:
         self._players.go(velocities)
 
     def _all_velocities(self) -> Points:
-        """Return the (N,) velocities of the pursuers at the beginning of a step, each chasing what it sees, m/s."""
+        """Return the (N,) velocities of the pursuers at the beginning of a step, with all evaders in view, m/s."""
         actions, legs = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.places()[: len(actions)], self._paces
         if len(legs) == 1:
@@ -110,9 +110,9 @@ class Steering:
         return guided_velocities(self._law, places - pursuers, aims - pursuers, flights, paces)
 
     def _blind_velocity(self, pursuer: int, duration: float) -> complex:
-        """Return the velocity of a pursuer that chases an evader which it does not see, m/s.
+        """Return the velocity of a pursuer whose evader is out of sensing range, m/s.
 
-        It does not go beyond where the evader is believed to be at the end of the step, in so many s.
+        It stops at the estimated position of the evader at the end of the step, in `duration` s.
         """
         assert self.watch is not None
         estimate = self.watch.sights[pursuer].estimate(self._actions.item(pursuer))

@@ -1,8 +1,8 @@
-"""Utilities: what it is worth to a pursuer to be active, given the others that it believes active.
+"""Utilities: the gain of a pursuer from being active, given the teammates that it believes active.
 
-A utility is called with the pursuer's own time of capture, those of the other active pursuers that count, and the time
-that is left, and answers with what the pursuer gains by chasing, U_i(active) - U_i(inactive). `scope` says who counts.
-`expected` is the same for others that are active by chance, independently of each other.
+A utility is called with the pursuer's own capture time, the capture times of the other active pursuers that count, and
+the time left. It returns the gain of chasing, U_i(active) - U_i(inactive). `scope` determines the pursuers that count.
+`expected` returns the mean gain if the others are active at random, independently of each other.
 """
 
 from collections.abc import Sequence
@@ -19,26 +19,26 @@ from desim.pursuit import game
 from desim.pursuit.state import Floats
 
 Scope = Literal["heard", "neighbours", "component"]
-"""Who counts: everyone heard of, who can be heard now, or who can be reached now over any number of hops."""
+"""The pursuers that count: all with a belief, those heard directly now, or those heard now over any number of hops."""
 
 
 NEWTON_STEPS = 5
-"""The first guess of a root is good to 4 digits or more, and each step doubles them."""
+"""Number of Newton steps: the initial guess of a root has at least 4 digits, and each step doubles them."""
 
 
 class Utility(Protocol):
-    """What being active is worth, s: `utility(own, others, reward)` as in `desim.pursuit.game.gain`."""
+    """The gain from being active, s: `utility(own, others, reward)` as in `desim.pursuit.game.gain`."""
 
     @property
     def scope(self) -> Scope:
-        """Whose actions count."""
+        """The pursuers whose actions count."""
         ...
 
     def __call__(self, own: float, others: Sequence[float], reward: float) -> float: ...  # noqa: D102
 
 
 class Mean(Value):
-    """r less the mean time of capture of the active (Lee & Bakolas): U_E is an exact potential if everyone is heard."""
+    """r less the mean capture time of the active (Lee & Bakolas): U_E is an exact potential if all are heard."""
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
     kind: Literal["mean"] = "mean"
@@ -51,17 +51,17 @@ class Mean(Value):
     def expected(self, own: float, others: Sequence[float], chances: Sequence[float], reward: float) -> float:
         """Return the mean gain over all sets of active others, s; O(n^2).
 
-        With n the number of active others and n_j that of those beside j,
+        With n the number of active others and n_j the number of active others except j,
 
             r P(n = 0) - phi_i E[1/(1 + n)] + sum_j phi_j q_j (E[1/(1 + n_j)] - E[1/(2 + n_j)]).
 
-        E[1/(k + n)] is the integral of s^(k-1) E[s^n] over [0, 1], and E[s^n] the product of 1 - q_j + q_j s: a
-        polynomial, so that Gauss and Legendre's quadrature is exact.
+        E[1/(k + n)] is the integral of s^(k-1) E[s^n] over [0, 1]. E[s^n] is the product of 1 - q_j + q_j s, a
+        polynomial, for which Gauss-Legendre quadrature is exact.
 
         Args:
             own: phi_i, s.
             others: (n,) phi_j, finite, s.
-            chances: (n,) q_j, that j is active, in [0, 1].
+            chances: (n,) probabilities q_j that j is active, in [0, 1].
             reward: r, s.
         """
         if own == inf:
@@ -71,12 +71,12 @@ class Mean(Value):
         factors = 1.0 - q[:, None] * (1.0 - s)  # (n, nodes)
         before = np.cumprod(np.vstack([weight, factors]), axis=0)
         after = np.cumprod(np.vstack([1.0 - s, factors[::-1]]), axis=0)[::-1]
-        beside = (before[:-1] * after[1:]).sum(axis=1)  # (n,), each without its own factor
+        beside = (before[:-1] * after[1:]).sum(axis=1)  # (n,), each leaving out its own factor
         return float(reward * np.prod(1.0 - q) - own * before[-1].sum() + (phi * q * beside).sum())
 
 
 class LocalMean(Mean):
-    """The mean over who can be heard now: no potential game, and on a path of three it may have no equilibrium."""
+    """The mean over the pursuers heard now: no potential game; on a path of three it may have no equilibrium."""
 
     assumes: ClassVar[tuple[str, ...]] = ()
     kind: Literal["local_mean"] = "local_mean"  # type: ignore[assignment]
@@ -84,7 +84,7 @@ class LocalMean(Mean):
 
 
 class Component(Mean):
-    """The mean over who can be reached over any number of hops: the paper's game in each component of the network."""
+    """The mean over the pursuers heard over any number of hops: the paper's game in each network component."""
 
     assumes: ClassVar[tuple[str, ...]] = ("component_heard",)
     kind: Literal["component"] = "component"  # type: ignore[assignment]
@@ -92,10 +92,10 @@ class Component(Mean):
 
 
 class Minimum(Value):
-    """r less the least time of capture of the active: who is not ahead of them all gains nothing, and loses nothing.
+    """r less the least capture time of the active: a pursuer that does not have the least phi has a gain of 0.
 
-    U_E(S) = r - min phi over S is an exact potential if everyone is heard. At tau > 0 the slower are indifferent, so
-    half of them chase; ties are for staying only with greedy rules.
+    U_E(S) = r - min phi over S is an exact potential if all are heard. At tau > 0 the pursuers of larger phi are
+    indifferent, so half of them chase; only greedy rules break the tie in favour of staying.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)
@@ -112,7 +112,7 @@ class Minimum(Value):
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
         if own == inf:
             return -inf
-        total, nobody = 0.0, 1.0  # the chance that nobody before in order of phi is active
+        total, nobody = 0.0, 1.0  # the probability that none before in order of phi is active
         for phi, q in sorted(zip(others, chances, strict=True)):
             total += nobody * q * max(phi - own, 0.0)
             nobody *= 1.0 - q
@@ -120,16 +120,16 @@ class Minimum(Value):
 
 
 class EdgePenalty(Value):
-    """r - phi_i, less a penalty for each active neighbour.
+    """r - phi_i, less a penalty C for each active neighbour.
 
-    With C > r the sum of a_i (r - phi_i) less C for each pair of active neighbours is an exact potential, and its
-    equilibria are the maximal independent sets of those who would be in time.
+    The sum of a_i (r - phi_i), less C for each pair of active neighbours, is an exact potential. With C > r the
+    equilibria are the maximal independent sets of the pursuers with phi_i < r.
     """
 
     kind: Literal["edge_penalty"] = "edge_penalty"
     scope: ClassVar[Scope] = "neighbours"
     factor: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 1.1
-    """The penalty C in units of the time that is left, C / r."""
+    """The penalty C in units of the time left, C / r."""
 
     def __call__(self, own: float, others: Sequence[float], reward: float) -> float:
         """Return the gain, s."""
@@ -145,10 +145,10 @@ UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scop
 
 @lru_cache(maxsize=256)
 def _nodes(count: int) -> tuple[Floats, Floats]:
-    """Return the nodes and weights of Gauss and Legendre's quadrature over [0, 1].
+    """Return the nodes and weights of Gauss-Legendre quadrature over [0, 1].
 
-    The nodes are roots of the Legendre polynomial, by Newton's method (Press et al. 2007, "Numerical Recipes", 4.6.1):
-    the eigenvalues by which numpy has them come from LAPACK, whose last digits depend on the processor.
+    The nodes are the roots of the Legendre polynomial, by Newton's method (Press et al. 2007, "Numerical Recipes",
+    4.6.1). numpy computes them as eigenvalues with LAPACK, whose last digits depend on the processor.
     """
     x = np.array([cos(pi * (k + 0.75) / (count + 0.5)) for k in range(count)])
     for _ in range(NEWTON_STEPS):

@@ -1,4 +1,4 @@
-"""The part of the world that agents sense and act on."""
+"""The interfaces of the world to its agents: what a pursuer senses and acts on, and the true state."""
 
 from collections.abc import Collection, Sequence
 from typing import Protocol
@@ -14,36 +14,36 @@ class PursuerView(Protocol):
 
     @property
     def size(self) -> int:
-        """How many pursuers there are."""
+        """Number of pursuers, N."""
         ...
 
     @property
     def evader_count(self) -> int:
-        """How many evaders there were at first, M."""
+        """Number of evaders at the start, M."""
         ...
 
     def evaders(self) -> Sequence[int]:
-        """Return the evaders that have not been captured, of 1 .. M."""
+        """Return the numbers of the evaders that have not been captured, of 1 .. M."""
         ...
 
     def action(self, pursuer: int) -> int:
-        """Return which evader a pursuer chases, or 0."""
+        """Return the evader that a pursuer chases, or 0."""
         ...
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
+        """Return the capture time of each pursuer for an evader now, s; inf if the evader has been captured."""
         ...
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
-        """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
+        """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
         ...
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        """Return the capture time of a pursuer from a hypothetical position (m), s."""
         ...
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer has the choice to chase an evader."""
+        """Return whether a pursuer may choose to chase an evader."""
         ...
 
     def options(self, pursuer: int) -> Sequence[int]:
@@ -64,20 +64,20 @@ class PursuerView(Protocol):
 
     @property
     def radius(self) -> float:
-        """The distance at which an evader is captured, m."""
+        """The capture radius, m."""
         ...
 
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
+        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
 
-        It stopped so long ago (`ended`, ns).
+        The chase ended `ended` ns ago.
         """
         ...
 
     def speed(self, pursuer: int) -> float:
-        """Return how fast a pursuer moves if it does, m/s."""
+        """Return the speed of a pursuer while it chases, m/s."""
         ...
 
     def time_left(self, now: int) -> float:
@@ -85,24 +85,24 @@ class PursuerView(Protocol):
         ...
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Let a pursuer chase an evader or stay from this instant on."""
+        """Let a pursuer chase an evader, or stay (0), from this instant on."""
         ...
 
 
 class GlobalState(PursuerView, Protocol):
-    """The world as it is, for what makes of it what one pursuer senses."""
+    """The true state of the world, for sensor models and omniscient benchmarks."""
 
     @property
     def static(self) -> bool:
-        """Whether nobody moves."""
+        """Whether all players stand still for the whole run."""
         ...
 
     def profile(self) -> Sequence[int]:
-        """Return what everybody does."""
+        """Return the action of each pursuer."""
         ...
 
     def broken(self) -> NDArray[np.bool_]:
-        """Return (N,) who is broken, and so follows no order."""
+        """Return the (N,) mask of the pursuers that are down and follow no action."""
         ...
 
     def distances(self, evader: int) -> Floats:
@@ -110,21 +110,21 @@ class GlobalState(PursuerView, Protocol):
         ...
 
     def velocity(self, evader: int) -> complex:
-        """Return how an evader moves now, m/s."""
+        """Return the velocity of an evader now, m/s."""
         ...
 
     def evader_speed(self, evader: int) -> float:
-        """Return how fast an evader can move, m/s."""
+        """Return the speed of an evader, m/s."""
         ...
 
     def capture_times_at(self, place: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
+        """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
         ...
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
-        """Return the time of capture of a pursuer over a distance (m), s."""
+        """Return the capture time of a pursuer at a distance (m), s."""
         ...
 
     def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
-        """Return whether a pursuer has the choice to chase an evader, by the times of capture of a view if given."""
+        """Return whether a pursuer may choose to chase an evader, by the capture times of a view if given."""
         ...
