@@ -109,7 +109,7 @@ def test_an_explanation_is_again_what_its_document_says(found):
 
 @pytest.mark.parametrize("made", [[], {}, {"costs": {}}, {"costs": {"active_time": 1}}, "no"])
 def test_what_is_no_document_of_an_explanation_is_refused(made):
-    with pytest.raises(ValueError, match="is not of an explanation"):
+    with pytest.raises(ValueError, match="is not an explanation"):
         Explanation.of(made)
 
 

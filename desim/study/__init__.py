@@ -1,4 +1,4 @@
 """Many runs: sweeps over a grid, stores, workers and clusters, paired comparisons, explanations.
 
-A single run lives in `desim.simulation`.
+For a single run see `desim.simulation`.
 """

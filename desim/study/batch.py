@@ -1,4 +1,4 @@
-"""Many runs of any scenarios, and what was measured of each: the plainest use of the driver."""
+"""A batch of runs of any scenarios, with a measurement of each, without a grid or a store."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -16,7 +16,7 @@ Measured = TypeVar("Measured")
 
 
 def seeds_from(seed: int, runs: int) -> range:
-    """Return the seeds of a number of runs: run k of seed s is the run of seed s + k, and can be repeated alone."""
+    """Return the seeds of a number of runs: run k has the seed `seed` + k, so any run can be repeated alone."""
     return range(seed, seed + runs)
 
 
@@ -27,18 +27,20 @@ def run_many(
     measure: Callable[[Result], Measured] = summary,  # type: ignore[assignment]
     simulate: Simulate = run,
 ) -> list[Measured]:
-    """Run each task and return what was measured, in the order of the tasks, whatever the number of workers.
+    """Run each task and return the measurements in the order of the tasks, whatever the number of workers.
+
+    Use it in a script that lists its own runs; `sweep` adds a grid, a store and statistics.
 
     Args:
-        tasks: scenario and seed of each run.
-        jobs: worker processes; 1 = none, everything happens here; 0 = one per core.
-        label: stands before the progress bar, which is drawn on a terminal only.
-        measure: what to keep of a result; it runs in the worker.
-        simulate: what makes the run, there.
+        tasks: the scenario and the seed of each run.
+        jobs: the number of worker processes; 1 = none, all runs in this process; 0 = one per core.
+        label: the text before the progress bar, which is drawn on a terminal only.
+        measure: maps a result to the measurement to keep; called in the worker.
+        simulate: performs a run; called in the worker.
 
     Raises:
-        Exception: whatever a run raises first.
-        BrokenExecutor: if a run ended its worker.
+        Exception: the first exception of a run.
+        BrokenExecutor: if a run ended its worker process.
     """
     measured: list[Any] = [None] * len(tasks)
     bar: tqdm[Any]

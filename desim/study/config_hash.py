@@ -1,4 +1,4 @@
-"""What tells configurations apart: all that a run depends on but its seed, user's code included."""
+"""The hash of a configuration: of all that a run depends on except its seed, user code included."""
 
 import hashlib
 import inspect
@@ -21,33 +21,32 @@ UNSWEPT = MappingProxyType(
         "sweep": "it is the same for all configurations",
     }
 )
-"""What does not tell one configuration from another, and why."""
-ADVICE = "let it hold values, or give the class of what holds it a __getstate__ that leaves it out"
-"""What to do about what cannot be told apart."""
+"""The keys that are no part of a configuration, and why they cannot be swept."""
+ADVICE = "hold plain values instead, or give the class of its owner a __getstate__ that leaves it out"
+"""How to give an object a stable hash."""
 
 
 def config_hash(scenario: Scenario) -> str:
-    """Return what tells configurations apart: a hash of the scenario without its name, seed and sweep.
+    """Return a hash of 16 hexadecimal digits of a scenario without its name, seed and sweep.
 
-    What is not installed but comes from a script, a notebook or a file counts with its source, and with what it holds,
-    so that nobody takes the results of another version of it for those of this one: see `fingerprint`. What a module
-    imports does not count.
+    Classes and functions from a script, a notebook or a file are hashed with their source and the values they hold, so
+    that results of different versions are never confused; see `fingerprint`. Modules that they import are not hashed.
 
     Raises:
-        ScenarioError: if it holds what cannot be told apart, and where.
+        ScenarioError: if the scenario holds an object without a stable hash; the text names its key.
     """
     whole = {**tables(scenario), "code": code(scenario), "held": list(_held(scenario))}
     return _hash(json.dumps(whole, sort_keys=True))
 
 
 def tables(scenario: Scenario) -> dict[str, Any]:
-    """Return what a file can say of all that a run depends on but its seed, as JSON has it."""
+    """Return the part of a configuration that a scenario file can express, as JSON-compatible tables."""
     found: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))
     return found
 
 
 def code(scenario: Scenario) -> dict[str, str]:
-    """Return a hash of the source of each class and function in a scenario that is not desim's, by its name."""
+    """Return a hash of the source of each user-defined class and function in a scenario, by its import name."""
     sources: dict[str, set[str]] = {}  # several lambdas have one name
     for home in user_code(scenario):
         sources.setdefault(import_name(home), set()).add(_source(home))
@@ -55,7 +54,7 @@ def code(scenario: Scenario) -> dict[str, str]:
 
 
 def _held(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the dotted key and the fingerprint of each object in a scenario that is not desim's."""
+    """Yield the dotted key and the fingerprint of each user-defined object in a scenario."""
     fingerprint = Fingerprint()
     for key, each in _own(scenario, ""):
         try:
@@ -65,7 +64,7 @@ def _held(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield what is called in a value, or in what it is made of, and its tables do not tell, with its dotted key."""
+    """Yield the dotted key and each object inside a value that its tables do not describe: callables, user's models."""
     inner: Any = ()
     if isinstance(value, BaseModel) and not is_user_code(value):
         inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]
@@ -78,14 +77,14 @@ def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _source(home: Any) -> str:
-    """Return the source of a class or function: its own if it is of a script, else that of its module."""
+    """Return the source of a class or function: its own if it is defined in a script, else that of its module."""
     functions = [home] if isinstance(home, FunctionType) else vars(home).values()
     compiled = "".join(Fingerprint()(each.__code__) for each in functions if isinstance(each, FunctionType))
     try:
         text = inspect.getsource(home if home.__module__ == "__main__" else inspect.getmodule(home) or home)
-    except (OSError, TypeError):  # typed at a prompt
+    except (OSError, TypeError):  # defined at an interactive prompt
         return compiled
-    return text + compiled if "<lambda>" in home.__qualname__ else text  # there may be another one in its line
+    return text + compiled if "<lambda>" in home.__qualname__ else text  # its line may hold several lambdas
 
 
 def _hash(text: str) -> str:

@@ -1,4 +1,4 @@
-"""The configurations of a sweep: each combination of the values of a grid, and what tells one from another."""
+"""The configurations of a sweep: all combinations of the values of a grid, each valid and distinct."""
 
 import json
 import re
@@ -17,13 +17,13 @@ from desim.scenario.toml import validate
 from desim.study.config_hash import UNSWEPT, config_hash
 
 SweepGrid = Mapping[str, Sequence[Any]]
-"""Keys of a scenario, dotted, and the values that each takes."""
+"""Dotted keys of a scenario, and the values that each takes."""
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
 MAX_FAULTS = 20
-"""How many faults of a grid are told of."""
+"""The number of faults of a grid that an error lists."""
 MAX_CELLS = 100_000
-"""How many configurations a grid may have: to validate one takes about 1 ms."""
+"""The largest number of configurations of a grid; validating one takes about 1 ms."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Configuration:
 
     @cached_property
     def key(self) -> str:
-        """What tells it from others; see `config_hash`."""
+        """The hash that identifies the configuration; see `config_hash`."""
         return config_hash(self.scenario)
 
     @property
     def columns(self) -> dict[str, Any]:
-        """The settings as a table has them: numbers, truths and texts as they are, all else as text."""
+        """The settings as table cells: numbers, booleans and texts unchanged, other values as text."""
         plain = (int, float, str)
         return {key: each if isinstance(each, plain) else label(each) for key, each in self.settings.items()}
 
@@ -49,10 +49,10 @@ class Configuration:
 
 
 def configurations(source: Source, grid: SweepGrid | None = None) -> list[Configuration]:
-    """Return the configurations of a grid over a scenario, its own if none is given; the last key changes fastest.
+    """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
 
     Raises:
-        ScenarioError: with all that is wrong with keys and values; if there are none, or some are the same.
+        ScenarioError: with all faults of keys and values; if there are no configurations, or two are the same.
     """
     if grid is not None:
         source = _with_grid(source, grid)
@@ -83,7 +83,7 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
 
 
 def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepGrid) -> None:
-    """Raise ScenarioError if two configurations are the same, or are called the same."""
+    """Raise ScenarioError if two configurations are the same, or have the same name."""
     keys: dict[str, Configuration] = {}
     names: dict[str, Configuration] = {}
     for cell in found:
@@ -96,13 +96,13 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
         why = (
             f"'{cell}' is the same configuration as '{other}'"
             if same is not cell
-            else f"'{cell}' stands for several: what differs should have a name of its own (__name__), or be a model"
+            else f"'{cell}' names several configurations: values should be models or have distinct names (__name__)"
         )
         raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
 
 
 def _with_grid(source: Source, grid: SweepGrid) -> Source:
-    """Return a source with another grid."""
+    """Return a copy of a source with another grid."""
     changed = source.copy()
     changed.tables["sweep"] = {"grid": grid}
     changed.origins["sweep", "grid"] = "the grid"
@@ -114,7 +114,7 @@ def _where(source: Source, key: str) -> str:
 
 
 def _set(source: Source, settings: Settings) -> Scenario:
-    """Return a scenario with some keys set to other values; a sweep is no part of it."""
+    """Return the scenario of a source with some keys set to other values and without its sweep."""
     changed = source.copy()
     changed.tables.pop("sweep", None)
     faults: list[str] = []
@@ -137,7 +137,10 @@ def _set(source: Source, settings: Settings) -> Scenario:
 
 
 def _explained(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
-    """Return a fault with the settings that it takes, given all with which it was found, unless its line tells them."""
+    """Return a fault followed by the settings that cause it, unless its text names them.
+
+    `among` are the settings that have the fault. A key is a cause if some of its values does not occur in them.
+    """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:
         return line
@@ -154,12 +157,12 @@ def _line(fault: str) -> int:
 
 
 def in_words(settings: Settings) -> str:
-    """Return settings as a text of one line."""
+    """Return settings as one line of text."""
     return ", ".join(f"{key} = {label(value)}" for key, value in settings.items())
 
 
 def label(value: Any) -> str:
-    """Return a value of a grid as a short text; a model as its kind and what was given of it."""
+    """Return a value of a grid as a short text; a model as its kind and the fields that were set."""
     if isinstance(value, BaseModel):
         kind = getattr(value, "kind", type(value).__name__)
         value = {"kind": kind} | {k: getattr(value, k) for k in sorted(value.model_fields_set)}

@@ -1,4 +1,4 @@
-"""The driver: hands runs to workers, and whatever becomes of a run, says what did."""
+"""The driver: dispatches runs to workers in batches and reports the outcome of each run, also of one that crashes."""
 
 import pickle
 import traceback
@@ -19,43 +19,43 @@ from desim.simulation.watchdog import within
 from desim.study.workers import Workers
 
 Task = tuple[Scenario, int]
-"""A scenario and the seed to run it with."""
+"""A scenario and the seed of its run."""
 Measurement = Callable[[Result], Any]
-"""What to keep of a result; it runs in the worker."""
+"""Maps a result to the value to keep; called in the worker."""
 Simulate = Callable[[Scenario, int], Result]
-"""What makes a run of a scenario and a seed; it runs in the worker, too."""
+"""Performs the run of a scenario and a seed; called in the worker."""
 BATCH_TIME = 0.25
-"""How long a worker is to be busy with what it is handed at once, s: to hand over costs about a millisecond."""
+"""The intended duration of a batch of runs, s of wall time: dispatching a batch takes about a millisecond."""
 BATCH_SIZE = 64
-"""How many runs it is handed at most."""
+"""The largest number of runs in a batch."""
 INNERMOST = 30
-"""How many calls of a traceback are kept, those where it happened: a recursion without end has a thousand."""
-CRASHED = "the run ended the process of its worker, or needs more memory than there is\n"
+"""The number of innermost calls that a traceback keeps: an infinite recursion has a thousand."""
+CRASHED = "the worker process died during the run, which may need more memory than there is\n"
 """What there is to say of a run that crashed: the same wherever it did."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a run."""
+    """The outcome of a run: its measurement, or its failure."""
 
     status: Literal["ok", "error", "crashed"]
-    """ok; error: it raised something; crashed: it ended its worker."""
+    """ok; error: the run raised an exception; crashed: the run ended its worker process."""
     value: Any = None
-    """What was measured, if ok."""
+    """The measurement, if ok."""
     error: BaseException | None = None
-    """What it raised, if that can be passed on."""
+    """The exception of the run, if it can be pickled."""
     traceback: str = ""
-    """Where, as text."""
+    """The traceback of the exception, as text."""
 
 
 Outcomes = Generator[tuple[int, Outcome], None, None]
-"""The position of each task and what became of it."""
+"""Yields the position of each task and the outcome of its run."""
 HandOut = Callable[[list[int]], Future[Any]]
-"""Hands the tasks at some positions to a worker."""
+"""Submits the tasks at some positions to a worker."""
 
 
 def simulation(timeout: float | None, simulate: Simulate = run) -> Simulate:
-    """Return what makes a run, and raises TimedOut if it takes longer than a time, s."""
+    """Return a function that performs a run and raises TimedOut after `timeout` s of wall time (None: no limit)."""
     return simulate if timeout is None else partial(_in_time, timeout, simulate)
 
 
@@ -67,14 +67,14 @@ def _in_time(timeout: float, simulate: Simulate, scenario: Scenario, seed: int) 
 def drive(
     tasks: Sequence[Task], workers: Workers, measure: Measurement = summary, simulate: Simulate = run
 ) -> Outcomes:
-    """Yield what becomes of each task, as soon as it is known: its position and its outcome.
+    """Yield the position and the outcome of each task as soon as the outcome is known.
 
-    Runs are handed out in lots, in the order of the tasks. When a worker dies, all that was handed out and has not
-    come back is done again, one run at a time: a run with which a worker dies alone has crashed.
+    Runs are dispatched in batches, in the order of the tasks. When a worker dies, each run of the unfinished batches is
+    repeated alone. A run during which the worker dies again has crashed.
 
     Raises:
-        BrokenExecutor: if a worker of a borrowed executor died, so that it takes no more work.
-        ConnectionError: if the workers went away.
+        BrokenExecutor: if a worker of an executor that the user passed died: the executor accepts no more calls.
+        ConnectionError: if the connection to the workers is lost.
     """
     waiting = deque(range(len(tasks)))
 
@@ -86,7 +86,7 @@ def drive(
             suspects = yield from _in_batches(waiting, hand_out, workers)
             for k in suspects:
                 yield k, _alone(k, hand_out, workers)
-    except BaseException:  # nobody waits for the rest any more
+    except BaseException:  # the other outcomes are not needed any more
         workers.stop()
         raise
 
@@ -94,7 +94,7 @@ def drive(
 def _in_batches(
     waiting: deque[int], hand_out: HandOut, workers: Workers
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
-    """Yield outcomes until all are known or a worker dies; return the runs that were begun and are not known."""
+    """Yield outcomes until all are known or a worker dies; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
     suspects: list[int] = []
     broken, run_time = False, BATCH_TIME
@@ -128,7 +128,7 @@ def _in_batches(
 
 
 def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
-    """Return what becomes of a run while there is no other."""
+    """Return the outcome of a run that is performed while no other run is."""
     outcome: Outcome
     try:
         future = hand_out([k])
@@ -146,7 +146,7 @@ def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
 
 
 def perform(tasks: Sequence[Task], measure: Measurement, simulate: Simulate) -> tuple[list[Outcome], float]:
-    """Do some runs, in a worker: return what became of each, and how long one took, s."""
+    """Perform some runs in a worker; return their outcomes and the mean duration of a run, s of wall time."""
     start = perf_counter()
     outcomes = [_outcome(task, measure, simulate) for task in tasks]
     return outcomes, max((perf_counter() - start) / len(tasks), 1e-6)
@@ -163,7 +163,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _passable(error: BaseException) -> BaseException | None:
-    """Return an exception if another process can be told of it, without its traceback if that cannot be pickled.
+    """Return an exception if it can be pickled, if need be without its traceback; else None.
 
     Once distributed is imported, exceptions are pickled with their tracebacks.
     """

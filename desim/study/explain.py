@@ -1,8 +1,8 @@
-"""Which imperfection costs what: the same seeds with each imperfection removed, alone and all together.
+"""The cost of each imperfection of a scenario: runs with the same seeds and each imperfection removed, then all.
 
-What an imperfection costs is the paired difference between the scenario as it is and the scenario without it. If the
-costs of all do not add up to what removing all together saves, they interact: two may each hide the other, or one may
-hurt only where another does.
+The cost of an imperfection is the paired difference between the scenario as it is and the scenario without it. If the
+costs do not add up to the saving of removing all imperfections together, the imperfections interact: each of two may
+hide the other, or one may cost something only in the presence of another.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
-"""How many runs there are if no number is given; what few seeds decide takes more (see `paired`)."""
+"""The default number of runs of each variant; differences that few seeds show need more runs (see `paired`)."""
 
 
 def explain(
@@ -34,13 +34,15 @@ def explain(
     seed: int | None = None,
     store: str | Path | None = None,
 ) -> Explanation:
-    """Return which imperfection of a scenario costs what; arguments as of `sweep`.
+    """Return the cost of each imperfection of a scenario; the arguments are those of `sweep`.
+
+    Use it to learn which of latency, loss, range, faults, ... degrades a protocol before varying it in a sweep.
 
     Raises:
-        ValueError: if there are less than 2 runs, or the seed is negative.
-        StoreError: if the store cannot be written, or is of something else.
+        ValueError: if there are fewer than 2 runs, or the seed is negative.
+        StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
-        RunError: if with every seed some variant fails.
+        RunError: if for every seed some variant fails.
     """
     variants = Variants.of(scenario, runs, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
@@ -50,18 +52,18 @@ def explain(
 
 @dataclass(frozen=True)
 class Variants:
-    """A scenario as it is, without each imperfection, and without all, and how often each is to be run."""
+    """The variants of a scenario (as it is, without each imperfection, without all) and the plan of their runs."""
 
     plan: SweepPlan
     configurations: Mapping[str, Configuration]
-    """By what they are called; what is without something that is not there is the scenario as it is."""
+    """By name; a variant without an imperfection that the scenario does not have equals the scenario as it is."""
 
     @classmethod
     def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None) -> Self:
         """Return the variants of a scenario.
 
         Raises:
-            ValueError: if there are less than 2 runs, or the seed is negative.
+            ValueError: if there are fewer than 2 runs, or the seed is negative.
         """
         if index(runs) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
@@ -78,10 +80,10 @@ class Variants:
         )
 
     def carry_out(self, store: Store, workers: Workers) -> Explanation:
-        """Run all variants that a store does not have yet, and compare.
+        """Perform the runs that a store lacks, and return the comparison of the variants.
 
         Raises:
-            RunError: if with every seed some variant fails.
+            RunError: if for every seed some variant fails.
         """
         plan = self.plan
         carry_out(plan, store, workers)
@@ -92,7 +94,7 @@ class Variants:
         whole = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
         if not whole:
             failed = next(row for found in rows.values() for row in found.values() if not row.ok)
-            raise RunError(f"with every seed a run failed; the first: {failed.error}\n")
+            raise RunError(f"for every seed some run failed; the first: {failed.error}\n")
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )

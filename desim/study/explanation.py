@@ -1,4 +1,4 @@
-"""What each imperfection of a scenario costs, as a table to read and as JSON."""
+"""The cost of each imperfection of a scenario, as a table and as JSON."""
 
 import html
 from collections.abc import Mapping
@@ -13,51 +13,51 @@ from desim.analysis.tables import aligned, as_json, from_json, html_table, with_
 EXPLAINED: Mapping[str, str] = MappingProxyType(
     {"active_time": "sum of active times, s", "end_time": "capture time, or horizon, s"}
 )
-"""The metrics in which costs are counted, and what tables call them."""
+"""The metrics in which costs are measured, and their titles in tables."""
 NOTHING = 1e-9
-"""What is rounding, s."""
+"""The largest difference that is attributed to rounding, s."""
 AS_IT_IS, IDEAL = "as it is", "ideal"
 
 
 @dataclass(frozen=True)
 class Saving:
-    """What it saves to remove something, run by run with the same seed."""
+    """The saving of removing imperfections: the mean difference between paired runs with the same seed."""
 
     mean: Estimate
     differing: int
-    """Number of runs in which it makes a difference."""
+    """The number of pairs that differ."""
 
     @classmethod
     def of(cls, differences: list[float]) -> Self:
-        """Return the saving that differences between runs amount to, s."""
+        """Return the saving, given the difference of each pair of runs, s."""
         return cls(estimate(differences), sum(abs(each) > NOTHING for each in differences))
 
     def text(self, runs: int) -> str:
-        """Return it as a table has it."""
+        """Return the saving as the text of a table cell."""
         return with_half_width(self.mean, runs, "+") if self.differing else "0 in every run"
 
     def document(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return the saving as JSON-compatible values."""
         return as_json(self.mean) | {"differing": self.differing}
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What the imperfections of a scenario cost in one metric."""
+    """The cost of the imperfections of a scenario in one metric, s."""
 
     as_it_is: Estimate
     ideal: Estimate
-    """Without all of them."""
+    """The scenario without any imperfection."""
     parts: Mapping[str, Saving]
-    """Of each imperfection that the scenario has: the scenario as it is less that without it."""
+    """For each imperfection that the scenario has: the scenario as it is minus the scenario without it."""
     together: Saving
-    """The scenario as it is less the ideal one."""
+    """The scenario as it is minus the ideal one."""
     interaction: Saving
-    """What is saved together and not by the parts: together less their sum."""
+    """`together` minus the sum of the parts."""
 
     @classmethod
     def of(cls, made: Mapping[str, Any]) -> Self:
-        """Return the costs that a document has, as JSON has them."""
+        """Return the cost in the JSON values of a document."""
 
         def saving(part: Mapping[str, Any]) -> Saving:
             return Saving(from_json(part), int(part["differing"]))
@@ -72,20 +72,20 @@ class Cost:
 
     @property
     def interacts(self) -> bool:
-        """Whether the parts do not add up, beyond the 95 % interval."""
+        """Whether the parts do not add up to the whole: the interaction exceeds its 95 % interval."""
         rest = self.interaction.mean
         return abs(rest.mean) > max(rest.half_width, NOTHING)
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Which imperfection of a scenario costs what."""
+    """The cost of each imperfection of a scenario; see `desim.study.explain`."""
 
     name: str
     runs: int
-    """Seeds with which no variant failed."""
+    """The number of seeds for which no variant failed."""
     failed: int
-    """Seeds with which some variant did, which are left out."""
+    """The number of seeds for which some variant failed; these are left out."""
     absent: tuple[str, ...]
     """The imperfections that the scenario does not have."""
     costs: Mapping[str, Cost]
@@ -93,18 +93,18 @@ class Explanation:
 
     @classmethod
     def of(cls, made: Mapping[str, Any]) -> Self:
-        """Return the costs that a document has, as JSON has them; see `document`.
+        """Return the explanation in a document of JSON values; see `document`.
 
         Raises:
-            ValueError: if it is no such document.
+            ValueError: if the document is not an explanation.
         """
         try:
             costs = {metric: Cost.of(cost) for metric, cost in made["costs"].items() if metric in EXPLAINED}
             found = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"is not of an explanation: {type(error).__name__}: {error}") from error
+            raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
         if not costs:
-            raise ValueError("is not of an explanation: has no costs")
+            raise ValueError("is not an explanation: has no costs")
         return found
 
     def table(self) -> str:
@@ -112,7 +112,7 @@ class Explanation:
         return "\n".join([self._head(), aligned(self.rows()), *self.remarks()])
 
     def _repr_html_(self) -> str:
-        """Return the same as a table of a notebook."""
+        """Return the table as HTML, for notebooks."""
         remarks = "".join(f"<p>{html.escape(each)}</p>" for each in self.remarks())
         return html_table(self._head(), self.rows()) + remarks
 
@@ -122,7 +122,7 @@ class Explanation:
         )
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return the costs as rows of text, of which the first is the head."""
+        """Return the costs as rows of text; the first row is the header."""
         rows: list[tuple[str, ...]] = [("", *(EXPLAINED[metric] for metric in self.costs))]
         costs = list(self.costs.values())
 
@@ -142,8 +142,8 @@ class Explanation:
         return rows
 
     def remarks(self) -> list[str]:
-        """Return what a reader should notice."""
-        remarks = [f"not there: {', '.join(self.absent)}"] if self.absent else []
+        """Return notes on absent imperfections, interactions and failed seeds."""
+        remarks = [f"absent: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():
             if cost.interacts:
                 total = sum(part.mean.mean for part in cost.parts.values())
@@ -151,10 +151,10 @@ class Explanation:
                     f"the effects interact (beyond the 95 % interval): in {words(metric)} the parts add up to"
                     f" {total:+.3f} s, and all together cost {cost.together.mean.mean:+.3f} s"
                 )
-        return remarks + ([f"{self.failed} seeds are left out, with which a run failed"] if self.failed else [])
+        return remarks + ([f"{self.failed} seeds are left out because a run failed"] if self.failed else [])
 
     def document(self) -> dict[str, Any]:
-        """Return the costs as JSON has them."""
+        """Return the explanation as JSON-compatible values."""
         costs = {
             metric: {
                 "as_it_is": as_json(cost.as_it_is),

@@ -269,7 +269,7 @@ def test_a_grid_of_too_many_configurations_is_refused_before_they_are_made():
 
 
 def test_values_that_tables_could_not_tell_apart_are_refused():
-    with pytest.raises(ScenarioError, match=r"'protocol = Plain' stands for several"):
+    with pytest.raises(ScenarioError, match=r"'protocol = Plain' names several configurations"):
         of({"protocol": [Plain(1.0), Plain(2.0)]})
 
 

@@ -144,7 +144,7 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
         assert (cost.parts, cost.together, cost.interaction) == ({}, NOTHING, NOTHING)
         assert cost.as_it_is == cost.ideal
         assert not cost.interacts
-    assert "\nnot there: latency, loss, range limit, faults, serial decisions, stale knowledge, limited sight" in (
+    assert "\nabsent: latency, loss, range limit, faults, serial decisions, stale knowledge, limited sight" in (
         found.table()
     )
 
@@ -241,7 +241,7 @@ def test_what_does_not_add_up_interacts_and_the_table_says_so():
         "  interaction          +6.000 +- 0.000               0 in every run\n"
         "  all together         +5.000 +- 0.000               0 in every run\n"
         "ideal                  6.000 +- 12.706               0.100 +- 0.000\n"
-        "not there: range limit, faults, serial decisions, stale knowledge, limited sight\n"
+        "absent: range limit, faults, serial decisions, stale knowledge, limited sight\n"
         "the effects interact (beyond the 95 % interval): in active time the parts add up to -1.000 s, and all together"
         " cost +5.000 s"
     )
@@ -416,7 +416,7 @@ def test_seeds_with_which_any_variant_fails_are_left_out(protocol, tmp_path):
         assert cost.as_it_is == estimate(list(by_hand(scenario, metric, good)))
         assert cost.ideal == estimate(list(by_hand(ideal, metric, good)))
         assert cost.together.mean.count == len(good)
-    assert found.table().endswith(f"\n{found.failed} seeds are left out, with which a run failed")
+    assert found.table().endswith(f"\n{found.failed} seeds are left out because a run failed")
     assert found.document()["failed"] == found.failed
     TROUBLE["on"] = False
     again = explain(scenario, 9, store=tmp_path / "s.sqlite")
@@ -446,7 +446,7 @@ def test_if_every_seed_fails_the_first_failure_is_told(where):
         if (me.latency > 0.0) is (where == "as it is"):
             raise RuntimeError(f"for good, {where}, {me.latency:g}")
 
-    with pytest.raises(RunError, match=r"^with every seed a run failed; the first: RuntimeError: for good, " + where):
+    with pytest.raises(RunError, match=r"^for every seed some run failed; the first: RuntimeError: for good, " + where):
         explain(LATE.model_copy(update={"protocol": bad}), 2)
 
 
@@ -634,7 +634,7 @@ def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
     result = command(file, "-n", 2, "--allow-import", "--set", "protocol.kind=wrong_in_explain:always")
     assert result.exit_code == 3
     assert result.stdout == ""
-    assert "with every seed a run failed; the first: RuntimeError: for good\n" in result.stderr
+    assert "for every seed some run failed; the first: RuntimeError: for good\n" in result.stderr
     # as it is, without latency, without faults, without both
     assert "8 runs are in out/late/explain/sweep.sqlite" in result.stderr
     assert not (file.parent / "out/late/explain/explain.txt").exists()

@@ -263,8 +263,8 @@ def test_the_command_writes_the_page(folder):
         (lambda folder: (folder / "sweep.sqlite").write_text("no" * 999), "file is not a database"),
         (lambda folder: (folder / "run.json").write_text("{"), "run.json:1: not JSON"),
         (lambda folder: (folder / "explain.json").write_text("{"), "explain.json: "),
-        (lambda folder: (folder / "explain.json").write_text("[]"), "explain.json: is not of an explanation"),
-        (lambda folder: (folder / "explain.json").write_text('{"costs": {}}'), "is not of an explanation: KeyError"),
+        (lambda folder: (folder / "explain.json").write_text("[]"), "explain.json: is not an explanation"),
+        (lambda folder: (folder / "explain.json").write_text('{"costs": {}}'), "is not an explanation: KeyError"),
     ],
     ids=["no store", "no database", "bad run.json", "no JSON", "a list", "keys missing"],
 )
