@@ -318,8 +318,8 @@ def test_a_constant_latency_has_no_spread_and_is_its_own_quantile():
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "holds no numbers"),
-        ("# nothing but a comment\n,,\n", "holds no numbers"),
+        ("", "contains no numbers"),
+        ("# nothing but a comment\n,,\n", "contains no numbers"),
         ("0.1\n0.2 fast\n", r"line 2: 'fast' is not a number"),
         ("0.1\n\n-0.2\n", r"line 3: a latency should be a time >= 0 s \(got -0\.2\)"),
         ("nan", r"line 1: a latency should be a time >= 0 s \(got nan\)"),
