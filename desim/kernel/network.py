@@ -1,13 +1,12 @@
-"""The network: records and messages in flight between nodes.
+"""The network: nodes that publish records and send messages over imperfect links.
 
-A *record* is state: a newer one supersedes an older one of the same source, and it matters only when somebody reads
-it. `publish` therefore needs no SimPy event: it notes when the record becomes readable by whom. A *message* is an
-event: `send` wakes its receiver; but it, too, needs a SimPy event only if somebody waits for it. Both obey the same
-links, and what is read in the phase of decisions of some instant, or later, is just what would have been delivered by
-then.
+A *record* is the state of a node: a newer record of a source supersedes an older one, and its arrival wakes no process.
+`publish` therefore needs no SimPy event: it stores the arrival time of the record for each receiver, and the record is
+visible to reads from then on. A *message* is an event: `send` wakes a process that waits at the inbox of the receiver,
+and needs a SimPy event only if one waits. Both use the same links. A read in the decision phase of an instant, or
+later, returns exactly the records and messages delivered by then.
 
-Where the fate of a message is settled only as it arrives (faults, reach judged at delivery, half duplex), each instant
-at which a transmission arrives is an event.
+If messages can still be lost on arrival (faults, range check at delivery, half duplex), each arrival is a SimPy event.
 """
 
 from collections import Counter
@@ -34,37 +33,38 @@ if TYPE_CHECKING:
     import simpy
 
 
-_new = tuple.__new__  # of a named tuple, in a third of the time
+_new = tuple.__new__  # creates a named tuple in a third of the time
 
 
 class Departure(NamedTuple):
-    """One transmission: a record or a message, and whom it is for."""
+    """One transmission: a record or a message, with its receivers."""
 
     number: int
     src: int
     created: int
-    """ns"""
+    """Time of the call of `publish` or `send`, ns."""
     size: int
     """Bytes."""
     receivers: list[int]
     content: Record | Message
     port: str
-    """Of the inbox, if it is a message."""
+    """Port of the inbox, for a message."""
     reachable: bool
+    """Whether the receiver of `send` was linked and within range; True for a broadcast."""
 
 
 class Network:
-    """Nodes 0 .. n - 1 that talk over the edges of a graph.
+    """Nodes 0 .. n - 1 that communicate over the edges of a graph.
 
     Args:
         env: the clock of the simulation.
-        graph: who is linked to whom; its nodes are 0 .. n - 1, its edges may have a `latency` and a `loss`.
-        links: what the links are like.
-        seed: of every chance in the network.
-        positions: where the nodes are now, (n, 2) m, see `desim.kernel.positions`; needed if the range is finite.
-        trace: where message events go, if it wants them.
-        conditions: what is broken; without it nothing ever is.
-        mark: of a body, whether it is one that `marked` looks for.
+        graph: the communication graph; its nodes are 0 .. n - 1, see `desim.kernel.graphs.Edge` for its edges.
+        links: the models of the links; an ideal network if None.
+        seed: the seed of all random draws of the network.
+        positions: returns the current (n, 2) positions, m, see `desim.kernel.positions`; required for a finite range.
+        trace: receives the events of messages, if it wants them.
+        fault_state: the active faults; without it no fault can happen.
+        predicate: selects the bodies of the records that `matching` returns.
     """
 
     def __init__(
@@ -111,31 +111,34 @@ class Network:
         self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
 
-    # What nodes do.
+    # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, sent: int | None = None) -> None:
-        """Let everyone know a record of `src` from the start, without a message; `sent` as in `publish`."""
+        """Give all nodes an initial record of `src` without a message; `sent` as in `publish`."""
         self._records.set_initial_belief(Record(src, 0, self._env.now if sent is None else sent, as_sent(body)))
 
     def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
-        """Announce the state of `src` to its neighbours; O(1) if it reaches everyone alike, else O(neighbours).
+        """Broadcast the state of `src` to its neighbours as a record; use `send` to wake the receivers.
+
+        The cost is O(1) if the record reaches all nodes at the same time, else O(neighbours).
 
         Args:
-            src: whose state it is.
-            body: what it is; all receivers get the same object, as it is now, and must not change it.
-            size: in bytes; counted from the body if None, see `desim.kernel.message_size`.
-            sent: the time by the clock of `src`, ns; the true one if None.
+            src: the node that publishes.
+            body: its state; all receivers get the same object, as it is at this time, and must not change it.
+            size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
+            sent: the time stamp, by the clock of `src`, ns; the true time if None.
         """
         self._hand_over(src, None, self.next_record(src, body, sent), size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
-        """Send a message to one node, or to all neighbours (None); it wakes who waits at the inbox.
+        """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
 
-        A message to a node that is out of reach when it is sent is lost. All receivers get the same body, as it is
-        now, and must not change it: a body that is not hashable is copied, see `desim.kernel.message_size.as_sent`.
+        Use `send` for requests, acknowledgements and tokens, which each count; use `publish` for state, of which only
+        the newest counts. A message to a node that is out of range at transmission is lost. All receivers get the same
+        body, as it is at this time, and must not change it; see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if there is no such node, or it is the sender.
+            ValueError: if the receiver does not exist or is the sender.
         """
         if dst is not None and not 0 <= dst < self.topology.size:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
@@ -144,24 +147,24 @@ class Network:
         self._hand_over(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
-        """Return the next record of a node, for who spreads it by other means than `publish`."""
+        """Return the next record of a node, for a protocol that disseminates it without `publish`."""
         return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
-        """Let a node know a record that reached it by other means than `publish`."""
+        """Insert a record that a node received by other means than `publish`, unless it has a newer one."""
         if record.src != node:
             self._records.insert(node, record)
 
     def latest_records(self, node: int) -> Table:
-        """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
+        """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
-        """Return those records that `heard` returns whose body is marked; cost O(news + marked)."""
+        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
-        """Return an inbox of a node; each port has one of its own."""
+        """Return the inbox of a node at a port."""
         return self._boxes(port)[node]
 
     def _boxes(self, port: str) -> list[Inbox]:
@@ -171,16 +174,16 @@ class Network:
         return self._ports[port]
 
     def neighbours(self, node: int) -> list[int]:
-        """Return the nodes that hear `node` now, ascending; see `Topology.neighbours`."""
+        """Return the nodes that can receive from `node` now, ascending; see `Topology.neighbours`."""
         found: list[int] = self.topology.neighbours(node).tolist()
         return found
 
     def audible(self, node: int) -> list[int]:
-        """Return the nodes that `node` hears now, ascending; on an undirected graph its neighbours."""
+        """Return the nodes that `node` can receive from now, ascending; on an undirected graph its neighbours."""
         return self.topology.audible(node)
 
     def component(self, node: int) -> set[int]:
-        """Return the nodes that `node` hears now over any number of hops, itself included; O(nodes + links)."""
+        """Return the nodes that `node` can receive from now over any number of hops, and itself; O(nodes + links)."""
         reached, ahead = {node}, [node]
         while ahead and len(reached) < self.topology.size:
             new = set(self.audible(ahead.pop())) - reached
@@ -190,25 +193,25 @@ class Network:
 
     @cached_property
     def mean_degree(self) -> float:
-        """How many nodes hear a node, averaged over all as of the first time that somebody asks."""
+        """The mean number of neighbours of a node, computed at the first access."""
         return self.topology.mean_degree
 
     def airtime(self, body: Any) -> float:
-        """Return how long a message with this body is on the air, s."""
+        """Return the airtime of a message with this body, s."""
         return self._medium(size_of(body))
 
     @cached_property
     def typical_latency(self) -> float:
-        """The mean one-way latency over the links of the first senders, with processing but no airtime or queues, s."""
+        """The mean one-way latency over the links of the first senders, with processing, without airtime and queue, s."""
         return self._sampler.typical_latency()
 
-    # What happens to them.
+    # Faults and counts.
 
     def crash(self, node: int) -> None:
-        """Let the radio of a node be down: it neither sends nor receives; what waits or is half transmitted is lost.
+        """Take the radio of a node down: it neither sends nor receives, and its unfinished transmissions are lost.
 
         Raises:
-            ValueError: if the network was made without conditions.
+            ValueError: if the network was created without a `FaultState`.
         """
         self.fault_state.crash(node)
         self._crashes.setdefault(node, []).append(self._env.now)
@@ -216,7 +219,7 @@ class Network:
             self._lose(flight, flight.receivers, "crash")
 
     def recover(self, node: int, *, memory: bool = True) -> None:
-        """Undo one breakdown of a node; without memory it has forgotten all it heard."""
+        """End one crash of a node; without memory its received records and waiting messages are deleted."""
         self.fault_state.recover(node)
         if not memory:
             self._records.forget(node)
@@ -225,13 +228,17 @@ class Network:
 
     @property
     def fault_state(self) -> FaultState:
-        """What is broken."""
+        """The active faults.
+
+        Raises:
+            ValueError: if the network was created without a `FaultState`.
+        """
         if self._fault_state is None:
-            raise ValueError("a network whose nodes break down or are cut off should be made with a fault_state")
+            raise ValueError("a network with faults should be created with a fault_state")
         return self._fault_state
 
     def message_counts(self) -> MessageCounts:
-        """Count the messages so far: those sent are delivered, lost or still in flight."""
+        """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
         now, lost = self._env.now, self._lost.total()
         in_flight = self._arriving + self._records.in_flight()
         in_flight += sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
@@ -240,17 +247,17 @@ class Network:
             in_flight += sum(len(flight.receivers) for flight in self._air.waiting())
             busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # not what was lost to nobody
+        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # without causes counted 0 times
         return MessageCounts(
             now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy
         )
 
-    # How a transmission goes.
+    # The steps of a transmission.
 
     def _hand_over(
         self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = ""
     ) -> None:
-        """Give a transmission to the transmitter of its node, if that works."""
+        """Hand a transmission over to the transmitter of its node, unless the radio is down."""
         if self._fault_state is not None and self._fault_state.down(src):
             return
         number, reachable, topology = next(self._flights), True, self.topology
@@ -269,7 +276,7 @@ class Network:
             self._air.enqueue(flight)
 
     def _is_too_far(self, src: int, dst: int, number: int) -> bool:
-        """Return whether a message that leaves now does not reach a node."""
+        """Return whether a range check at transmission fails for a receiver."""
         return self._checks_departure and not self.topology.reaches(src, dst, number)
 
     def _wait(self, flight: Departure) -> None:
@@ -281,7 +288,7 @@ class Network:
         self._lose(flight, flight.receivers, "queue")
 
     def _leave(self, flight: Departure, airtime: int) -> None:
-        """Put a transmission on the air for so many ns."""
+        """Start a transmission with an airtime (ns): draw its losses and schedule its arrivals."""
         now, receivers = self._env.now, flight.receivers
         self._transmissions += 1
         self._bytes_sent += flight.size
@@ -306,19 +313,19 @@ class Network:
             deliver(flight.content, self._boxes(flight.port), reached, arrival, flight.number)
 
     def _losses(self, flight: Departure) -> dict[int, Cause]:
-        """Return the receivers that a transmission is lost to as it leaves, and why."""
+        """Return the receivers for which a transmission is lost at its start, with the causes."""
         src, receivers, causes = flight.src, flight.receivers, dict[int, Cause]()
         lost = self._sampler.losses(src, receivers, self._env.now, flight.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         if self._fault_state is not None:
             causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
-        if flight.created < self._env.now:  # it had to wait, and its receivers may have moved away
+        if flight.created < self._env.now:  # it waited, and its receivers may have moved out of range
             causes |= {node: "reach" for node in receivers if self._is_too_far(src, node, flight.number)}
         return causes if flight.reachable else dict.fromkeys(receivers, "reach")
 
     def _let_land(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
-        """Let the fate of a transmission be settled as it arrives."""
+        """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
         self._arriving += len(reached)
         landings: dict[int, list[int]] = {}
         if isinstance(arrival, int):
@@ -332,7 +339,7 @@ class Network:
             )
 
     def _land(self, flight: Departure, nodes: list[int], spell: tuple[int, int], _: "simpy.Event") -> None:
-        """Let a transmission that was on the air for a spell (from, to, ns) arrive at nodes where it does."""
+        """Deliver a transmission that was on the air from spell[0] to spell[1] (ns) to nodes, or lose it there."""
         self._arriving -= len(nodes)
         for node in nodes:
             cause = self._obstacle(flight, node, spell)
@@ -344,7 +351,7 @@ class Network:
                 deliver(flight.content, self._boxes(flight.port), [node], self._env.now, flight.number)
 
     def _obstacle(self, flight: Departure, node: int, spell: tuple[int, int]) -> Cause | None:
-        """Return why a message cannot be received that arrives now, if so."""
+        """Return the cause for which a message that arrives now is lost, or None."""
         broken, (begin, end) = self._fault_state, spell
         if broken is not None:
             if broken.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
@@ -366,7 +373,7 @@ class Network:
                 self._trace.append_message(Lost(self._env.now, flight.number, flight.src, node, cause))
 
     def _record(self, flight: Departure, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Record that a transmission left, and when it arrives at those receivers to which it is not lost."""
+        """Append a transmission to the trace, with its arrival times, or `LOST` where it is lost at transmission."""
         assert self._trace is not None
         number, src, created, size, receivers, content = flight[:6]
         now, fates = self._env.now, arrival

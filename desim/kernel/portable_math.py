@@ -1,7 +1,7 @@
-"""Elementary functions of arrays, rounded alike on every processor.
+"""Elementary functions of arrays, rounded identically on every processor.
 
-The loops that numpy has for processors with AVX-512 give other last digits than the C library, which it calls on all
-others. Here it is always the C library, one number at a time: the time of a call grows by 0.06 microseconds for each.
+On processors with AVX-512 numpy uses its own loops, whose last digits differ from those of the C library that it calls
+elsewhere. These functions always call the C library, number by number, at a cost of 0.06 microseconds each.
 """
 
 import math
@@ -18,7 +18,7 @@ def exp(exponents: Floats) -> Floats:
 
 
 def power(bases: Floats, exponent: float) -> Floats:
-    """Return x^p for each of (k,) bases x in [0, 1] and p > 0; a square is a product, which is as fast as ever."""
+    """Return x^p for each of (k,) bases x in [0, 1] and p > 0; squares are computed as fast as in numpy."""
     if exponent == 2.0:
         return bases * bases
     return np.array([base**exponent for base in bases.tolist()])

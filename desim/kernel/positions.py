@@ -1,4 +1,4 @@
-"""Where the nodes are now: of everybody, or of some at the cost of some."""
+"""Sources of the current positions of the nodes: of all nodes, or of some nodes at lower cost."""
 
 from collections.abc import Callable
 from math import inf
@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Nodes = NDArray[np.intp]
 PositionSource = Callable[[], Floats]
-"""Returns everybody's position now, (n, 2) m; what more `Positions` can tell makes large networks fast."""
+"""A function that returns the current positions of all nodes, (n, 2) m; a `Positions` is faster for large networks."""
 
 
 class Positions(Protocol):
-    """Where the nodes are now."""
+    """The current positions of the nodes."""
 
     @property
     def fastest(self) -> float:
-        """The speed that nobody ever exceeds, m/s; inf if it is not known."""
+        """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
         ...
 
     def __call__(self) -> Floats:
-        """Return everybody's position, (n, 2) m."""
+        """Return the positions of all nodes, (n, 2) m."""
         ...
 
     def of(self, nodes: Nodes) -> Floats:
-        """Return the positions of some, (k, 2) m; cost O(k)."""
+        """Return the positions of some nodes, (k, 2) m; cost O(k)."""
         ...
 
 
 class _PositionFunction:
-    """Positions of which no more is known than a function that returns everybody's."""
+    """`Positions` from a function that returns the positions of all nodes."""
 
     fastest = inf
 
@@ -46,11 +46,11 @@ class _PositionFunction:
 
 
 def as_position_source(locator: PositionSource) -> Positions:
-    """Return what a function tells of positions as `Positions`, unless it is that already."""
+    """Return a position source as `Positions`; a plain function is wrapped."""
     return cast("Positions", locator) if hasattr(locator, "of") else _PositionFunction(locator)
 
 
 def distances(at: Floats, here: int) -> Floats:
-    """Return the (k,) distances of (k, 2) positions from one of them, m."""
+    """Return the (k,) distances of (k, 2) positions from the position with index `here`, m."""
     x, y = at[here].tolist()
     return np.asarray(np.hypot(at[:, 0] - x, at[:, 1] - y))

@@ -1,4 +1,4 @@
-"""Named networks. They are illustrative: the order of magnitude of each technology, not a measurement of a product."""
+"""Named networks. They are illustrative: the order of magnitude of a technology, not measurements of a product."""
 
 from typing import Any
 
@@ -15,5 +15,5 @@ PRESETS: dict[str, dict[str, Any]] = {
     f"lora_sf{sf}": {"medium": {"kind": "lora", "spreading_factor": sf, "shared": True, "queue_limit": 8}}
     for sf in range(7, 13)
 }
-"""By name, what replaces the defaults of a network: wifi (one hop of 802.11), lte and 5g (through the cell), satellite
+"""Defaults of a network by name: wifi (one hop of 802.11), lte and 5g (via the base station), satellite
 (geostationary), acoustic (under water), lora_sf7 .. lora_sf12 (by spreading factor, 125 kHz)."""

@@ -1,7 +1,7 @@
-"""What the links do to one transmission: which receivers lose it, and how long it travels to each.
+"""Sampling of the losses and arrival times of each transmission from the link models.
 
-Models that draw independently of the hop are asked for a block of draws at a time, so that a broadcast costs a slice of
-a list and not a call of numpy.
+A model whose draws are independent of the link is sampled in blocks, so that a broadcast takes a slice of a list
+instead of a call of numpy.
 """
 
 from math import inf
@@ -28,26 +28,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TYPICAL_SIZE = 48
-"""Of a message whose latency is asked for before it exists, bytes."""
+"""Size of a message that `typical_latency` assumes, bytes."""
 BLOCK = 4096
-"""Draws at a time; part of the definition of what a seed gives."""
+"""Number of draws per block; changing it changes the random numbers of a given seed."""
 Each = TypeVar("Each")
 Overrides = dict[int, dict[int, Any]]
-"""The models of links that are not like the rest, by sender and receiver."""
+"""The models of individual links, by sender and receiver."""
 
 
 class LinkSampler:
-    """Latencies and losses of one run.
+    """Sampler of the latencies and losses of one run.
 
     Args:
-        links: the models.
-        graph: whose edges may have models of their own.
-        seed: of the streams "latency" and "loss".
-        positions: where the nodes are now, for models that ask.
-        purpose: stands before the names of the streams.
+        links: the link models.
+        graph: the communication graph, whose edges may have their own models.
+        seed: the seed of the random streams.
+        positions: the current positions of the nodes, for models that depend on distance.
+        purpose: a prefix of the names of the random streams.
 
     Raises:
-        ValueError: if a link that is not like the rest is not in the graph.
+        ValueError: if `links.link` names a link that is not in the graph.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LinkSampler:
         self._links, self._graph = links, graph
         self._seed, self._positions = seed, positions
         self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
-        """Of every message at both ends together, ns."""
+        """Processing delay of a message at sender and receiver together, ns."""
         self._latency, self._loss = _started(links.latency, size), _started(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
@@ -67,20 +67,20 @@ class LinkSampler:
         own = _overrides(links, graph)
         self._own_latency, self._own_loss = own["latency"], own["loss"]
         self._order, self._own_order = links.order, own["order"]
-        self._last: dict[tuple[int, int], int] = {}  # when the last message of each link that keeps its order arrives
+        self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
         own_models = (model for to in self._own_loss.values() for model in to.values())
         self.lossless = self._lossless and all(map(_never_loses, own_models))
-        """Whether the links never lose anything."""
-        # Latencies that are always the same need no models asked, and nothing overtakes.
+        """Whether the link models never lose a message."""
+        # With one constant latency no model needs to be sampled, and no message overtakes another.
         self._constant = None
         if isinstance(links.latency, Constant) and not self._own_latency:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._own_order))
-        """Whether some link has messages wait for each other, see `in_order`."""
+        """Whether some link is FIFO, see `in_order`."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Return which of the hops lose a message; None if none does."""
+        """Return for each receiver whether the message is lost; None if it is lost for none."""
         own = self._own_loss.get(src, {})
         if self._lossless:
             lost = None
@@ -95,10 +95,10 @@ class LinkSampler:
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
-        """Return when a message that leaves now is readable at each receiver, ns.
+        """Return the arrival time at each receiver of a message that is transmitted now, processing included, ns.
 
         Raises:
-            ValueError: if the latency model answers with what is not a time.
+            ValueError: if the latency model returns an invalid latency.
         """
         start = now + airtime + self.processing
         if self._constant is not None:
@@ -118,9 +118,9 @@ class LinkSampler:
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
     def typical_latency(self) -> float:
-        """Return the mean one-way latency over the links of the first senders, processing included but no airtime, s.
+        """Return the mean one-way latency over the links of the first senders, with processing, without airtime, s.
 
-        It is measured on at least a thousand draws, if there are links, that the messages of the run do not share.
+        It is the mean of at least 1000 draws, if there are links, from streams of their own.
         """
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")
@@ -134,7 +134,7 @@ class LinkSampler:
         return sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
-        """Let no message that is not lost arrive before an earlier one of its link, if the link keeps their order."""
+        """Return the arrival times (ns) delayed such that no message overtakes an earlier one on a FIFO link."""
         own = self._own_order.get(src)
         if self._order == "overtaking" and not own:
             return arrival
@@ -149,7 +149,7 @@ class LinkSampler:
 
 
 class _Buffer(Generic[Each]):
-    """Draws that are independent of the hop, taken from a block."""
+    """A buffer of draws of a model whose draws are independent of the link."""
 
     def __init__(self, model: Independent, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"):
         self._model, self._rng, self._plain = model, rng, plain
@@ -157,7 +157,7 @@ class _Buffer(Generic[Each]):
         self._next = 0
 
     def take(self, count: int) -> list[Each]:
-        """Return the next draws."""
+        """Return the next `count` draws."""
         end = self._next + count
         if end > len(self._block):
             fresh = self._plain(self._model.draw(max(BLOCK, count), self._rng))
@@ -175,7 +175,7 @@ def _buffered(
 
 
 def _started(model: Any, size: int) -> Any:
-    """Return what answers for one run: a model with memory begins anew, any other is its own answer."""
+    """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
     return model.start_run(size) if hasattr(model, "start_run") else model
 
 
@@ -184,7 +184,7 @@ def _never_loses(model: object) -> bool:
 
 
 def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models of links that are not like the rest: of the edges of the graph, then of `links.link`."""
+    """Return the models of individual links: those of `links.link`, else those of the edges of the graph."""
     found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
     for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):
         for name in found if attributes else ():
@@ -204,31 +204,31 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
 
 
 def _checked(delays: Any) -> Any:
-    """Return delays in s as whole ns: one number, or a list; none is longer than a run can be.
+    """Return delays in s as whole ns, one number or a list, limited to `MAX_TIME`.
 
     Raises:
-        ValueError: if one of them is not a time.
+        ValueError: if a delay is negative, infinite or NaN.
     """
     given = np.asarray(delays, dtype=float)
     if not ((given >= 0.0) & (given < inf)).all():
-        raise ValueError(f"latencies should be times >= 0 s, got {delays}")
+        raise ValueError(f"latencies should be finite times >= 0 s, got {delays}")
     return np.rint(np.minimum(given, MAX_TIME) * SECOND).astype(np.int64).tolist()
 
 
 def _times(answer: Any, count: int) -> Arrival:
-    """Return what a latency model answers for so many hops in whole ns: one number, or a list of one per hop."""
+    """Return the answer of a latency model for `count` links in whole ns: one number, or a list with one per link."""
     shape = np.shape(answer)
     if shape not in {(), (count,)}:
         got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
-        raise ValueError(f"latencies should be one number or one for each of {count} hops, got {got}")
+        raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
     times: Arrival = _checked(answer)
     return times
 
 
 def _truths(answer: Any, count: int) -> list[bool]:
-    """Return what a loss model answers for so many hops."""
+    """Return the answer of a loss model for `count` links as a list of booleans."""
     truths = np.asarray(answer)
     if truths.dtype != bool or truths.shape not in {(), (count,)}:
-        raise ValueError(f"losses should be one truth or one for each of {count} hops, got {answer!r}")
+        raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
     lost: list[bool] = np.broadcast_to(truths, count).tolist()
     return lost

@@ -1,6 +1,6 @@
-"""How far word reaches: the probability that a message is received at a distance, given the range.
+"""Reception models: the probability that a message is received as a function of distance and range.
 
-Whatever the model, the range is the one length in it, so that a study sweeps one key.
+In every model the range is the only length, so that a study sweeps one key.
 """
 
 from math import inf, log
@@ -17,16 +17,16 @@ Floats = NDArray[np.float64]
 
 
 class ReceptionModel(Protocol):
-    """A model of the reach: `reach(distances, range)` is the (k,) probability of reception at (k,) distances, m.
+    """A reception model: `reception(distances, range)` is the (k,) probability of reception at (k,) distances, m.
 
-    It may have a method `bound(range)`: the distance beyond which nothing is ever received, m.
+    It may have a method `bound(range)`: the distance beyond which no message is ever received, m.
     """
 
     def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
 
 
 class Disk(Value):
-    """Certain up to the range, impossible beyond it."""
+    """Reception is certain within the range and impossible beyond it."""
 
     kind: Literal["disk"] = "disk"
 
@@ -40,13 +40,13 @@ class Disk(Value):
 
 
 class QuasiUnitDisk(Value):
-    """Certain up to a share of the range, possible up to the range (Kuhn, Wattenhofer & Zollinger 2008)."""
+    """Reception is certain up to a share of the range, random up to the range (Kuhn, Wattenhofer & Zollinger 2008)."""
 
     kind: Literal["quasi_unit_disk"] = "quasi_unit_disk"
     certain: Probability = 0.5
     """Share q of the range within which reception is certain, in [0, 1]."""
     p: Probability = 0.5
-    """Probability of reception between there and the range, in [0, 1]."""
+    """Probability of reception between q times the range and the range, in [0, 1]."""
 
     def __call__(self, distances: Floats, range: float) -> Floats:  # noqa: A002
         """Return 1 where d <= q R, p where d <= R, else 0."""
@@ -58,7 +58,7 @@ class QuasiUnitDisk(Value):
 
 
 class LogDistance(Value):
-    """Log-distance path loss with lognormal shadowing; at the range, every second message or link is received.
+    """Log-distance path loss with lognormal shadowing; at the range the probability of reception is 1/2.
 
     P(d) = NormalCDF(10 n log10(R / d) / sigma) (Rappaport 2002, "Wireless Communications", 4.9).
     """
@@ -78,13 +78,13 @@ class LogDistance(Value):
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002
-        """Return where P(d) = NormalCDF(-8.3) = 5e-17, less than any luck of a pair: see `desim.kernel.seeds`."""
+        """Return the d of P(d) = NormalCDF(-8.3) = 5e-17, below any draw of `desim.kernel.seeds.pair_uniform`, m."""
         ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
         return ranges * range
 
 
 def bound(reach: ReceptionModel, range: float) -> float:  # noqa: A002
-    """Return the distance beyond which nothing is ever received, m; inf if a model does not say."""
+    """Return the distance beyond which no message is ever received, m; inf if the model has no bound."""
     ends = getattr(reach, "bound", None)
     return inf if ends is None else float(ends(range))
 

@@ -344,7 +344,7 @@ def test_a_latency_model_may_answer_with_one_number_or_one_per_hop(answer):
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_a_latency_model_that_answers_for_another_number_of_hops_is_refused_with_both_numbers(count, order):
     trip = travel(Links(latency=answering([0.5] * count), order=order))
-    with pytest.raises(ValueError, match=f"one number or one for each of 3 hops, got {count}"):
+    with pytest.raises(ValueError, match=f"one number or one for each of 3 links, got {count}"):
         trip.arrivals(0, [1, 2, 3], 0, 0, 24)
 
 
@@ -358,7 +358,7 @@ NO_TRUTHS = [None, 0.0, 1, [0.0, 1.0, 0.0], [0, 1, 0], [None] * 3, "yes", [], [T
 
 @pytest.mark.parametrize("answer", NO_TRUTHS, ids=repr)
 def test_a_loss_model_that_answers_with_anything_but_one_truth_or_one_per_hop_is_refused(answer):
-    with pytest.raises(ValueError, match=r"one truth or one for each of 3 hops, got (None|'yes'|[\d.\[])"):
+    with pytest.raises(ValueError, match=r"one boolean or one for each of 3 links, got (None|'yes'|[\d.\[])"):
         travel(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24)
 
 
@@ -376,12 +376,12 @@ def test_a_link_of_its_own_answers_for_a_single_hop(as_attribute):
     for answer in (0.5, [0.5]):
         assert trip(latency=answering(answer)).arrivals(0, [1, 2, 3], 0, 0, 24) == [0, SECOND // 2, 0]
     for count in (0, 2):
-        with pytest.raises(ValueError, match=f"each of 1 hops, got {count}"):
+        with pytest.raises(ValueError, match=f"each of 1 links, got {count}"):
             trip(latency=answering([0.5] * count)).arrivals(0, [1, 2, 3], 0, 0, 24)
     for answer in (True, [True]):
         assert trip(loss=answering(answer)).losses(0, [1, 2, 3], 0, 24) == [False, True, False]
     for answer in (None, 1.0, [1.0], [], [True, True]):
-        with pytest.raises(ValueError, match="one truth or one for each of 1 hops"):
+        with pytest.raises(ValueError, match="one boolean or one for each of 1 links"):
             trip(loss=answering(answer)).losses(0, [1, 2, 3], 0, 24)
 
 
