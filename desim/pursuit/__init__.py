@@ -1,4 +1,4 @@
-"""The pursuit game and its players: capture times, utilities, evaders, sensing, motion, and the interface of an agent.
+"""The game and its players: capture times, utilities, evaders, sensing, motion, and what each agent may know.
 
 Nothing here starts a run or reads a file.
 """

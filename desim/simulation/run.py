@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Result:
-    """What a run left behind: its scenario, its seed, and everything that happened."""
+    """The result of a run: its scenario, its seed and the trace of its events."""
 
     scenario: Scenario
     seed: int
     trace: Trace
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: what ran, how it ended, and how much is recorded; metrics are in `analysis`."""
+        """Return a table for notebooks: scenario, seed, protocol, outcome, events; metrics are in `desim.analysis`."""
         ends = self.trace.of(Ended)
         rows = {
             "scenario": self.scenario.name,
@@ -54,7 +54,7 @@ class Result:
 
 
 def _ended(end: Ended, captures: int, evaders: int) -> str:
-    """Return how a run ended, in words."""
+    """Return the outcome of a run as text."""
     several = f"{captures} of {evaders} captured" if evaders > 1 else ""
     if end.reason == "captured":
         how = f"{several}, the last by" if several else "captured by"
@@ -66,14 +66,17 @@ def _ended(end: Ended, captures: int, evaders: int) -> str:
 def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Simulate a scenario once; equal arguments give equal traces.
 
+    Use it for a single run whose trace you need, and `desim.sweep` for many runs over seeds and a grid of keys. Metrics
+    are functions of the result (`desim.summary`).
+
     Args:
-        scenario: what to simulate.
-        seed: of every random stream; that of the scenario if None.
-        watchers: are shown each event as it happens; one that returns True ends the run.
+        scenario: the experiment.
+        seed: seed of every random stream; that of the scenario if None.
+        watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:
-        TimedOut: with what each pursuer waits for, if it took too long; see `desim.simulation.watchdog.within`.
-        RuntimeError: if code of the scenario calls `sys.exit`, which would end the program as if all were well.
+        TimedOut: if a time limit is exceeded, with the state of each process; see `desim.simulation.watchdog.within`.
+        RuntimeError: if code of the scenario calls `sys.exit`, which would otherwise look like success.
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
@@ -114,7 +117,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
 
 
 class _Places:
-    """Where the pursuers are, as the network asks for it: see `desim.kernel.positions.Positions`."""
+    """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
     def __init__(self, world: World, fastest: float):
         self._world, self.fastest = world, fastest
@@ -150,7 +153,7 @@ class _Team:
         self._forgetful: set[int] = set()
 
     def begin(self) -> None:
-        """Let everyone know how it begins, and set all processes going."""
+        """Set the initial beliefs and start all processes."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
         for pursuer in range(self._world.size):
             agent = self._agents[pursuer]
@@ -166,7 +169,7 @@ class _Team:
                 env.process(beating.repeat(sight.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
-        """Stop a pursuer whose robot, not only its radio, broke down."""
+        """Stop a pursuer if its robot, not only its radio, breaks down."""
         if crash.scope == "robot":
             self._open[crash.node].append(crash)
             if len(self._open[crash.node]) == 1:
@@ -178,7 +181,7 @@ class _Team:
                         life.interrupt(self._repaired[crash.node])
 
     def recovered(self, crash: Crash) -> None:
-        """Let a pursuer go on, once nothing of it is broken any more."""
+        """Resume a pursuer when the last of its overlapping crashes ends."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
             self._open[node].remove(crash)
@@ -195,10 +198,10 @@ class _Team:
 
 
 class RestartableProcess(simpy.Process):
-    """A process of a pursuer, which lives by a protocol.
+    """A process of a pursuer that runs a behaviour and survives crashes of the robot.
 
-    When the robot breaks down, the process stands still; repaired, it goes on with what it waited for, or starts anew
-    if it has lost its memory.
+    It is running, suspended (the robot is down) or finished. After a recovery with memory it continues to wait for the
+    same event; after a recovery without memory it starts a new behaviour.
     """
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour):
@@ -206,9 +209,9 @@ class RestartableProcess(simpy.Process):
         super().__init__(env, self._live(agent, protocol))
 
     def _live(self, agent: Agent, protocol: Behaviour) -> Process:
-        """Yield what the behaviour waits for, from time 0 on, in order of ids whatever the order of creation."""
+        """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
         awaited: simpy.Event | None = agent.at(agent.now)
-        missed: simpy.Event | None = None  # what it waited for, if that happened while it was broken
+        missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
         while awaited is not None:
             try:
                 value = yield awaited
@@ -220,7 +223,7 @@ class RestartableProcess(simpy.Process):
                     self.behaviour.close()
                     self.behaviour = missed = None
                 if self.behaviour is None or awaited.processed:
-                    awaited = agent.at(agent.now)  # it goes on in its turn, after what arrives at this instant
+                    awaited = agent.at(agent.now)  # resume in its turn, after the arrivals of this instant
                 continue
             if missed is not None:
                 value, missed = missed.value, None
@@ -238,12 +241,12 @@ class RestartableProcess(simpy.Process):
 
 
 def _begun(protocol: Behaviour, agent: Agent) -> Process:
-    """Return the process that a protocol is for a pursuer.
+    """Return the process of a pursuer that runs a protocol.
 
     Raises:
-        TypeError: if it is none.
+        TypeError: if the protocol returns no generator.
     """
     behaviour = protocol(agent)
     if not isinstance(behaviour, Iterator):
-        raise TypeError(f"a protocol should be a generator, which yields what it waits for; {protocol!r} is none")
+        raise TypeError(f"a protocol should be a generator that yields the events it waits for (got {protocol!r})")
     return behaviour

@@ -1,4 +1,4 @@
-"""A limit to how long something may take, and what each process waits for when it is reached."""
+"""A limit on the wall time of a block, and a description of what each process is waiting for when it times out."""
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 AGAIN = 0.1
-"""How often the watcher looks whether its exception was lost, s."""
+"""Interval at which the watching thread raises its exception again if it was lost, s."""
 
 
 class TimedOut(BaseException):
-    """What was to be done within a time took longer; no Exception, so that nobody on the way takes it for a fault."""
+    """A time limit was exceeded. It is not an `Exception`, so that handlers on the way do not catch it."""
 
 
 def checked(limit: float) -> float:
-    """Return a limit, s; raise ValueError if it is none."""
+    """Return a time limit, s; raise ValueError if it is not a valid one."""
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"should be a time > 0 s (got {limit:g})")
     return limit
@@ -34,16 +34,16 @@ def checked(limit: float) -> float:
 
 @contextmanager
 def within(limit: float) -> Iterator[None]:
-    """Raise TimedOut in this thread, wherever it is then, if it is still inside after some seconds of wall time.
+    """Raise TimedOut in this thread if the block has not ended after `limit` s of wall time.
 
-    A watching thread raises it between two instructions of Python, also in a loop without end; what is not Python ends
-    first. Code in between may lose the exception: pydantic's serialiser drops it, or raises an error of its own
-    instead. The watcher therefore raises it again whenever it is gone and the block is not over, but never while it is
-    on its way, so that clean-up is not disturbed. A block that is not over at its limit ends with TimedOut, whatever
-    else it raises or returns; only KeyboardInterrupt takes precedence.
+    Use it around a run or any other code that may not terminate. A watching thread raises the exception between two
+    Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
+    pydantic's serialiser drops it or replaces it by its own. The watcher therefore raises it again while the block
+    lasts, but not while an earlier one is propagating, so that clean-up is not interrupted. A block that exceeds its
+    limit always ends with TimedOut, whatever it raises or returns; only KeyboardInterrupt takes precedence.
 
     Raises:
-        ValueError: if the limit, s, is none.
+        ValueError: if the limit is not a valid time, s.
     """
     checked(limit)
     tell, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
@@ -52,7 +52,7 @@ def within(limit: float) -> Iterator[None]:
 
     class Told(TimedOut):
         def __init__(self, *text: object) -> None:  # SimPy copies exceptions
-            super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached as it began or ended",))
+            super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached at its start or end",))
             on_its_way.add(self)
 
     def watch() -> None:
@@ -78,7 +78,7 @@ def within(limit: float) -> Iterator[None]:
         finally:
             end()
     except BaseException as error:
-        end()  # again, for it may have been raised in there; now it is on its way, and nothing else is raised
+        end()  # again, if it was raised in the first call; now it propagates, and no other is raised
         if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
             raise
         is_told = isinstance(error, TimedOut) and not isinstance(error, Told)
@@ -88,29 +88,29 @@ def within(limit: float) -> Iterator[None]:
 
 
 def place_of(error: BaseException) -> str:
-    """Return where an error was raised: file, line and function."""
+    """Return the file, line and function in which an error was raised."""
     at = extract_tb(error.__traceback__)[-1]
     return f"{short(at.filename)}:{at.lineno} ({at.name})"
 
 
 def short(file: str) -> str:
-    """Return the path of a source file from its package on."""
+    """Return the path of a source file relative to the parent of its folder."""
     return "/".join(Path(file).parts[-2:])
 
 
 MOST = 100
-"""How many processes are told of."""
+"""Maximum number of processes that are listed."""
 
 
 def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy.Process"]]) -> TimedOut:
-    """Return the error of a simulation that took too long: where it was, and what each pursuer waits for.
+    """Return the error of a simulation that timed out: its state, and what each process is waiting for.
 
     Args:
-        env: its clock.
-        error: as it was raised.
-        processes: of each pursuer; one may run another by hand, its `behaviour`.
+        env: the clock of the simulation.
+        error: the exception as it was raised.
+        processes: the processes of each pursuer; a process may have a `behaviour`, the generator that it runs.
     """
-    from desim.kernel.clock import seconds  # which takes time to import, and is needed only now
+    from desim.kernel.clock import seconds  # slow to import, and needed only here
 
     due = {id(event): int(when) for when, _, _, event in env._queue}
     alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
@@ -121,7 +121,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy
 
 
 def _line(process: "simpy.Process") -> str:
-    """Return where a process is, in the innermost of what it runs, and what is written there."""
+    """Return the source line at which a process waits, in the innermost of its nested generators."""
     at: Any = process._generator
     inner = getattr(process, "behaviour", None) or at.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
@@ -131,7 +131,7 @@ def _line(process: "simpy.Process") -> str:
 
 
 def _until(process: "simpy.Process", due: Mapping[int, int]) -> str:
-    """Return when what a process waits for comes, if that is known: the first of several events."""
+    """Return the time of the event that a process waits for, the earliest of several, if it is scheduled."""
     target = process.target
     from desim.kernel.clock import seconds
 

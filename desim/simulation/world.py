@@ -1,4 +1,4 @@
-"""The world: where everyone is and what they do, moved on a clock of its own."""
+"""The world: positions and actions of all players, and their motion in simulated time."""
 
 from collections.abc import Callable, Collection, Generator, Sequence
 from itertools import count
@@ -23,25 +23,28 @@ from desim.scenario.scenario import Scenario
 
 
 class World:
-    """The only thing that changes during a run, beside the network.
+    """The physical state of a run: positions, velocities and actions of pursuers and evaders.
 
-    Everyone moves in straight pieces that all began at one instant: the last motion step, or the last order inside
-    it. Capture is foreseen from the pieces and happens at its instant, unless an order comes first.
+    All players move on straight pieces that begin at a common instant: the last motion step, or the last change of an
+    action within it. A capture is predicted from the pieces and scheduled at its instant; a change of an action before
+    then replaces the prediction.
 
-    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays.
+    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. A pursuer is up or
+    down: it is down from `crash` until `recover`, and then stays, whatever its action. An evader is at large or
+    captured. The pursuit is running until `over` happens, by a capture, at the horizon, or by `stop`.
 
     Args:
         env: the clock of the simulation.
-        scenario: what the world is like.
-        seed: of its random streams.
-        trace: where its events go.
-        radio: what evaders that listen hear; nothing if None.
+        scenario: the experiment.
+        seed: seed of its random streams.
+        trace: receives its events.
+        radio: the eavesdropper of evaders that listen; None if none do.
 
     Attributes:
-        size: how many pursuers there are, N.
-        players: where everyone is: the pursuers, then the evaders.
-        over: happens when the pursuit ends.
-        end: how it ended; None as long as it has not.
+        size: number of pursuers, N.
+        players: kinematics of the pursuers, then the evaders.
+        over: SimPy event that happens when the pursuit ends.
+        end: outcome of the pursuit; None while it is running.
     """
 
     def __init__(self, env: Clock, scenario: Scenario, seed: int, trace: Trace, radio: Eavesdropper | None = None):
@@ -89,18 +92,18 @@ class World:
         self._prune_actions()
 
     def attach_sensing(self, watch: TeamSensor) -> None:
-        """Let pursuers see no more than they do, and chase the evaders where they believe them to be."""
+        """Limit the sensing of pursuers, so that they chase the estimated positions of unseen evaders."""
         self._watch = self._steering.watch = watch
         watch.look(self._env.now)
         self._prune_actions()
 
     def _prune_actions(self) -> None:
-        """Let those stay that may not do what they do."""
+        """Set the action of each pursuer that may not chase its evader to 0."""
         able = [action and self._may(pursuer, action) for pursuer, action in enumerate(self._profile)]
         self._act(self._actions * np.array(able, dtype=bool))
 
     def begin(self) -> None:
-        """Record the start and set motion, record and horizon going."""
+        """Record the start, and start motion, sampling and the horizon."""
         evader, others = self._evaders()
         speeds = tuple(self._speeds.tolist())
         self._trace.append(Started(0, evader, _points(self.places()), speeds, tuple(self._profile), others))
@@ -114,27 +117,27 @@ class World:
     # What can be sensed.
 
     def state(self, evader: int) -> State:
-        """Return where everyone and an evader are now, and who chases it."""
+        """Return the state of the pursuit of one evader now."""
         return self._targets[evader - 1].state(self._env.now)
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture of an evader now, s; inf if that has been captured."""
+        """Return the capture time of each pursuer for an evader now, s; inf if the evader has been captured."""
         return self._targets[evader - 1].capture_times(self._env.now)
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
-        """Return the times of capture of some pursuers, s; as `capture_times`, and faster for a few."""
-        if self._env.now == self._step_end:  # everybody's position will be asked for at this instant
+        """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
+        if self._env.now == self._step_end:  # all positions will be needed at this instant
             self.players.places()
         return self._targets[evader - 1].capture_times_of(pursuers, self._env.now)
 
     def time_left(self, now: int) -> float:
-        """Return the time from an instant (ns) to the horizon, r, s; in a frozen game it does not run."""
+        """Return the time r from an instant (ns) to the horizon, s; constant if `motion.static`."""
         return (self._horizon if self._motion.static else self._horizon - now) / SECOND
 
     def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
-        """Return whether a pursuer has the choice to chase an evader (`Scenario.prune`).
+        """Return whether a pursuer may choose to chase an evader (`Scenario.prune`).
 
-        By the true times of capture, or by those of a view.
+        The test uses the true capture times, or those of a view if given.
         """
         target = self._targets[evader - 1]
         if target.captured is not None:
@@ -154,20 +157,20 @@ class World:
         return known
 
     def _may(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer has the choice to chase an evader, as far as it knows."""
+        """Return whether a pursuer may choose to chase an evader, by its own view of the world."""
         view = self if self._watch is None else self._watch.sights[pursuer]
         return view.may_chase(pursuer, evader)
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the time of capture of a pursuer if it were at a position (m), s."""
+        """Return the capture time of a pursuer from a hypothetical position (m), s."""
         return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
 
     def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
-        """Return every pursuer's time of capture of an evader were that at a place, and so much farther away (m), s."""
+        """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
         return self._targets[evader - 1].capture_times_over(lengths(place - self.places()) + slack)
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
-        """Return the time of capture of a pursuer over a distance (m), s."""
+        """Return the capture time of a pursuer at a distance (m), s."""
         return self._targets[evader - 1].capture_time_over(pursuer, distance)
 
     def distances(self, evader: int) -> Floats:
@@ -175,16 +178,16 @@ class World:
         return self.state(evader).distances
 
     def velocity(self, evader: int) -> complex:
-        """Return how an evader moves now, m/s."""
+        """Return the velocity of an evader now, m/s."""
         return self.players.velocities.item(self._targets[evader - 1].player)
 
     def evader_speed(self, evader: int) -> float:
-        """Return how fast an evader can move, m/s."""
+        """Return the speed of an evader, m/s."""
         return self._targets[evader - 1].speed
 
     @property
     def static(self) -> bool:
-        """Whether nobody moves."""
+        """Whether all players stand still for the whole run."""
         return self._motion.static
 
     def place(self, pursuer: int) -> complex:
@@ -201,37 +204,36 @@ class World:
 
     @property
     def evader_count(self) -> int:
-        """How many evaders there were at first, M."""
+        """Number of evaders at the start, M."""
         return len(self._targets)
 
     def evaders(self) -> Sequence[int]:
-        """Return the evaders that have not been captured."""
+        """Return the numbers of the evaders that have not been captured."""
         return self._free
 
     @property
     def radius(self) -> float:
-        """The distance at which an evader is captured, m."""
+        """The capture radius, m."""
         return self._capture.radius
 
     def speed(self, pursuer: int) -> float:
-        """Return how fast a pursuer moves if it does, m/s."""
+        """Return the speed of a pursuer while it chases, m/s."""
         return float(self._speeds[pursuer])
 
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that set out at a position (m) an age (ns) ago to chase an evader, m.
-
-        Exact: along its pursuit of the evader, whose path everybody has seen; else straight towards where the evader
-        is now.
+        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
 
         Args:
-            position: where it was, m.
-            speed: m/s.
-            age: how long ago it was there, ns.
-            evader: which one it chased.
-            exact: whether along its pursuit.
-            ended: how long ago it stopped, at most `age`, ns; asked for again with the same start, no longer ago.
+            position: its position at that time, m.
+            speed: its speed, m/s.
+            age: time since it was at that position, ns.
+            evader: the evader that it chased.
+            exact: whether to retrace its pursuit of the evader's path; if not, it is extrapolated straight towards the
+                present position of the evader.
+            ended: time since the chase ended, at most `age`, ns; the end must not move back in later calls with the
+                same start.
         """
         if self._motion.static or age == ended:
             return position
@@ -242,24 +244,24 @@ class World:
         return target.path.place(position, speed, now - age, end)
 
     def broken(self) -> NDArray[np.bool_]:
-        """Return (N,) who is broken, and so follows no order."""
+        """Return the (N,) mask of the pursuers that are down and follow no action."""
         return self._broken
 
     def action(self, pursuer: int) -> int:
-        """Return which evader a pursuer chases, or 0."""
+        """Return the evader that a pursuer chases, or 0."""
         return self._profile[pursuer]
 
     def profile(self) -> list[int]:
-        """Return what everybody does."""
+        """Return the action of each pursuer."""
         return self._profile.copy()
 
-    # What changes it.
+    # Changes of state.
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Let a pursuer chase an evader or stay from this very instant on; one that may not chase it stays.
+        """Let a pursuer chase an evader, or stay (0), from this instant on; one that may not chase it stays.
 
         Raises:
-            ValueError: if there is no such pursuer, or no such evader.
+            ValueError: if there is no such pursuer or evader.
         """
         if not 0 <= pursuer < self.size:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
@@ -271,7 +273,7 @@ class World:
         self._set(pursuer, action)
 
     def crash(self, pursuer: int) -> None:
-        """Let a pursuer break down: it stays where it is, whatever it is ordered, and captures nobody."""
+        """Take a pursuer down: it stands still, whatever its action is set to, and captures no evader."""
         self._broken[pursuer] = True
         if self._profile[pursuer]:
             self._trace.append(BrokeDown(self._env.now, pursuer))
@@ -279,24 +281,24 @@ class World:
         self._foresee_capture()
 
     def recover(self, pursuer: int) -> None:
-        """Let a pursuer that broke down obey again; it stays until it is ordered to chase."""
+        """Bring a pursuer up again; it stays until its action is set."""
         self._broken[pursuer] = False
         self._foresee_capture()
 
     def _set(self, pursuer: int, action: int) -> None:
-        """Let a pursuer do something from this instant on."""
+        """Change the action of one pursuer from this instant on."""
         if self._profile[pursuer] == action:
             return
         actions = self._actions.copy()
         actions[pursuer] = action
         self._act(actions)
         now = self._env.now
-        if now < self._step_end:  # inside a step; at its end everyone is about to get a new heading anyway
+        if now < self._step_end:  # within a step; at its end all players get new velocities
             self._steering.turn(pursuer, now, self._step_end)
             self._foresee_capture()
 
     def _act(self, actions: Actions) -> None:
-        """Let everybody do something, as far as others ask for it."""
+        """Set the (N,) actions of all pursuers, without new velocities."""
         self._actions = actions
         self._profile: list[int] = actions.tolist()
         self._steering.set_actions(actions)
@@ -304,23 +306,23 @@ class World:
             target.set_chasers(np.equal(actions, target.number))
 
     def sample(self) -> None:
-        """Record where everyone is, if positions are wanted."""
+        """Record all positions, if `record.trajectory` is not 0."""
         if self._sampling:
             evader, others = self._evaders()
             self._trace.append(Sampled(self._env.now, evader, _points(self.places()), others))
 
     def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
-        """End the pursuit at this instant; only the first end counts."""
+        """End the pursuit at this instant; later calls have no effect."""
         if self.end is None:
             self.end = Ended(self._env.now, reason, capturer)
             self.over.succeed()
 
     def stop(self) -> None:
-        """End the pursuit when all that happens at this instant has happened."""
+        """End the pursuit after all other events of this instant."""
         self._at(self._env.now, Phase.SAMPLE + 1, lambda _: self.finish("stopped"))
 
     def _move(self, _: simpy.Event) -> None:
-        """Give everyone a new heading, and do so at every motion step up to the horizon."""
+        """Set new velocities for a motion step and schedule the next one, up to the horizon."""
         now = self._env.now
         if now == self._horizon:
             return
@@ -333,7 +335,7 @@ class World:
         self._at(self._step_end, Phase.MOTION, self._move)
 
     def _foresee_capture(self) -> None:
-        """Find out whether the present pieces lead to a capture before the step ends; if so, let it happen then."""
+        """Predict the first capture of the present pieces before the step ends, and schedule it."""
         self._capture_ahead = None
         if self._motion.static:
             return
@@ -361,7 +363,7 @@ class World:
             self.finish("captured", capturer)
 
     def _remove(self, target: EvaderBody) -> None:
-        """Let an evader be captured: it is still, and who chased it stays until it decides anew."""
+        """Capture an evader: it stands still, and its pursuers stay until they decide again."""
         target.captured = self._env.now
         self._at_large.remove(target)
         self._free = tuple(each.number for each in self._at_large)
@@ -396,6 +398,6 @@ def _points(points: Points) -> tuple[tuple[float, float], ...]:
 
 
 def _reckons(scenario: Scenario) -> bool:
-    """Return whether the paths of the evaders have to be remembered."""
+    """Return whether dead reckoning needs the whole paths of the evaders."""
     located = scenario.announce.payload == "state" or getattr(scenario.protocol, "reckons", False)
     return located and scenario.announce.reckoning == "exact"
