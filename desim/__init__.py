@@ -33,7 +33,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import what is asked for when it is asked for, so that `desim --help` does not load numpy."""
+    """Import a public name on first access, so that `desim --help` does not load numpy."""
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -730,7 +730,7 @@ def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(coins)
         ["inf", "best_response", "3"],
     ]
     assert re.fullmatch(
-        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 were there; all are in {folder}/out/sweep.sqlite\n", result.stderr
+        rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 already stored; store: {folder}/out/sweep.sqlite\n", result.stderr
     )
     assert names(folder / "out") == ["run.json", "sweep.png", "sweep.sqlite", "sweep.svg", "sweep.txt"]
     assert (folder / "out" / "sweep.txt").read_text() == result.stdout
@@ -743,7 +743,7 @@ def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file,
     assert "8 runs in" in first.stderr
     second = accepted("sweep", path)
     assert second.stderr.startswith("4 runs in")
-    assert "8 were there; all are in out/coins/sweep.sqlite" in second.stderr
+    assert "8 already stored; store: out/coins/sweep.sqlite" in second.stderr
     assert second.stdout == coins[1].stdout
 
 
@@ -784,12 +784,12 @@ def test_overrides_reach_the_grid_and_what_is_varied(file, tmp_path):
 def test_what_would_be_run_is_said_and_nothing_is_written(file, tmp_path):
     out = tmp_path / "out"
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
-    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 are there, 12 are to be done\n")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 are stored, 12 remain\n")
     assert not out.exists()
     accepted("sweep", file(COINS), "-o", out, "-n", 1)
     before = {each.name: each.read_bytes() for each in out.iterdir()}
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
-    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 are there, 8 are to be done\n")
+    assert result.stdout.startswith("coins: 4 configurations, 12 runs; 4 are stored, 8 remain\n")
     assert [line.split() for line in result.stdout.splitlines()[2:]] == [
         ["3", "1", "1.0", "sap"],
         ["3", "1", "1.0", "best_response"],
@@ -889,7 +889,7 @@ def test_runs_are_exported_a_row_each(coins, tmp_path):
 
 
 REFUSED_SWEEPS = {
-    "metric": (["--metric", "energi"], r"--metric energi: there is no such metric; there are captured, .*"),
+    "metric": (["--metric", "energi"], r"--metric energi: there is no such metric; allowed: captured, .*"),
     "metric that is no number": (["--metric", "capturer"], r"--metric capturer: there is no such metric; .*"),
     "part and precision": (["--until", "energy:1", "--shard", "1/2"], r"--until .* exclude each other"),
     "key": (

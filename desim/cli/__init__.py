@@ -28,7 +28,7 @@ class Commands(Program, click.Group):
 def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
     click.get_current_context().with_resource(sheltered())
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that the terminal has no letters for is no reason to fail
+    if isinstance(sys.stdout, io.TextIOWrapper):  # escape characters that the encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
 
 

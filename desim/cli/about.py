@@ -1,4 +1,4 @@
-"""What there is to know without a run: `desim check`, `schema`, `keys`, `protocols`."""
+"""Information without a run: `desim check`, `schema`, `keys`, `protocols`."""
 
 import json
 from pathlib import Path
@@ -38,14 +38,14 @@ def schema() -> None:
     from desim.scenario.scenario import Scenario
 
     document = json.dumps(Scenario.model_json_schema())
-    strict = json.loads(document, parse_constant=str)  # infinity is a string, as in results
+    strict = json.loads(document, parse_constant=str)  # infinity becomes a string, as in results
     echo(json.dumps(strict, indent=2))
 
 
 @click.command()
 @click.argument("key", required=False)
 def keys(key: str | None) -> None:
-    """List the keys of scenario files with defaults, units and kinds: all, or of a KEY like network.latency.gamma."""
+    """List keys of scenario files with defaults, units and kinds: all, or those of a KEY like network.latency.gamma."""
     from desim.cli.description import described, described_at
     from desim.scenario.scenario import Scenario
 
@@ -65,6 +65,6 @@ def protocols(only: str | None) -> None:
     choices = PROTOCOLS.choices()
     if only is not None and only not in choices:
         fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
-    known: set[type[BaseModel]] = set()  # what several may hold is described once
+    known: set[type[BaseModel]] = set()  # models shared by several protocols are described once
     for kind, protocol in choices.items() if only is None else [(only, choices[only])]:
         echo("\n".join(described(protocol, kind, known=known)) + "\n")

@@ -1,4 +1,4 @@
-"""A model as text: its parameters, what each is by default, and what it may hold."""
+"""A model as text: its parameters, their defaults, and the models that they may hold."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,7 +12,10 @@ from desim.config.model import fields_of, models_in
 def described(
     model: type[BaseModel], title: str, indent: str = "", known: set[type[BaseModel]] | None = None
 ) -> Iterator[str]:
-    """Yield lines of text that describe a model and its parameters, and the models they may hold in turn, once each."""
+    """Yield lines that describe a model, its parameters and, recursively and once each, the models they may hold.
+
+    Models in `known` are only named; the models described are added to it.
+    """
     known = set() if known is None else known
     yield f"{indent}{title}: {(model.__doc__ or '').strip().splitlines()[0]}"
     if model in known:
@@ -25,10 +28,14 @@ def described(
 
 
 def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
-    """Yield the same lines of what a place names: keys from the outermost in, and kinds after what they are of.
+    """Yield the lines of `described` for one key or kind below a model.
+
+    Args:
+        place: the keys from the outermost in; the kind of a model follows its key.
+        model: the outermost model.
 
     Raises:
-        ValueError: if it names nothing.
+        ValueError: if there is no such key or kind.
     """
     (name, *rest), fields = place, fields_of(model)
     if name == "kind" or name not in fields:

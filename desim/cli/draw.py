@@ -1,4 +1,4 @@
-"""`desim draw`: pictures of a run that was recorded, or is run for them."""
+"""`desim draw`: pictures of a recorded run, or of a scenario that is run for them."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 
 @click.group()
 def draw() -> None:
-    """Draw what happened in a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
+    """Draw a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first."""
 
 
 def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return the run in a folder or of a scenario file, ready to be read many times."""
+    """Return the run in a folder or of a scenario file, with an index that speeds up repeated reads."""
     from desim.analysis.trace_index import trace_index
 
     return trace_index(result_of(source, seed, overrides))
 
 
 def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
-    """Return the files of a picture: those that were asked for, or in the folder of the run, or beside nothing, here.
+    """Return the files of a picture: those of `out`, by default in the folder of the run or the working directory.
 
-    The program is ended if the name that was asked for is of something else.
+    End the program if the suffix of `out` is wrong.
     """
     if out is None:
         return [source / f"{name}{each}" if source.is_dir() else Path(f"{source.stem}.{name}{each}") for each in usual]
@@ -40,7 +40,7 @@ def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usu
 
 
 def _attempt(make: Callable[[], Any], *paths: Path) -> None:
-    """Make the files of a picture and say where they are, or end the program and say why that cannot be."""
+    """Write the files of a picture and print their paths and sizes; end the program if that fails."""
     try:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
         make()
@@ -58,9 +58,11 @@ OUT = click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="The file, its suffix names its kind; default: in DIR, or here.",
+    help="Output file; its suffix sets the format; default: in DIR, or here.",
 )
-FROM = click.option("--from", "begin", type=click.FloatRange(min=0), help="Begin of the window, s; default: the start.")
+FROM = click.option(
+    "--from", "begin", type=click.FloatRange(min=0), help="Start of the window, s; default: the start of the run."
+)
 
 
 class _Pursuers(click.ParamType[tuple[int, ...]]):
@@ -72,16 +74,25 @@ class _Pursuers(click.ParamType[tuple[int, ...]]):
         try:
             return tuple(int(each) for each in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} should be numbers with commas between them, like 0,3,17", param, ctx)
+            self.fail(f"{value!r} should be numbers separated by commas, e.g. 0,3,17", param, ctx)
 
 
 @draw.command()
 @SOURCE
 @OUT
 @FROM
-@click.option("--to", "end", type=click.FloatRange(min=0), help="End, s; default: while messages can be told apart.")
-@click.option("--pursuers", type=_Pursuers(), help="Who, from top to bottom; default: all, or the six busiest.")
-@click.option("--width", type=click.FloatRange(min=4, max=200), default=17.0, show_default=True, help="cm.")
+@click.option(
+    "--to",
+    "end",
+    type=click.FloatRange(min=0),
+    help="End of the window, s; default: as late as messages can be told apart.",
+)
+@click.option(
+    "--pursuers",
+    type=_Pursuers(),
+    help="Pursuers from top to bottom; default: all, or of more than ten the six with most changes of action.",
+)
+@click.option("--width", type=click.FloatRange(min=4, max=200), default=17.0, show_default=True, help="Width, cm.")
 @SEED
 @ALLOW_IMPORT
 @SET
@@ -95,7 +106,7 @@ def spacetime(
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Draw a line per pursuer and an arrow per message, as SVG and PNG or, if --out says so, as one of them or PDF."""
+    """Draw a line per pursuer and an arrow per message: SVG and PNG, or the format of --out (SVG, PNG or PDF)."""
     paths = _places(source, out, "spacetime", PICTURES, PICTURES[:2])
 
     def make() -> None:
@@ -116,7 +127,7 @@ def spacetime(
 @ALLOW_IMPORT
 @SET
 def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
-    """Write a timeline for https://ui.perfetto.dev, which shows it without sending it anywhere."""
+    """Write a timeline for https://ui.perfetto.dev, which displays it without uploading it."""
     (path,) = _places(source, out, "trace.perfetto", [".json"], [".json"])
 
     def make() -> None:
@@ -131,7 +142,7 @@ def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[
 @SOURCE
 @OUT
 @FROM
-@click.option("--to", "end", type=click.FloatRange(min=0), help="End of the window, s; default: the end.")
+@click.option("--to", "end", type=click.FloatRange(min=0), help="End of the window, s; default: the end of the run.")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0, min_open=True),
@@ -153,7 +164,7 @@ def gif(
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Film the pursuit from above, for slides."""
+    """Animate the pursuit in plan view as a GIF, for slides."""
     (path,) = _places(source, out, "pursuit", [".gif"], [".gif"])
 
     def make() -> None:

@@ -1,4 +1,4 @@
-"""`desim explain`: which imperfection costs what."""
+"""`desim explain`: the cost of each imperfection of a scenario."""
 
 import json
 import sys
@@ -31,7 +31,7 @@ from desim.config.trust import fresh
 @SEED
 @JOBS
 @CLUSTER
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for all of it; default: out/NAME/explain.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -45,7 +45,7 @@ def explain(
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
-    """Say which imperfection costs what: the same seeds without each of them."""
+    """Measure what each imperfection costs: run the same seeds with each of them removed."""
     from desim.results import provenance
     from desim.results.run_folder import can_plot
     from desim.study.explain import RUNS, Variants
@@ -73,5 +73,5 @@ def explain(
                 echo(f"wrote {each}", err=True)
     echo(text if as_json else found.table())
     if found.failed:
-        echo(f"with {found.failed} seeds a run failed; the same command tries them again", err=True)
+        echo(f"a run failed with {found.failed} seeds; the same command retries them", err=True)
         sys.exit(FAILED)

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 class Shard(click.ParamType[tuple[int, int]]):
-    """K/N: one part of several."""
+    """An option K/N: part K of N."""
 
     name = "K/N"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Return the part and their number."""
+        """Return the part and the number of parts."""
         part, slash, parts = str(value).partition("/")
         if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
             self.fail(f"should be 1/N to N/N, 3/20 for instance, got {value!r}", param, ctx)
@@ -49,7 +49,7 @@ class Shard(click.ParamType[tuple[int, int]]):
 
 
 class Precision(click.ParamType[tuple[str, float]]):
-    """METRIC:HALFWIDTH."""
+    """An option METRIC:HALFWIDTH."""
 
     name = "METRIC:HALFWIDTH"
 
@@ -74,14 +74,14 @@ class Precision(click.ParamType[tuple[str, float]]):
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
 @click.option(
-    "--until", type=Precision(), help="As many runs as this half width of a 95 % interval takes, at least 30."
+    "--until", type=Precision(), help="Run until the 95 % interval of a metric has this half width, at least 30 runs."
 )
-@click.option("--shard", type=Shard(), default=None, help="Only every N-th run, from the K-th on; see `desim merge`.")
-@click.option("--dry-run", is_flag=True, help="Say what would be run, and run nothing.")
-@click.option("--fail-fast", is_flag=True, help="End with the first run that fails.")
 @click.option(
-    "--metric", "metrics", multiple=True, metavar="NAME", help="Show this metric; may be given several times."
+    "--shard", type=Shard(), default=None, help="Do every N-th run only, from the K-th on; see `desim merge`."
 )
+@click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
+@click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
+@click.option("--metric", "metrics", multiple=True, metavar="NAME", help="Show this metric; can be repeated.")
 @JSON
 @TIMEOUT
 @ALLOW_IMPORT
@@ -102,7 +102,7 @@ def sweep(
     timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Run a scenario over the grid of its table `sweep`, many times; go on where it stopped."""
+    """Run a scenario many times per configuration of its grid, the table `sweep`; resume if runs are stored already."""
     from desim.scenario.overrides import ScenarioError
     from desim.study.history import note
     from desim.study.result import SHOWN
@@ -139,22 +139,20 @@ def sweep(
     table = found.table(shown)
     echo(json.dumps(found.document(shown), indent=2) if as_json else table)
     took = time.perf_counter() - start
-    echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} were there; all are in {path}", err=True)
+    echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} already stored; store: {path}", err=True)
     if not shard:
         with storing(folder):
             _show(found, shown[0], folder, table)
     if found.failed:
-        echo(f"{len(found.failed)} runs failed; the same command tries them again", err=True)
+        echo(f"{len(found.failed)} runs failed; the same command retries them", err=True)
         sys.exit(FAILED)
 
 
 @click.command()
 @click.argument("stores", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the store with all of them."
-)
+@click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the merged store.")
 def merge(stores: tuple[Path, ...], out: Path) -> None:
-    """Put the runs of several stores (files or folders) of one sweep together."""
+    """Merge the runs of several stores (files or folders) of one sweep into one store."""
     from desim.study.history import note_merged
     from desim.study.store import Store
 
@@ -174,16 +172,16 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
 @click.argument("store", type=click.Path(path_type=Path))
 @click.argument("file", type=click.Path(path_type=Path))
 def export(store: Path, file: Path) -> None:
-    """Write the runs of a STORE (a file or its folder) to FILE, a row each: .csv or .parquet.
+    """Write the runs of a STORE (a file or its folder) to FILE, one row per run: .csv or .parquet.
 
-    In CSV, a text that a spreadsheet would take for a formula has a ' before it, and control characters are escaped.
+    In CSV, a text that a spreadsheet would take for a formula is prefixed with ', and control characters are escaped.
     """
     from desim.study.result import SweepResult
     from desim.study.store import Store
 
     path, *others = _files((store,))
     if others:
-        fail(f"{store}: has {len(others) + 1} stores: merge them first, or name one")
+        fail(f"{store}: has {len(others) + 1} stores: merge them first, or give one of them")
     with storing(), Store(path, read_only=True) as kept:
         result = SweepResult.of(kept)
     try:
@@ -196,7 +194,7 @@ def export(store: Path, file: Path) -> None:
 
 
 def _files(stores: tuple[Path, ...]) -> list[Path]:
-    """Return the files of stores of which some are named by their folder, with all its shards."""
+    """Return the files of stores; a folder stands for all stores in it, shards included."""
     return [
         file
         for each in stores
@@ -205,18 +203,18 @@ def _files(stores: tuple[Path, ...]) -> list[Path]:
 
 
 def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
-    """Return metrics that are numbers, or end the program."""
+    """Return the given metrics; end the program if one is unknown or not a number."""
     from desim.analysis.metrics import METRICS
 
     numbers = [name for name, each in METRICS.items() if each.is_number]
     for name in metrics:
         if name not in numbers:
-            fail(f"--metric {name}: there is no such metric; there are {', '.join(numbers)}")
+            fail(f"--metric {name}: there is no such metric; allowed: {', '.join(numbers)}")
     return metrics
 
 
 def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tuple[str, float] | None) -> str:
-    """Return what would be run, and how much of it a store has."""
+    """Return the planned runs of each configuration and the number of them already stored, as text."""
     from desim.analysis.tables import aligned
 
     there = {
@@ -224,17 +222,17 @@ def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tupl
     }
     wanted = [(cell.key, k) for cell, k in jobs]
     done = [each for each in wanted if each in there]
-    rows = [("runs", "there", *plan.configurations[0].settings)]
+    rows = [("runs", "stored", *plan.configurations[0].settings)]
     for cell in plan.configurations:
         counts = (sum(key == cell.key for key, _ in each) for each in (wanted, done))
         rows.append((*map(str, counts), *map(str, cell.columns.values())))
     least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
     head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
-    return f"{head}; {len(done)} are there, {len(wanted) - len(done)} are to be done\n{aligned(rows, right_from=0)}"
+    return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
 def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
-    """Write the table and the picture of a sweep to its folder."""
+    """Write the table of a sweep and its figure, if matplotlib is installed, to the folder."""
     from desim.results.run_folder import can_plot
 
     fresh(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`desim run`: one run, or the same over several seeds, of a file or of what was recorded of earlier runs."""
+"""`desim run`: runs of a scenario with one or several seeds, from a file or as recorded in a run.json."""
 
 import json
 import time
@@ -31,12 +31,17 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), required=False)
 @click.option(
-    "--from", "repeated", type=click.Path(path_type=Path), metavar="RUN.JSON", help="Repeat what a run.json is of."
+    "--from", "repeated", type=click.Path(path_type=Path), metavar="RUN.JSON", help="Repeat the runs of a run.json."
 )
 @SEED
 @click.option("-n", "--runs", type=click.IntRange(min=1), help="Number of runs, with seeds s, s + 1, ...; default: 1.")
 @JOBS
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder for the trace and a trajectory picture.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for the trace, the metrics and a picture of the trajectories.",
+)
 @JSON
 @TIMEOUT
 @ALLOW_IMPORT
@@ -52,12 +57,12 @@ def run(
     timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Run a scenario FILE, or repeat what a run.json recorded, and say what happened."""
+    """Run a scenario FILE, or repeat the runs of a run.json, and print the metrics."""
     from desim.analysis.metrics import plain
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
-    if timeout is not None and runs in {None, 1}:  # from reading the file to writing results
+    if timeout is not None and runs in {None, 1}:  # includes reading the file and writing results
         click.get_current_context().with_resource(within(timeout))
     scenario, folder, recorded = _given(file, repeated, overrides)
     if seed is not None:
@@ -82,7 +87,7 @@ def run(
 
 
 def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
-    """Return the folder that results go to, which is made, and where they come from."""
+    """Create the output folder; return it and the provenance of the results."""
     from desim.results import provenance
 
     make_folder(out)
@@ -90,7 +95,7 @@ def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple
 
 
 def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
-    """Return the numbers of a run and how long it took, s; write it, if there is a folder."""
+    """Return the metrics of a run and its wall time, s; write the run if there is an output folder."""
     start = time.perf_counter()
     if into is None:
         from desim.analysis.metrics import summary
@@ -109,7 +114,7 @@ def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[
 def _often(
     scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None", timeout: float | None
 ) -> "list[Summary]":
-    """Return the numbers of several runs; write them, if there is a folder."""
+    """Return the metrics of several runs; write the runs if there is an output folder."""
     from functools import partial
 
     from desim.results import provenance, run_folder
@@ -129,7 +134,7 @@ def _often(
 
 
 def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
-    """Return the scenario, the folder of its file, and the number of runs if no option says it."""
+    """Return the scenario, the folder of its file, and the default number of runs."""
     if file is not None and repeated is None:
         return source_of(file, overrides)[1], file.parent, 1
     if file is None and repeated is not None:
@@ -138,7 +143,7 @@ def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...])
 
 
 def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
-    """Return what a run.json is of, warn if it may come out differently, and end the program if it is wrong."""
+    """Return the same of a run.json; warn if results may differ; end the program if the file is invalid."""
     from desim.results import provenance
     from desim.results.environment import environment
     from desim.scenario.overrides import ScenarioError

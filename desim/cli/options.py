@@ -1,4 +1,4 @@
-"""What the commands share: their options, their scenario, and how they refuse what is wrong."""
+"""Shared parts of the commands: options, reading of scenarios, output, and errors."""
 
 import re
 import sys
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from desim.study.workers import Workers
 
 FAILED = 3
-"""Exit code of many runs of which some failed."""
+"""Exit code if some of many runs failed."""
 WRONG_INPUT = 2
-"""Exit code of a bad file or option."""
+"""Exit code if a file or an option is invalid."""
 OUT_OF_TIME = 1
-"""Exit code of a run that took longer than it may."""
+"""Exit code if a run exceeds its time limit."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))
 SET = click.option(
@@ -35,30 +35,32 @@ JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help=
 CLUSTER = click.option(
     "--cluster",
     metavar="tcp://...",
-    help="Run on the workers of a Dask scheduler (the extra `cluster`). Whoever reaches its port can run code there:"
-    " use a trusted network, or TLS (tls://...).",
+    help="Run on the workers of a Dask scheduler (the extra `cluster`). Any client that reaches its port can run code"
+    " there: use a trusted network, or TLS (tls://...).",
 )
-JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, all else on stderr.")
+JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print the result as JSON on stdout, and messages on stderr."
+)
 
 
 def _allow(ctx: click.Context, _param: click.Parameter, is_allowed: bool) -> None:
-    """Note that the file of a command may name code."""
+    """Store in the context of a command whether its scenario file may name code."""
     ctx.meta[ALLOWED] = is_allowed
 
 
 ALLOWED = "desim.allow_import"
-"""Where a command notes that."""
+"""The key of this flag in the context of a command."""
 ALLOW_IMPORT = click.option(
     "--allow-import",
     is_flag=True,
     expose_value=False,
     callback=_allow,
-    help="Trust the file, and --set: let it name code to be run (module:name), and files outside of its folder.",
+    help="Trust the file and --set: allow them to name code to run (module:name) and files outside the file's folder.",
 )
 
 
 def is_import_allowed() -> bool:
-    """Return whether the command that runs was given `ALLOW_IMPORT`."""
+    """Return whether the current command was given --allow-import."""
     return bool(click.get_current_context().meta.get(ALLOWED))
 
 
@@ -74,12 +76,12 @@ TIMEOUT = click.option(
     type=float,
     metavar="SECONDS",
     callback=_limit,
-    help="End a run after this wall time, and say what each pursuer waits for.",
+    help="End a run after this wall time, and print what each pursuer is waiting for.",
 )
 
 
 def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
-    """Return what a file says and its scenario; see `valid`."""
+    """Return the source of a scenario file and its validated scenario; see `valid`."""
     from desim.scenario.overrides import ScenarioError
     from desim.scenario.toml import read
 
@@ -93,7 +95,7 @@ def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario
 
 
 def valid(source: "Source") -> "Scenario":
-    """Return the scenario of a source, warn of what is hardly meant, and end the program if it is wrong."""
+    """Return the validated scenario of a source; print warnings, and end the program if it is invalid."""
     from desim.scenario.checks import warnings
     from desim.scenario.overrides import ScenarioError
     from desim.scenario.toml import validate
@@ -109,7 +111,7 @@ def valid(source: "Source") -> "Scenario":
 
 
 def make_folder(folder: Path) -> None:
-    """Make the output folder, or end the program if it cannot be written."""
+    """Create the output folder; end the program if it cannot be written."""
     from desim.results.run_folder import can_plot
 
     try:
@@ -123,7 +125,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write(page: bytes, path: Path) -> None:
-    """Write a page, in folders that are made if need be; end the program if it cannot be written."""
+    """Write a page and create missing folders; end the program if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fresh(path).write_bytes(page)
@@ -132,7 +134,7 @@ def write(page: bytes, path: Path) -> None:
 
 
 def page_at(out: Path | None, usual: Path) -> Path:
-    """Return where a page goes; end the program if the name that was asked for is of something else."""
+    """Return the path of a page, `usual` by default; end the program if the suffix of `out` is not .html."""
     try:
         return usual if out is None else files(out, [".html"], [".html"])[0]
     except ValueError as error:
@@ -140,13 +142,13 @@ def page_at(out: Path | None, usual: Path) -> Path:
 
 
 def folder_for(scenario: "Scenario", out: Path | None) -> Path:
-    """Return where the results of many runs go if nobody says: below `out`, whatever the scenario is called."""
+    """Return the folder of the results of many runs; by default out/NAME, without special characters of the name."""
     return out or Path("out") / (re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed")
 
 
 @contextmanager
 def making(page: str) -> Iterator[None]:
-    """End the program if a page cannot be made: something is not installed, or what it is of is not as it should be."""
+    """End the program if a page cannot be made: a package is not installed, or the results are invalid."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -157,17 +159,17 @@ def making(page: str) -> Iterator[None]:
 
 @contextmanager
 def storing(folder: Path | None = None) -> Iterator[None]:
-    """End the program if a store or a folder cannot be used, or a cluster does not answer."""
+    """End the program if a store or a folder cannot be used, or a cluster does not respond."""
     try:
         yield
     except OSError as error:
         file = error.filename or folder
-        fail(f"{file}: {error.strerror}" if error.strerror else str(error))  # or it is ours
+        fail(f"{file}: {error.strerror}" if error.strerror else str(error))  # desim's own errors have no strerror
 
 
 @contextmanager
 def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers"]:
-    """Yield workers; note on an interrupt how to go on; if a run that fails ends it, say so and end the program."""
+    """Yield workers; add a note on how to resume to an interrupt; end the program on a failed run (--fail-fast)."""
     from desim.study.sweep import RunError
     from desim.study.workers import workers_for
 
@@ -175,7 +177,7 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
         with workers_for(jobs if cluster is None else cluster) as workers:
             yield workers
     except KeyboardInterrupt as error:
-        error.add_note(f"{len(store)} runs are in {store.path}; the same command goes on")
+        error.add_note(f"{len(store)} runs are in {store.path}; the same command resumes")
         raise
     except RunError as error:
         echo(f"{error}{len(store)} runs are in {store.path}", err=True)
@@ -183,11 +185,11 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
 
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
-    """Print a text, of which a stranger may have written any part."""
+    """Print a text that may contain untrusted parts, with control characters escaped."""
     click.echo(visible(text) + end, nl=False, err=err)
 
 
 def fail(text: str) -> NoReturn:
-    """End the program: what it was given is wrong."""
+    """Print an error and end the program with exit code `WRONG_INPUT`."""
     echo(text, err=True)
     sys.exit(WRONG_INPUT)

@@ -1,4 +1,4 @@
-"""What all programs do alike, `desim` and the studies: how they end when they are interrupted or cannot print."""
+"""The behaviour common to `desim` and the studies on interrupts, time-outs and a closed or full stdout."""
 
 import os
 import sys
@@ -15,9 +15,9 @@ from desim.study.interrupts import exit_code, raising
 
 
 class Program(click.Command):
-    """A command that ends as a shell expects it: with 128 + the number of the signal that interrupts it, for instance.
+    """A command with the exit codes that shells expect, such as 128 + the number of the signal that interrupts it.
 
-    What is to be said of an interrupt is noted on it where it is known; see `desim.cli.options.working`.
+    The message of an interrupt includes the notes of the exception; see `desim.cli.options.working`.
     """
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -30,7 +30,7 @@ class Program(click.Command):
             told = f"interrupted {error}".rstrip()
             try:
                 echo(": ".join([told, *getattr(error, "__notes__", ())]), err=True)
-            finally:  # also if the terminal is gone
+            finally:  # even if the terminal is closed
                 ctx.exit(exit_code(error))
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
@@ -41,7 +41,7 @@ class Program(click.Command):
         try:
             return super().main(*args, **options)
         except OSError as error:
-            if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # it was not printing
+            if extract_tb(error.__traceback__)[-1].filename != click.utils.__file__:  # not raised by printing
                 raise
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes what is left when it ends
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes stdout at exit
             fail(f"stdout: cannot be written: {error.strerror}")

@@ -1,4 +1,4 @@
-"""The run that a command shows: one that was recorded, or one that is made for it."""
+"""The run that a command shows: read from a folder, or simulated for the command."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 SAMPLES = 0.05
-"""Time between samples of a run that is only made to be looked at, if its scenario wants none, s."""
+"""Time between samples of a run that is simulated for a command, if its scenario records none, s."""
 
 
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return the run in a folder, or one of a scenario file; end the program if there is none."""
+    """Return the run in a folder or of a scenario file; end the program if it cannot be read."""
     if not source.is_dir():
         return _simulated(source, seed, overrides)
     if seed is not None or overrides:
-        raise click.UsageError("--seed and --set are for a scenario FILE: what is in a DIR has happened")
+        raise click.UsageError("--seed and --set apply to a scenario FILE only: the run in a DIR is already recorded")
     return _recorded(source)
 
 
 def _recorded(folder: Path) -> "Result":
-    """Return the run in a folder, or end the program if there is none."""
+    """Return the run in a folder; end the program if it cannot be read."""
     from desim.results.run_folder import read
     from desim.scenario.overrides import ScenarioError
 
@@ -41,7 +41,7 @@ def _recorded(folder: Path) -> "Result":
 
 
 def _simulated(file: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return a run of a scenario file of which everything is recorded that can be looked at."""
+    """Run a scenario file with messages and trajectories recorded, and return the result."""
     from desim.simulation.run import run
 
     scenario = source_of(file, overrides)[1]

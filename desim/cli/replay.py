@@ -11,13 +11,16 @@ from desim.cli.recorded import SOURCE, result_of
 @click.command()
 @SOURCE
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="The page; default: replay.html in DIR, or FILE as .html here."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The page; default: replay.html in DIR, or here with the name of FILE and suffix .html.",
 )
 @SEED
 @ALLOW_IMPORT
 @SET
 def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
-    """Make a page that plays a run: of a DIR that `desim run -o DIR` wrote, or of a scenario FILE, which is run."""
+    """Make a page that plays a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first."""
     from desim.analysis.trace_index import messages, started
     from desim.kernel.clock import seconds
     from desim.view.replay import missing_recordings

@@ -13,7 +13,7 @@ from desim.config.file_names import STORE
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="The page; default: report.html in DIR.")
 def report(folder: Path, out: Path | None) -> None:
-    """Make a page about a sweep: of a DIR that `desim sweep -o DIR` or `desim explain -o DIR` wrote."""
+    """Make a page about a sweep: a DIR written by `desim sweep -o DIR` or `desim explain -o DIR`."""
     from desim.view.report import Study
     from desim.view.report import report as page_of
 
@@ -29,9 +29,9 @@ def report(folder: Path, out: Path | None) -> None:
 
 
 def _check_merged(folder: Path) -> None:
-    """End the program if a folder has parts of a sweep, and not yet the whole."""
+    """End the program if a folder has shards of a sweep but no merged store."""
     parts = sorted(each.name for each in folder.glob("sweep.*-of-*.sqlite"))
     if parts and not (folder / STORE).exists():
         told = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))
-        fail(f"{folder}: holds parts of a sweep ({told}); put them together first: desim merge {where} -o {where}")
+        fail(f"{folder}: holds parts of a sweep ({told}); merge them first: desim merge {where} -o {where}")

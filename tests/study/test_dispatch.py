@@ -129,7 +129,7 @@ def test_the_crash_of_the_seventh_of_twenty_runs_is_a_row_of_the_same_table_ever
     for name, options in {"processes": ("-j", 2), "cluster": ("--cluster", cluster)}.items():
         made = command("sweep", file, "--allow-import", "-o", tmp_path / name, *options)
         assert made.exit_code == FAILED, made.output
-        assert "1 runs failed; the same command tries them again" in made.stderr
+        assert "1 runs failed; the same command retries them" in made.stderr
         assert command("export", tmp_path / name, tmp_path / name / "runs.csv").exit_code == 0
         table = (tmp_path / name / "runs.csv").read_text()
         told.append((made.stdout, table, sweeps.rows(tmp_path / name / "sweep.sqlite")))

@@ -650,7 +650,7 @@ def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file
     document = json.loads((file.parent / "out/late/explain/explain.json").read_text())
     assert document["runs"] + document["failed"] == 6
     assert document["failed"] > 0 < document["runs"]
-    assert f"with {document['failed']} seeds a run failed; the same command tries them again" in result.stderr
+    assert f"a run failed with {document['failed']} seeds; the same command retries them" in result.stderr
     if as_json:
         assert json.loads(result.stdout) == document
     else:
@@ -664,7 +664,7 @@ def test_an_interrupted_command_says_how_to_go_on(file, monkeypatch):
     monkeypatch.setattr(Variants, "carry_out", interrupted)
     result = command(file, "-n", 2)
     assert result.exit_code == 130
-    assert "interrupted: 0 runs are in out/late/explain/sweep.sqlite; the same command goes on" in result.stderr
+    assert "interrupted: 0 runs are in out/late/explain/sweep.sqlite; the same command resumes" in result.stderr
 
 
 @pytest.mark.usefixtures("without_pictures")

@@ -90,7 +90,7 @@ def test_a_sweep_that_is_interrupted_says_so_in_a_line_and_goes_on(tmp_path, job
     told = interrupted(driver, mark, number, send)
     done = sweeps.count(out / "sweep.sqlite")
     assert 5 <= done < 60
-    assert told == f"interrupted{how}: {done} runs are in {out / 'sweep.sqlite'}; the same command goes on\n"
+    assert told == f"interrupted{how}: {done} runs are in {out / 'sweep.sqlite'}; the same command resumes\n"
     assert finish(file, out, "-j", 2) == finish(file, tmp_path / "whole", "-j", 2)
     assert exported(out) == exported(tmp_path / "whole")
 

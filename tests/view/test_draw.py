@@ -99,11 +99,11 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
     [
         (("spacetime", "ran", "--from", "2"), "the run lasted 0.5 s"),
         (("spacetime", "ran", "--pursuers", "0,7"), "no pursuer 7"),
-        (("spacetime", "ran", "--pursuers", "0;1"), "numbers with commas between them"),
+        (("spacetime", "ran", "--pursuers", "0;1"), "numbers separated by commas"),
         (("gif", "ran", "--speed", "0.0001"), "choose a higher speed"),
         (("gif", "ran", "--speed", "0"), "--speed"),
         (("gif", "nowhere"), "nowhere: cannot be read"),
-        (("perfetto", "ran", "-s", "4"), "what is in a DIR has happened"),
+        (("perfetto", "ran", "-s", "4"), "the run in a DIR is already recorded"),
         (("perfetto", "ran", "-o", "ran/run.json/no.json"), "cannot be written"),
         (("spacetime", "ran", "-o", "ran/run.json/no.svg"), "cannot be written"),
         (("gif", "ran", "-o", "ran/run.json/no.gif"), "cannot be written"),

@@ -548,7 +548,7 @@ def test_what_has_happened_has_no_other_seed(tmp_path):
     for option in (("-s", 3), ("--set", "horizon=1.0")):
         done = invoke(tmp_path, *option)
         assert done.exit_code == 2
-        assert "has happened" in done.stderr
+        assert "is already recorded" in done.stderr
 
 
 def test_without_jinja_the_command_says_what_to_install(tmp_path, monkeypatch):

@@ -280,9 +280,7 @@ def test_a_folder_with_parts_of_a_sweep_says_how_to_put_them_together(folder):
     (folder / "sweep.sqlite").rename(folder / "sweep.1-of-1.sqlite")
     done = invoke(folder)
     assert done.exit_code == 2
-    assert (
-        f"holds parts of a sweep (sweep.1-of-1.sqlite); put them together first: desim merge {folder} -o" in done.stderr
-    )
+    assert f"holds parts of a sweep (sweep.1-of-1.sqlite); merge them first: desim merge {folder} -o" in done.stderr
     assert CliRunner().invoke(merge, shlex.split(done.stderr.split("desim merge ")[1])).exit_code == 0
     assert invoke(folder).exit_code == 0
 
