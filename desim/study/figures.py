@@ -1,4 +1,4 @@
-"""Pictures of many runs."""
+"""Figures of sweeps and explanations."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -24,28 +24,31 @@ from desim.study.result import SweepResult, text
 
 MARKERS = "osD^v"
 APART = 0.012
-"""How far apart points of the same abscissa are drawn, so that their error bars are seen, as a share of its range."""
+"""The offset between points of equal abscissa, which keeps their error bars apart, as a share of its range."""
 MAX_TICKS = 8
-"""How many values of a key have a tick of their own."""
+"""The largest number of values of a key that have a tick each."""
 MAX_ABREAST = 3
-"""How many panels stand side by side, at most."""
+"""The largest number of panels side by side."""
 PAGE = 9.4
-"""The width of what has many panels, in."""
+"""The maximum width of a figure with many panels, in."""
 LETTER = 0.075
-"""About how wide a letter of 8 points is, in."""
+"""The approximate width of a letter of 8 points, in."""
 CELL = 0.68, 0.45
-"""The least width and the height of a cell of a phase diagram, in."""
+"""The minimum width and the height of a cell of a phase diagram, in."""
 INK = "#111111"
-"""Text on light colours; not black, which pages take for the colour of their text."""
+"""Text on light colours; not black, which pages replace with the colour of their text."""
 WIDE = 20.0
-"""By what factor positive values should range for a logarithmic axis, and half of them lie below a quarter."""
+"""The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
+
+Such an axis also requires that half of the positive values are below a quarter of the largest.
+"""
 
 
 def means(result: SweepResult, metric: str) -> Figure:
     """Draw the mean of a metric by configuration with 95 % intervals.
 
-    Over the first key of the grid that takes several numbers, a line for each combination of the others; if none does,
-    a row for each configuration.
+    The abscissa is the first key of the grid that takes several numbers, with a line for each combination of the other
+    keys. If no key does, each configuration has a row.
     """
     title = _with_unit(metric)
     abscissa = next(iter(swept_numbers(result)), None)
@@ -99,18 +102,18 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
             found = panels.flat[0].get_legend_handles_labels()
             title = _legend_title(result, abscissa)
             figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
-        figure.draw_without_rendering()  # the legend makes panels lower, which changes their ticks, which takes room
+        figure.draw_without_rendering()  # a first layout: the legend shrinks the panels, which changes their ticks
     return figure
 
 
 def phase(result: SweepResult, metric: str) -> Figure:
-    """Draw the mean of a metric over the first two keys that take several numbers, as a map with its values in it.
+    """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with its values.
 
-    Values stand equally far apart. If the grid has other keys, too, there is a panel for each combination of those; all
-    panels have the same colours.
+    The values of a key are equally spaced. Each combination of the other keys has a panel; all panels share one colour
+    scale.
 
     Raises:
-        ValueError: if less than two keys take several numbers.
+        ValueError: if fewer than two keys take several numbers.
     """
     keys = swept_numbers(result)
     if len(keys) < 2:
@@ -146,8 +149,8 @@ def phase(result: SweepResult, metric: str) -> Figure:
 
 
 def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) -> None:
-    """Draw values (rows upwards) as coloured cells, and each as text, "-" where there is none."""
-    # As rectangles: an image would be made of pixels also in an SVG.
+    """Draw values (rows, columns), first row at the bottom, as coloured cells with their text; "-" if not finite."""
+    # Rectangles, because an image has pixels even in an SVG.
     faces = np.asarray(colours.to_rgba(values))  # (rows, columns, 4)
     for (row, column), value in np.ndenumerate(values):
         there = isfinite(value)
@@ -162,14 +165,14 @@ def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) 
 
 
 def _written(value: float) -> str:
-    """Return a mean as a cell has it: three digits, and more only of what is greater."""
+    """Return a mean as the text of a cell: three significant digits, or all integer digits from 1000 on."""
     if not isfinite(value):
         return "-"
     return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
 def swept_numbers(result: SweepResult) -> list[str]:
-    """Return the keys of the grid that take several numbers, of which not all are infinite."""
+    """Return the keys of the grid that take several numbers, at least one of them finite."""
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
@@ -190,13 +193,13 @@ def _is_swept_number(result: SweepResult, key: str) -> bool:
 
 
 def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> None:
-    """Draw a metric over a key, a line for each combination of the others."""
+    """Draw a metric over a key, with a line for each combination of the other keys."""
     values = sorted({group.settings[abscissa] for group in result.groups})
     places, is_plain = _places(values)
     lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
-        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 and 6 of them: 30 looks
+        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 and 6: 30 combinations
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)
@@ -209,7 +212,7 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
 
 
 def _lines(result: SweepResult, metric: str, abscissa: str) -> dict[str, list[tuple[float, Estimate]]]:
-    """Return a metric by value of a key, for each combination of the others, by its name."""
+    """Return the lines by name, one for each combination of the other keys: pairs of abscissa and estimate."""
     others = [key for key in result.keys if key != abscissa]
     lines: dict[str, list[tuple[float, Estimate]]] = {}
     for group, found in zip(result.groups, result.estimates(metric), strict=True):
@@ -226,15 +229,15 @@ def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
 
 
 def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
-    """Return what the names of lines are values of; None if they say it themselves."""
+    """Return the key of which the names of lines are values; None if there are several, which the names include."""
     others = [key for key in result.keys if key != abscissa]
     return _key_with_unit(others[0]) if len(others) == 1 else None
 
 
 def _places(values: Sequence[float]) -> tuple[dict[float, float], bool]:
-    """Return where some of the values of a key are drawn, and whether that is just their value.
+    """Return the position of each value of a key on the axis, and whether the positions equal the values.
 
-    If it is their logarithm, 0 is drawn to the left of the others; infinity is always to the right.
+    On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.
     """
     positive = [value for value in values if 0.0 < value < inf]
     logarithmic = (
@@ -251,7 +254,7 @@ def _places(values: Sequence[float]) -> tuple[dict[float, float], bool]:
 
 
 def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
-    """Draw a metric of each configuration, one below the other."""
+    """Draw a metric with a row for each configuration."""
     names = [_literal(", ".join(map(text, group.settings.values()))) for group in result.groups]
     found = result.estimates(metric)
     x, error = [each.mean for each in found], [each.half_width for each in found]
@@ -262,12 +265,12 @@ def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
 
 
 def _literal(name: str) -> str:
-    """Return a text that matplotlib draws as it is: neither as mathematics, nor, because of a "_", not at all."""
+    """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
     return visible(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
 
 
 def waterfall(found: Explanation) -> Figure:
-    """Draw what each imperfection costs in each metric, with 95 % intervals."""
+    """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals."""
     with styled(figsize=(4.4 * len(found.costs), 4.0)) as figure:
         for axes, (metric, cost) in zip(
             figure.subplots(1, len(found.costs), squeeze=False)[0], found.costs.items(), strict=True
@@ -280,7 +283,7 @@ def waterfall(found: Explanation) -> Figure:
 
 
 def draw_waterfall(axes: Axes, cost: Cost) -> None:
-    """Draw the steps of one metric on given axes."""
+    """Draw the waterfall chart of one metric on given axes."""
     steps = dict(cost.parts) | ({"interaction": cost.interaction} if len(cost.parts) > 1 else {})
     names = [IDEAL, *steps, AS_IT_IS]
     last = len(names) - 1
@@ -302,7 +305,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
 
 
 def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
-    """Draw the interval of a bar that stands on a base, and write its height above."""
+    """Draw the interval of a bar that starts at `base`, and write its height above it."""
     end = base + found.mean
     axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
     top = max(base, end + found.half_width)
@@ -310,12 +313,12 @@ def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
 
 
 UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
-"""In a description: "Mean one-way latency, s."."""
+"""Finds the unit in a description, such as "Mean one-way latency, s."."""
 
 
 @cache
 def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key, whatever the kinds of the models above it; None if it has none, or several."""
+    """Return the unit of a dotted key over all kinds of its parent models; None if it has none or the kinds differ."""
     from desim.scenario.scenario import Scenario
 
     fields: list[FieldInfo] = []

@@ -1,8 +1,8 @@
-"""What tells one object from another: a hash of all that it is made of, however deep, code included.
+"""Content hashes of objects: of all their parts, recursively, code included.
 
-It takes an object apart as pickling does. What can be imported counts with its name and, unless it is desim's or
-Python's own or of a library whose version is recorded, with the text of its module; what is defined in a script, at a
-prompt or within a function counts with its compiled code, and with all that this reads.
+An object is decomposed as in pickling. An importable class or function is hashed by its name and the source of its
+module; by its name only if it belongs to desim, to Python or to a library whose version is recorded. One that is
+defined in a script, at a prompt or within a function is hashed by its compiled code and all values that the code reads.
 """
 
 import copyreg
@@ -23,38 +23,38 @@ from desim.config.choice import home_of
 from desim.results.environment import NUMERICS
 
 ATOMS = {NoneType, bool, int, float, complex, str, bytes}
-"""Types of which `repr` tells all."""
+"""Types whose `repr` determines the value."""
 OURS = {"desim", "protocols", "builtins", "functools"}
-"""The packages whose classes and functions are no strangers."""
+"""The packages whose classes and functions are not user code."""
 KNOWN = {*OURS, *NUMERICS, *sys.stdlib_module_names}
-"""Packages that count with their names only."""
+"""The packages whose classes and functions are hashed by name only."""
 WRAPPERS = {staticmethod: "__func__", classmethod: "__func__", cached_property: "func"}
-"""Where what is put around a method has it."""
+"""Types that wrap a method, and the attribute that holds the method."""
 
 
 class UnstableHashError(ValueError):
-    """There is no telling an object from others of its kind."""
+    """Raised when an object has no stable content hash."""
 
 
 class Fingerprint:
-    """The hashes of objects of one scenario: `fingerprint(value)`.
+    """The content hashes of the objects of one scenario: `fingerprint(value)`.
 
-    What can change and is met twice differs from two that are alike.
+    Two references to one mutable object differ from references to two equal objects.
 
     Raises:
-        UntoldError: if an object holds what cannot be taken apart, such as a lock, a file or a generator.
+        UnstableHashError: if an object holds one that cannot be decomposed, such as a lock, a file or a generator.
     """
 
     def __init__(self) -> None:
-        self._met: dict[int, tuple[int, Any]] = {}  # with the object, so that no other one gets its place
-        self._text = cache(_text)  # read once for many objects of a class, and again when a module may have changed
+        self._met: dict[int, tuple[int, Any]] = {}  # holds the object, so that its id is not reused
+        self._text = cache(_text)  # per instance: a module may have changed before the next one
 
     def __call__(self, value: Any) -> str:
-        """Return the hash of an object; O(n) in what it is made of."""
+        """Return the hash of an object, 16 hexadecimal digits; O(n) in the number and size of its parts."""
         try:
             return self._of(value).hex()[:16]
         except RecursionError as error:
-            raise UnstableHashError(f"{type(value).__qualname__!r} objects lie too deep in each other") from error
+            raise UnstableHashError(f"{type(value).__qualname__!r} objects are nested too deeply") from error
 
     def _of(self, value: Any) -> bytes:
         kind = type(value)
@@ -75,7 +75,7 @@ class Fingerprint:
         return _hash(kind, *map(self._of, values))
 
     def _made_of(self, value: Any) -> bytes:
-        """Return the hash of what is no plain value and is met for the first time."""
+        """Return the hash of a compound object at its first occurrence."""
         kind = type(value)
         if kind in {dict, MappingProxyType}:
             return self._all(kind.__name__, (each for item in value.items() for each in item))
@@ -101,14 +101,14 @@ class Fingerprint:
         return self._object(value)
 
     def _function(self, function: FunctionType) -> bytes:
-        """Return the hash of a function that cannot be imported."""
+        """Return the hash of a function that cannot be imported by name."""
         code = function.__code__
         cells = {
             name: held
             for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)
             for held in _held(cell)
         }
-        space = function.__globals__ if function.__module__ == "__main__" else {}  # else the module's text tells
+        space = function.__globals__ if function.__module__ == "__main__" else {}  # else the module's text is hashed
         reads = {name: space[name] for name in sorted(_reads(code)) if name in space}
         given = function.__defaults__, function.__kwdefaults__, vars(function)
         return self._all(
@@ -119,7 +119,7 @@ class Fingerprint:
         return self._all("code", [code.co_code, code.co_names, code.co_freevars, code.co_consts])
 
     def _class(self, home: type) -> bytes:
-        """Return the hash of a class that cannot be imported; what Python and pydantic make of it does not count."""
+        """Return the hash of a class that cannot be imported by name, without attributes that are generated for it."""
         own = {
             name: each
             for name, each in vars(home).items()
@@ -129,26 +129,26 @@ class Fingerprint:
         return self._all("class", [home.__qualname__, self._text(home.__module__), home.__bases__, own])
 
     def _object(self, value: Any) -> bytes:
-        """Return the hash of an object as it would be pickled."""
+        """Return the hash of an object, decomposed by `__reduce_ex__` as in pickling."""
         kind = type(value)
         reduce = copyreg.dispatch_table.get(kind)
         try:
             made: Any = value.__reduce_ex__(4) if reduce is None else reduce(value)
-        except Exception as error:  # whatever the object's own code raises
-            raise UnstableHashError(f"{kind.__qualname__!r} objects cannot be told apart ({error})") from error
+        except Exception as error:  # code of the object may raise anything
+            raise UnstableHashError(f"{kind.__qualname__!r} objects have no stable hash ({error})") from error
         if isinstance(made, str):
             return self._global(value, made)
         make, args, state, *rest = (*made, None)[:5]
         return self._all("object", [kind, make, args, _lasting(kind, state), *(each and list(each) for each in rest)])
 
     def _global(self, value: Any, name: str) -> bytes:
-        """Return the hash of what pickling looks up by its name."""
+        """Return the hash of an object that pickling refers to by its name."""
         if (wrapped := getattr(value, "__wrapped__", None)) is not None:  # a function with a cache
             return self._all("wrapped", [wrapped])
         module: str = pickle.whichmodule(value, name)  # type: ignore[attr-defined]
         if _found(module, name) is not value:
             raise UnstableHashError(
-                f"{type(value).__qualname__!r} objects cannot be told apart ({name!r} is in no module)"
+                f"{type(value).__qualname__!r} objects have no stable hash ({name!r} is in no module)"
             )
         return _hash("global", module, name, self._text(module))
 
@@ -162,7 +162,7 @@ def _hash(*parts: str | bytes) -> bytes:
 
 
 def _lasting(kind: type, state: Any) -> Any:
-    """Return the state of an object without what it has worked out from the rest."""
+    """Return the state of an object without its cached properties."""
     if not isinstance(state, dict):
         return state
     return {
@@ -173,7 +173,7 @@ def _lasting(kind: type, state: Any) -> Any:
 
 
 def _held(cell: CellType) -> Iterator[Any]:
-    """Yield what a variable of an enclosing function is, if it is anything yet."""
+    """Yield the value of a variable of an enclosing function; nothing if it is not assigned yet."""
     try:
         yield cell.cell_contents
     except ValueError:
@@ -181,13 +181,13 @@ def _held(cell: CellType) -> Iterator[Any]:
 
 
 def _reads(code: CodeType) -> set[str]:
-    """Return the names of the globals that a function reads."""
+    """Return the names of the globals that a function reads, functions inside it included."""
     own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
     return own.union(*(_reads(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
 def _found(module: str, name: str) -> Any:
-    """Return what a name means in a module, None if nothing."""
+    """Return the object with a dotted name in a module; None if there is none."""
     found: Any = sys.modules.get(module)
     for part in name.split("."):
         found = getattr(found, part, None)
@@ -199,7 +199,7 @@ def _is_importable(home: type | FunctionType) -> bool:
 
 
 def _text(module: str) -> str:
-    """Return the text of a module that is not known, "" if it is known, a script, or has none."""
+    """Return the source of a module; "" if its package is in `KNOWN`, it is a script, or it has no source."""
     if module == "__main__" or module.partition(".")[0] in KNOWN:
         return ""
     try:
@@ -209,11 +209,11 @@ def _text(module: str) -> str:
 
 
 def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
-    """Yield what is called in a value, or in what it is made of, once each.
+    """Yield each callable object inside a value once.
 
     Args:
-        value: a model, a list, a tuple, a partial call, or anything that is made of nothing.
-        seen: the `id` of what has been looked into, for many runs are of one scenario.
+        value: a model, a list, a tuple, a partial call, or any other object, which has no parts.
+        seen: the `id` of each object visited already, since many runs share a scenario.
     """
     seen = set() if seen is None else seen
     if id(value) in seen:
@@ -233,7 +233,7 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
 
 
 def user_code(value: Any) -> Iterator[Any]:
-    """Yield the functions, and the classes of models, that are called in a value and do not belong to desim."""
+    """Yield the functions, and the classes of callable objects, inside a value that do not belong to desim."""
     for each in parts(value):
         if is_user_code(each):
             yield home_of(each)

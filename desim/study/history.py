@@ -1,4 +1,4 @@
-"""What was asked for by the commands that made the results in a folder; its run.json keeps what each of them said."""
+"""The commands that made the results in a folder, recorded in its run.json with the runs that each requested."""
 
 import re
 import shlex
@@ -21,16 +21,16 @@ def note(
     until: tuple[str, float] | None,
     shard: tuple[int, int] | None,
 ) -> None:
-    """Write down where the results of a sweep come from, unless an earlier command asked for all of them, too.
+    """Record the provenance of the results of a sweep, unless an earlier command requested all of its runs.
 
-    What earlier commands asked for beyond this one is kept, as `earlier`.
+    Earlier commands that requested other runs are kept, as `earlier`.
 
     Args:
-        folder: of the results.
-        plan: of the sweep.
+        folder: the folder of the results.
+        plan: the plan of the sweep.
         home: the folder of the scenario file.
-        until: the metric and the half width that were asked for.
-        shard: the part and their number, if it is one.
+        until: the metric and the target half width, if requested.
+        shard: the part and the number of parts, if the command runs a shard.
     """
     made = provenance.document(
         "sweep",
@@ -40,7 +40,7 @@ def note(
         folder=home,
         reps=plan.reps,
         until=until,
-        shards=shard and shard[1],  # any of them: they may be done all at once
+        shards=shard and shard[1],  # not the part: all parts may run at once
         cwd=str(Path.cwd()),
     )
     before, now = _asked(folder), _of(made)
@@ -52,8 +52,8 @@ def note(
 
 
 def note_merged(folder: Path, store: "Store", parts: Sequence[Path]) -> None:
-    """Write down of which stores the runs in a merged one are, and what each command asked for that made them."""
-    root = store.said("root seed", int) if "root seed" in store.about else 0  # nothing was run
+    """Record the stores that were merged into one, and the request of each command that made them."""
+    root = store.said("root seed", int) if "root seed" in store.about else 0  # the store is empty
     made = provenance.document(
         "merge", seed=root, runs=len(store), stores=[str(part) for part in parts], cwd=str(Path.cwd())
     )
@@ -63,7 +63,7 @@ def note_merged(folder: Path, store: "Store", parts: Sequence[Path]) -> None:
 
 
 def commands(made: Document) -> list[str]:
-    """Return what was typed to make all that is there, and where, as a shell reads it."""
+    """Return the shell commands that made the results, with a `cd` wherever the working folder changes."""
     lines: list[str] = []
     before = None
     for each in (*made.get("earlier", ()), made):
@@ -86,14 +86,14 @@ def _command(argv: Sequence[str]) -> str:
 
 
 def wanted(made: Document) -> int | None:
-    """Return how many runs there should be, if that was said beforehand."""
+    """Return the number of runs that a document requests; None if it was not fixed in advance."""
     is_until = any(str(each).startswith("--until") for each in made["argv"])
     open_ended = made["what"] != "sweep" or is_until or made.get("earlier")
     return None if open_ended else int(made["runs"])
 
 
 def _asked(folder: Path) -> list[Document]:
-    """Return what each command asked for that made the results in a folder, the last one last; [] if nobody knows."""
+    """Return the request of each command that made the results in a folder, oldest first; [] if not recorded."""
     try:
         made = provenance.read(folder / provenance.FILE)
     except (OSError, ValueError):
@@ -102,14 +102,14 @@ def _asked(folder: Path) -> list[Document]:
 
 
 def _of(made: Document) -> Document:
-    """Return what a command asked for, of the document about its results."""
+    """Return the request of a command, given the provenance document of its results."""
     is_sweep = made["what"] == "sweep" and made["scenario"] is not None
     grid = made["scenario"]["sweep"]["grid"] if is_sweep else None
     return {"argv": made["argv"], "grid": grid} | {key: made.get(key) for key in ("reps", "until", "shards", "cwd")}
 
 
 def _covers(one: Document, other: Document) -> bool:
-    """Return whether a command asked for all that another did, of a sweep that is the same but for its extent."""
+    """Return whether a request includes all runs of another, where the sweeps differ in their extent only."""
     if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
         return False
     more = all(each in one["grid"][key] for key, values in other["grid"].items() for each in values)
@@ -118,7 +118,7 @@ def _covers(one: Document, other: Document) -> bool:
 
 
 def _part(asked: Document, store: Path) -> Document:
-    """Return what was asked for such that it makes one store: if that is of a shard, with its number."""
+    """Return a request with the shard in the file name of a store, if the store is of a shard."""
     if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
         return asked
     part, parts = found.groups()

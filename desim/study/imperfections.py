@@ -1,6 +1,7 @@
-"""The imperfections of a scenario, and what it is without each of them.
+"""The imperfections of a scenario, and functions that remove them one by one.
 
-The graph is none: it says who is linked to whom. Nor is how often a pursuer decides by a clock of its own.
+The graph is not an imperfection: it defines which pursuers are linked. Nor is the rate of decisions of a pursuer with
+its own clock.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,10 +22,10 @@ from desim.scenario.scenario import Scenario
 
 
 def without_latency(scenario: Scenario) -> Scenario:
-    """Return a scenario in which messages take no time: neither on their way, nor at its ends, nor to be transmitted.
+    """Return the scenario with zero propagation delay, processing delay and transmission time of messages.
 
-    Nobody waits for a channel any more, so nothing is dropped from a queue or missed by who transmits. What a
-    dissemination waits on purpose before it passes something on stays.
+    Nodes no longer wait for a channel, so no message is dropped from a queue or missed by a transmitting node. Delays
+    that a dissemination model adds on purpose before forwarding remain.
     """
     return _on(
         scenario,
@@ -37,7 +38,7 @@ def without_latency(scenario: Scenario) -> Scenario:
 
 
 def without_loss(scenario: Scenario) -> Scenario:
-    """Return a scenario in which no message is lost by chance on its way."""
+    """Return the scenario in which no message is lost at random in transit."""
     return _on(
         scenario,
         loss=Bernoulli(),
@@ -47,19 +48,19 @@ def without_loss(scenario: Scenario) -> Scenario:
 
 
 def without_range(scenario: Scenario) -> Scenario:
-    """Return a scenario in which whoever is linked hears each other at any distance."""
+    """Return the scenario in which linked nodes receive each other's messages at any distance."""
     return _on(scenario, range=inf, reception=Disk())
 
 
 def without_faults(scenario: Scenario) -> Scenario:
-    """Return a scenario in which nothing breaks, nobody is cut off or jammed, and all clocks are right."""
+    """Return the scenario without faults: no crash, partition, jamming or clock skew."""
     return scenario.model_copy(update={"fault": ()})
 
 
 def without_turns(scenario: Scenario) -> Scenario:
-    """Return a scenario in which nobody waits with a decision for those of others, if the schedule has turns.
+    """Return the scenario in which no decision waits for those of teammates, if the schedule has turns.
 
-    If the messages of the schedule carry what pursuers do, they announce it instead, at once.
+    If the messages of the schedule carry the actions, pursuers announce their actions at once instead.
     """
     protocol = scenario.protocol
     schedule = getattr(protocol, "schedule", None)
@@ -67,24 +68,24 @@ def without_turns(scenario: Scenario) -> Scenario:
         return scenario
     try:
         free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
-    except ValidationError:  # a rule of a user's that takes no other schedule has turns for good
+    except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
     said = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
     return scenario.model_copy(update={"protocol": free, "announce": said})
 
 
 def without_staleness(scenario: Scenario) -> Scenario:
-    """Return a scenario in which each says at once what it does, senses where the others are, and knows who began.
+    """Return the scenario in which pursuers announce actions at once, sense positions and know the initial actions.
 
-    Announcements are repeated, and who is silent for long is forgotten. A rule that goes by announced positions only
-    senses them, and is in no need of messages any more.
+    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses announced positions only
+    senses them instead and needs no messages.
     """
     ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
 
 
 def without_blindness(scenario: Scenario) -> Scenario:
-    """Return a scenario in which pursuers see the evaders at any distance."""
+    """Return the scenario in which pursuers sense the evaders at any distance."""
     return scenario.model_copy(update={"sensing": Sensing()}) if scenario.sensing.limited else scenario
 
 
@@ -99,11 +100,11 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "limited sight": without_blindness,
     }
 )
-"""What each is removed by."""
+"""The name of each imperfection, and the function that removes it."""
 
 
 def _on(scenario: Scenario, **ideal: Any) -> Scenario:
-    """Return a scenario with another network, if it differs at all."""
+    """Return a scenario with other values of its network; the same object if nothing changes."""
     network = scenario.network
     if all(getattr(network, key) == value for key, value in ideal.items()):
         return scenario
@@ -111,14 +112,14 @@ def _on(scenario: Scenario, **ideal: Any) -> Scenario:
 
 
 def _bare_links(network: Links, key: str) -> tuple[Any, ...]:
-    """Return the links that are not like the rest, without a property of their own."""
+    """Return the links with properties of their own, without one of these properties."""
     bare = [link.model_copy(update={key: None}) for link in network.link]
     return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
 
 
 def _bare_graph(scenario: Scenario, key: str) -> Any:
-    """Return the graph with edges that have no property of their own."""
-    made = scenario.network.graph(scenario.team.count).copy()  # a function may keep it
+    """Return the graph without one property of its edges."""
+    made = scenario.network.graph(scenario.team.count).copy()  # a function may reuse its graph
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]

@@ -1,4 +1,4 @@
-"""The signals that ask a program to end: that of Ctrl-C, SIGTERM of `kill` and batch systems, SIGHUP of a terminal."""
+"""The signals that ask a program to end: SIGINT (Ctrl-C), SIGTERM (`kill`, batch systems) and SIGHUP (terminal)."""
 
 import signal
 import sys
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Those that this platform has: Windows has no SIGHUP."""
+"""The signals that this platform has; Windows has no SIGHUP."""
 
 
 class Terminated(KeyboardInterrupt):
-    """Another signal than that of Ctrl-C asks the program to end: what cleans up after a Ctrl-C does so here, too.
+    """Raised on SIGTERM and SIGHUP; a KeyboardInterrupt, so that code that cleans up after Ctrl-C runs.
 
     Args:
-        number: of the signal.
+        number: the number of the signal.
     """
 
     def __init__(self, number: int):
@@ -27,13 +27,13 @@ class Terminated(KeyboardInterrupt):
 
 
 def exit_code(error: KeyboardInterrupt) -> int:
-    """Return the exit code of a program that an interrupt ends, as shells have it: 128 + the number of the signal."""
+    """Return the exit code of an interrupted program, as in shells: 128 + the number of the signal."""
     return 128 + (error.number if isinstance(error, Terminated) else signal.SIGINT)
 
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise Terminated in the main thread, unless they are handled or ignored (by nohup)."""
+    """Make SIGTERM and SIGHUP raise Terminated in the main thread, unless they are handled or ignored (by nohup)."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -48,7 +48,7 @@ def raising() -> Iterator[None]:
 
 
 def _terminate(number: int, _: FrameType | None) -> None:
-    """Raise Terminated, unless one is being handled: `timeout` and terminals send a signal twice."""
+    """Raise Terminated, unless one is being handled already: `timeout` and terminals send a signal twice."""
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, Terminated):
