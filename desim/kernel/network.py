@@ -202,7 +202,7 @@ class Network:
 
     @cached_property
     def typical_latency(self) -> float:
-        """The mean one-way latency over the links of the first senders, with processing, without airtime and queue, s."""
+        """Mean one-way latency over the links of the first senders, with processing, without airtime and queues, s."""
         return self._sampler.typical_latency()
 
     # Faults and counts.

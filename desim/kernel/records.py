@@ -1,6 +1,6 @@
-"""What each node has heard of every other: the newest record of each source that has arrived by now.
+"""The received records of each node: the newest record of each source that has arrived.
 
-Reading needs no event: a record is noted with its time of arrival, and counts from then on.
+Records need no SimPy event: a record is stored with its arrival time and is visible to reads from then on.
 """
 
 from bisect import insort
@@ -12,36 +12,39 @@ from desim.kernel.clock import Clock
 
 
 class Record(NamedTuple):
-    """State that its source announced; `seq` orders the records of one source."""
+    """The state of its source at one time; `seq` orders the records of a source."""
 
     src: int
     seq: int
-    """From 1 on; 0: presumed."""
+    """Sequence number, from 1 on; 0 is an initial belief."""
     sent: int
-    """When it was announced, by the clock of its source, ns."""
+    """Time stamp of the publication, by the clock of the source, ns."""
     body: Any
 
 
 ReceivedRecord = tuple[int, Record]
-"""A record and the nanosecond at which it arrived."""
+"""The arrival time of a record, ns, and the record."""
 Table = dict[int, ReceivedRecord]
-"""The newest record of each source that has been heard of."""
+"""The newest received record by source."""
 Arrival = int | list[int]
-"""When a transmission reaches its receivers, ns: one number if they get it together."""
+"""Arrival times of a transmission at its receivers, ns; one number if all are equal."""
 
 
 Predicate = Callable[[Any], object]
-"""Of a body, whether it is one that a reader looks for."""
+"""A function that selects bodies of records: its result is true for a match."""
 
 
 class SharedTable:
-    """What all nodes but its source hear at one instant, kept once for all of them.
+    """The records that reach all nodes but their source at one instant, stored once for all nodes.
+
+    A record is waiting until `apply_arrived` is called at or after its arrival time, then in the table until a newer
+    record of its source replaces it.
 
     Attributes:
-        waiting: what has yet to arrive, or to be looked at, by its arrival.
-        table: the newest record of each source, as of the last `settle`.
-        marked: those of them whose body is marked.
-        presumed_only: whether none has been noted but what was known from the start.
+        waiting: the waiting records, ordered by arrival.
+        table: the newest record of each source at the last `apply_arrived`.
+        matching: the records of the table whose body satisfies the predicate.
+        only_initial: whether the table has received only initial beliefs.
     """
 
     def __init__(self, predicate: Predicate | None):
@@ -52,12 +55,12 @@ class SharedTable:
         self.only_initial = True
 
     def set_initial_belief(self, heard: ReceivedRecord) -> None:
-        """Enter a record that is known from the start, unless something is known of its source."""
+        """Insert an initial belief, unless the table has a record of its source."""
         if heard[1].src not in self.table:
             _store(heard, self.table, self.matching, self._predicate)
 
     def schedule(self, heard: ReceivedRecord) -> None:
-        """Let a record arrive."""
+        """Add a record that arrives at its arrival time."""
         self.only_initial = False
         if self.waiting and heard < self.waiting[-1]:
             insort(self.waiting, heard)
@@ -65,7 +68,7 @@ class SharedTable:
             self.waiting.append(heard)
 
     def apply_arrived(self, now: int) -> None:
-        """Enter what has arrived in the table."""
+        """Move the records that have arrived by `now` (ns) to the table."""
         arrived, table = 0, self.table
         for heard in self.waiting:
             arrival, record = heard
@@ -79,39 +82,40 @@ class SharedTable:
 
 
 class Records:
-    """The tables of all nodes.
+    """The tables of received records of all nodes.
 
     Args:
         env: the clock of the simulation.
         size: number of nodes.
-        mark: what `matching` looks for; nothing if None.
+        predicate: selects the bodies that `matching` returns; none if None.
     """
 
     def __init__(self, env: Clock, size: int, predicate: Predicate | None):
         self._env, self._size, self._predicate = env, size, predicate
         self._shared = SharedTable(predicate)
-        # What does not reach all alike is kept per reader, in the order of departure: what has not been looked at, what
-        # had not arrived when it was, and a table. Both lists are flat (arrival, record, arrival, record ...), because
-        # tuples that are made as they are entered lie together in memory.
+        # Records that do not reach all nodes at one instant are kept per reader: unread records, in the order of
+        # transmission (_waiting); records still in flight at the last read (_late); and the newest record per source
+        # (_tables). Both lists are flat (arrival, record, arrival, record ...): the tuples are created only when a
+        # record is inserted into a table, so that those of a table are adjacent in memory.
         self._waiting: list[list[Any]] = [[] for _ in range(size)]
         self._late: dict[int, list[Any]] = {}
         self._tables: list[Table] = [{} for _ in range(size)]
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
-        self._out_of_order: set[int] = set()  # readers that records reach out of order
-        self._forgetful: set[int] = set()  # readers that have forgotten what was presumed
+        self._out_of_order: set[int] = set()  # readers with records inserted out of order
+        self._forgetful: set[int] = set()  # readers that have lost the initial beliefs
 
     def set_initial_belief(self, record: Record) -> None:
-        """Let all nodes know a record from now on, unless they know another of its source."""
+        """Give all nodes a record at the current time, unless there is another record of its source."""
         self._shared.set_initial_belief((self._env.now, record))
 
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
-        """Let a record reach its receivers; O(1) if it reaches everyone at one instant, else O(receivers).
+        """Store a record with its arrival times; O(1) if it reaches all nodes at one instant, else O(receivers).
 
         Args:
-            record: newer than all of its source that were noted before.
-            receivers: whom it reaches.
-            arrival: when.
+            record: a record newer than all records of its source scheduled before.
+            receivers: the nodes it reaches.
+            arrival: the arrival times, ns.
         """
         if len(receivers) == self._size - 1 and isinstance(arrival, int):
             self._shared.schedule((arrival, record))
@@ -119,7 +123,7 @@ class Records:
         waiting = self._waiting
         for node, when in zip(receivers, per_receiver(arrival, len(receivers)), strict=True):
             pending = waiting[node]
-            pending.append(when)  # twice, in less time than `extend` takes
+            pending.append(when)  # two calls of `append` are faster than one of `extend`
             pending.append(record)
         self._scheduled += 1
         if self._scheduled == self._merge_interval:
@@ -127,7 +131,7 @@ class Records:
             self._merge_unread()
 
     def insert(self, node: int, record: Record) -> None:
-        """Let a node know a record from now on, unless it knows it or a newer one of the same source."""
+        """Insert a record into the table of a node now, unless it has the same or a newer record of the source."""
         self._apply_arrived(node)
         self._out_of_order.add(node)
         heard, own = (self._env.now, record), self._tables[node]
@@ -135,7 +139,7 @@ class Records:
             _store(heard, own, self._matching[node], self._predicate)
 
     def latest_records(self, node: int) -> Table:
-        """Return the newest record `node` has heard of each other source, as of now; cost O(news + sources)."""
+        """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
         self._apply_arrived(node)
         own, common = self._tables[node], self._shared
         if not common.table or node in self._forgetful:
@@ -147,7 +151,7 @@ class Records:
         return known
 
     def matching(self, node: int) -> Table:
-        """Return those records that `heard` returns whose body is marked; cost O(news + marked)."""
+        """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
         own, matching, common = self._tables[node], self._matching[node], self._shared
         if not common.table or node in self._forgetful:
@@ -160,20 +164,20 @@ class Records:
         return known
 
     def forget(self, node: int) -> None:
-        """Let a node forget all it has heard, and what was presumed.
+        """Delete all received records and initial beliefs of a node.
 
         Raises:
-            ValueError: if there is something that all nodes heard together, which is kept for all.
+            ValueError: if a record in the table shared by all nodes is not an initial belief.
         """
         if not self._shared.only_initial:
-            raise ValueError("what all nodes have heard together cannot be forgotten by one")
+            raise ValueError("a record that reached all nodes at one instant cannot be deleted for one node")
         self._merge(node)
         self._tables[node].clear()
         self._matching[node].clear()
         self._forgetful.add(node)
 
     def in_flight(self) -> int:
-        """Return how many records have yet to arrive, each receiver counted."""
+        """Return the number of records in flight, counted once per receiver."""
         now = self._env.now
         own = sum(
             arrival > now for pending in chain(self._waiting, self._late.values()) for arrival, _ in _pairs(pending)
@@ -181,19 +185,19 @@ class Records:
         return own + (self._size - 1) * sum(arrival > now for arrival, _ in self._shared.waiting)
 
     def _apply_arrived(self, node: int) -> None:
-        """Enter what has arrived at a node in its table, and what has arrived at all in theirs."""
+        """Move arrived records to the shared table and to the table of a node."""
         if self._shared.waiting:
             self._shared.apply_arrived(self._env.now)
         if self._waiting[node] or node in self._late:
             self._merge(node)
 
     def _still_new(self, own: Table) -> Table:
-        """Return those records of a table that are not older than what all nodes heard together."""
+        """Return the records of a table that are not older than those of the shared table."""
         common = self._shared.table
         return {src: heard for src, heard in own.items() if src not in common or heard[1].seq >= common[src][1].seq}
 
     def _merge(self, node: int) -> None:
-        """Enter what has arrived at a node in its table."""
+        """Move the records that have arrived at a node to its table."""
         now, table, matching, fresh = self._env.now, self._tables[node], self._matching[node], self._waiting[node]
         predicate = self._predicate
         late = self._late.pop(node, [])
@@ -205,7 +209,7 @@ class Records:
             if arrival > now:
                 late.append(arrival)
                 late.append(record)
-            else:  # nothing newer of its source is there
+            else:  # the table has no newer record of the source
                 table[record[0]] = heard = (arrival, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
@@ -217,7 +221,7 @@ class Records:
             self._late[node] = late
 
     def _compare(self, node: int, pending: Iterable[ReceivedRecord]) -> list[Any]:
-        """Enter what has arrived at a node, unless something newer of its source is there; return the rest, flat."""
+        """Move arrived records to the table of a node unless it has newer ones; return the rest as a flat list."""
         late: list[Any] = []
         now, table, matching, predicate = self._env.now, self._tables[node], self._matching[node], self._predicate
         for arrival, record in pending:
@@ -232,14 +236,14 @@ class Records:
         return late
 
     def _merge_unread(self) -> None:
-        """Bound the memory that nodes cost which do not read."""
+        """Merge long lists of unread records, to bound the memory of nodes that do not read."""
         for node, waiting in enumerate(self._waiting):
             if len(waiting) > 2048:
                 self._merge(node)
 
 
 def _store(heard: ReceivedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
-    """Enter a record in a table, and in that of the marked if its body is."""
+    """Store a record in a table, and in the table of matching records if its body satisfies the predicate."""
     src = heard[1].src
     table[src] = heard
     if predicate is not None:
@@ -250,17 +254,17 @@ def _store(heard: ReceivedRecord, table: Table, matching: Table, predicate: Pred
 
 
 def _is_newer(heard: ReceivedRecord, table: Table) -> bool:
-    """Return whether a record is newer than what a table has of its source."""
+    """Return whether a record is newer than the record of its source in a table."""
     known = table.get(heard[1].src)
     return known is None or known[1].seq < heard[1].seq
 
 
 def per_receiver(arrival: Arrival, receivers: int) -> Iterable[int]:
-    """Return the arrival at each of so many receivers."""
+    """Return the arrival time (ns) at each of `receivers` receivers."""
     return repeat(arrival, receivers) if isinstance(arrival, int) else arrival
 
 
 def _pairs(flat: list[Any]) -> Iterator[ReceivedRecord]:
-    """Return a flat list two by two."""
+    """Return the pairs (arrival, record) of a flat list."""
     items = iter(flat)
     return zip(items, items, strict=True)

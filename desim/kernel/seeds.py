@@ -1,7 +1,7 @@
-"""Named random streams: one seed, many independent generators, none of them global.
+"""Named random streams: many independent generators from one seed, none of them global.
 
-A stream depends on the seed and its name alone. It does not depend on how many other streams exist or on any
-swept value, so two scenarios with the same seed share their luck (common random numbers).
+A stream depends only on the seed and its name, not on the number of other streams or on any swept value, so two
+scenarios with the same seed use common random numbers.
 """
 
 import zlib
@@ -11,36 +11,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOM = 2**22
-"""How many numbers that belong to pairs of nodes are kept at most instead of being worked out again."""
+"""Maximum number of cached values of pairs of nodes; further values are computed at each use."""
 
 
 def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
-    """Return the generator of a name, for instance `stream(7, "pursuer", 3)`; equal arguments, equal draws."""
+    """Return a new generator, for instance `stream(7, "pursuer", 3)`; equal arguments give equal draws."""
     return np.random.default_rng(_sequence(seed, name, index))
 
 
 def pair_uniform(
     seed: int, name: str, src: int, dst: NDArray[np.intp], number: int = 0, *, symmetric: bool = True
 ) -> NDArray[np.float64]:
-    """Return a uniform number in (0, 1) for each pair (src, dst[k]) that is the same whenever it is asked for.
+    """Return (k,) uniform draws in (0, 1), one per pair (src, dst[k]), the same in every call with equal arguments.
 
-    A hash instead of a table, so that ten thousand nodes do not need 10^8 numbers: splitmix64 (Steele, Lea & Flood
-    2014, "Fast Splittable Pseudorandom Number Generators") of the key of the name and the pair.
+    The draws are hashes, because a table for ten thousand nodes would have 10^8 entries: splitmix64 (Steele, Lea &
+    Flood 2014, "Fast Splittable Pseudorandom Number Generators") of the key of the name and the pair.
 
     Args:
-        seed: of the run.
-        name: of what the luck is about.
+        seed: the seed of the run.
+        name: the name of the random quantity.
         src: one node.
         dst: (k,) other nodes.
-        number: of what happens to the pair: each has a luck of its own.
-        symmetric: whether (i, j) and (j, i) share their luck.
+        number: the index of the draw of a pair, for instance the number of a message.
+        symmetric: whether (i, j) and (j, i) have the same draw.
     """
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
     turn = np.uint64(0x9E3779B97F4A7C15 * (number + 1) % 2**64)
     mixed = _mix(_mix(pair + _key(seed, name)) + turn)
-    # With 53 bits the greatest number would be rounded to 1, where most quantiles are infinite.
+    # With 53 bits the largest draw would be rounded to 1, where most quantiles are infinite.
     return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 
 

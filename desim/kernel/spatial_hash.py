@@ -1,7 +1,7 @@
-"""Who may be near whom: nodes hashed by the square cells of the plane that they are in.
+"""Neighbour search by a cell list: nodes are hashed by the square cell of the plane that contains them.
 
-A cell is a little larger than the radius that is asked about. While nobody can have moved by more than half of that
-skin, whoever is within the radius of a node is in the cell in which it was hashed, or in one of the eight around it.
+The side of a cell is the radius of the search plus a Verlet skin. Until a node can have moved by more than half the
+skin, all nodes within the radius of a node are in its cell or in one of the eight cells around it.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,21 +13,21 @@ from desim.config.model import MAX_COORDINATE
 from desim.kernel.positions import Floats, Nodes, Positions
 
 VERLET_SKIN = 0.25
-"""How much nearer two nodes may come to each other before all are looked at again, in radii."""
+"""Distance by which two nodes may approach each other before all nodes are hashed again, in radii."""
 FINEST = MAX_COORDINATE / 2**40
-"""No cell is smaller, m: any coordinate is rounded by less than a thousandth of a cell, which `ROUNDING` allows for."""
+"""Minimum side of a cell, m; coordinates are rounded by less than a thousandth of it, which `ROUNDING` covers."""
 ROUNDING = 1.001
 
 CellIndex = tuple[int, ...]
 
 
 class CellList:
-    """The nodes in each cell; only who has changed its cell is hashed again.
+    """The nodes in each cell, updated only for nodes that have changed their cell.
 
     Args:
-        positions: of the nodes, up to `MAX_COORDINATE` from the origin.
-        radius: within which nodes are near each other, m.
-        now: the time, s; where it is not known, nor how fast the nodes are, all positions are compared.
+        positions: the positions of the nodes, with coordinates up to `MAX_COORDINATE`.
+        radius: the radius of the search, m.
+        now: returns the time, s; without it, or a known greatest speed, all positions are compared at each query.
     """
 
     def __init__(self, positions: Positions, radius: float, now: Callable[[], float] | None = None):
@@ -37,14 +37,17 @@ class CellList:
         self._slack = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
-        """Who is in a cell or around it, where somebody has asked and nobody has come or gone since."""
+        """The cached nodes in a cell and the eight around it, until a node enters or leaves one of them."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
         self._cells = self._cells_of(self._at)
         self._enter(range(len(self._at)), self._cells)
 
     def around(self, node: int) -> Nodes:
-        """Return all that are within the radius of a node now, itself and some more, ascending; not to be changed."""
+        """Return the nodes that may be within the radius of a node now, itself included, ascending; read-only.
+
+        The result contains all nodes within the radius, and further ones.
+        """
         if 2.0 * self._drifted() > self._slack:
             self._hash()
         cell = tuple(self._cells[node].tolist())
@@ -56,7 +59,7 @@ class CellList:
         return block
 
     def _drifted(self) -> float:
-        """Return how far anybody may have moved along an axis since the nodes were hashed, m."""
+        """Return an upper bound of the movement of any node along an axis since the nodes were hashed, m."""
         if self._fastest < inf:
             return self._fastest * (self._now() - self._when)
         at = self._positions()
@@ -66,7 +69,7 @@ class CellList:
         return self._drift
 
     def _hash(self) -> None:
-        """Let everybody be in the cell of where it is now."""
+        """Hash all nodes by their current positions."""
         self._when, self._at, self._drift = self._now(), self._positions().copy(), 0.0
         cells = self._cells_of(self._at)
         moved = (cells != self._cells).any(axis=1).nonzero()[0]
@@ -75,7 +78,7 @@ class CellList:
         self._cells = cells
 
     def _cells_of(self, at: Floats) -> Nodes:
-        """Return the (n, 2) numbers of the cells that positions are in."""
+        """Return the (n, 2) cell indices of (n, 2) positions."""
         return np.floor(at / self._side).astype(np.int64)
 
     def _enter(self, nodes: Iterable[int], cells: Nodes) -> None:
@@ -91,7 +94,7 @@ class CellList:
             self._forget(cell)
 
     def _forget(self, cell: CellIndex) -> None:
-        """Let what was found around a cell be found anew."""
+        """Delete the cached results that contain a cell."""
         for near in _around(cell):
             self._blocks.pop(near, None)
 

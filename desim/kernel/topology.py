@@ -1,4 +1,4 @@
-"""Who can hear whom: a static graph, cut down to the pairs that are within reach of each other now."""
+"""The current topology: a static graph, restricted to the pairs of nodes that are within range of each other."""
 
 from bisect import bisect_left
 from collections.abc import Callable
@@ -17,24 +17,24 @@ from desim.kernel.spatial_hash import CellList
 
 Bools = NDArray[np.bool_]
 SMALL_NETWORK = 400
-"""Up to so many nodes it is faster to take the distances to all than to find those that may be near."""
+"""Number of nodes up to which computing all distances is faster than a cell list."""
 
 
 class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
-    A static graph that is not limited by range is read once; with a range, distances are taken at every question,
-    so the neighbourhoods follow the positions. If many nodes are all linked to each other and their reach is bounded,
-    only those are asked about that may be near: the cost does not grow with the number of nodes.
+    Without a range the static graph is read once. With a range, distances are computed at every query, so the
+    neighbourhoods follow the positions. In a large complete graph with bounded reception a query uses a cell list, so
+    that its cost does not grow with the number of nodes.
 
     Args:
-        graph: who is linked to whom.
-        range: of every node, m.
-        positions: where the nodes are now; needed if the range is finite.
-        reach: the probability of reception at a distance.
-        per_link: whether its chance is drawn once per pair of nodes; if not, for every message.
-        seed: of that chance.
-        now: the time, s; if it is known, many nodes of limited speed are not looked at before they can have moved far.
+        graph: the communication graph.
+        range: the communication range of every node, m.
+        positions: the current positions of the nodes; required if the range is finite.
+        reach: the probability of reception as a function of distance; a disk if None.
+        per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
+        seed: the seed of these draws.
+        now: returns the time, s; if given, a cell list of nodes with bounded speed is updated less often.
 
     Raises:
         ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or a finite range comes without positions.
@@ -64,9 +64,7 @@ class Topology:
         self._range, self._reach = range, reach or Disk()
         self._certain = isinstance(self._reach, Disk)
         self._per_link, self._seed = per_link, seed
-        self._uniform: dict[
-            int, Floats
-        ] = {}  # by sender, that of its pairs with all; not of more than there is room for
+        self._uniform: dict[int, Floats] = {}  # by sender, the draws of its pairs with all nodes; up to `ROOM` numbers
         self._positions = as_position_source(positions) if positions is not None and range < inf else None
         self._cells: CellList | None = None
         self._circles: list[Nodes] = []
@@ -76,11 +74,11 @@ class Topology:
             self._cells = CellList(self._positions, bound(self._reach, range), now)
 
     def linked(self, node: int) -> list[int]:
-        """Return the nodes that the graph links `node` to, ascending, near or far; not to be changed."""
+        """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
         return self._lists[node]
 
     def are_linked(self, src: int, dst: int) -> bool:
-        """Return whether the graph links two nodes, near or far."""
+        """Return whether the graph links `src` to `dst`, regardless of range."""
         if self._complete:
             return src != dst
         linked = self._lists[src]
@@ -88,7 +86,7 @@ class Topology:
         return place < len(linked) and linked[place] == dst
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
-        """Return the nodes that a message of `node` reaches now, ascending; each message has a number, for its luck."""
+        """Return the nodes that a message of `node` reaches now, ascending; `message` is the index of its draws."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
@@ -97,7 +95,7 @@ class Topology:
         return near
 
     def reaches(self, src: int, dst: int, message: int = 0) -> bool:
-        """Return whether a message of one node reaches another now."""
+        """Return whether a message from `src` reaches `dst` now, regardless of the graph."""
         if self._positions is None:
             return True
         pair = np.array([src, dst])
@@ -105,7 +103,7 @@ class Topology:
         return bool(self._received(src, pair[1:], apart[1:], message)[0])
 
     def neighbours(self, node: int) -> Nodes:
-        """Return the nodes that hear `node` now, ascending; with fading per message, those with even chance or more."""
+        """Return the nodes that receive from `node` now, ascending; with fading per message, those with p >= 1/2."""
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
@@ -113,26 +111,26 @@ class Topology:
         return self._near(node, self._circle(node))
 
     def audible(self, node: int) -> list[int]:
-        """Return the nodes that `node` hears now, ascending; see `neighbours`."""
+        """Return the nodes that `node` receives from now, ascending; see `neighbours`."""
         heard: list[int]
         if not self._directed:
             heard = self.neighbours(node).tolist()
         elif self._positions is None:
             heard = self._speakers[node]
-        else:  # reach is the same both ways
+        else:  # reception is the same in both directions
             heard = self._near(node, _circle(node, self._speakers[node])).tolist()
         return heard
 
     @property
     def mean_degree(self) -> float:
-        """How many nodes hear a node now, averaged over all."""
+        """The current mean number of neighbours of a node."""
         nodes = range(self.size)
         if self._positions is not None:
             return sum(len(self.neighbours(node)) for node in nodes) / self.size
         return self.size - 1.0 if self._complete else sum(len(self._lists[node]) for node in nodes) / self.size
 
     def graph(self) -> "nx.DiGraph[int]":
-        """Return who hears whom now, as a networkx graph with an arc from speaker to hearer."""
+        """Return the current topology as a networkx graph with an arc from each sender to each receiver."""
         if self._complete and self._positions is None:
             return complete_digraph(self.size)
         now: nx.DiGraph[int] = nx.DiGraph()
@@ -142,7 +140,7 @@ class Topology:
 
     @cached_property
     def _speakers(self) -> list[list[int]]:
-        """Who is linked to each node, ascending."""
+        """The nodes that the graph links to each node, ascending."""
         speakers: list[list[int]] = [[] for _ in range(self.size)]
         for node in range(self.size):
             for other in self._lists[node]:
@@ -150,23 +148,23 @@ class Topology:
         return speakers
 
     def _circle(self, node: int) -> Nodes:
-        """Return all that may hear `node` now, and itself, ascending."""
+        """Return the nodes that may receive from `node` now, and itself, ascending."""
         if self._cells is not None:
             return self._cells.around(node)
         return self._all if self._complete else self._circles[node]
 
     def _near(self, node: int, circle: Nodes, message: int | None = None) -> Nodes:
-        """Return those of a circle around a node that are within reach of it."""
+        """Return those nodes of `circle`, the candidates and the node itself, that receive from a node."""
         assert self._positions is not None
         own = int(circle.searchsorted(node))
         apart = distances(self._positions.of(circle), own)
-        apart[own] = self._range  # nobody is asked about itself
+        apart[own] = self._range  # the distance to itself, 0, is not used
         received = self._received(node, circle, apart, message)
         received[own] = False
         return circle[received]
 
     def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
-        """Return which of the nodes `dst` are within reach of a message, or with even chance or more of any."""
+        """Return (k,) booleans: which nodes `dst` receive a message; if None, any message with probability >= 1/2."""
         if self._certain:
             return apart <= self._range
         probability = self._reach(apart, self._range)
@@ -174,7 +172,7 @@ class Topology:
         return received
 
     def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
-        """Return the (k,) luck that pairs of nodes have, in (0, 1)."""
+        """Return the (k,) uniform draws in (0, 1) of the pairs of nodes; 0.5 with fading per message and no message."""
         if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
@@ -186,7 +184,7 @@ class Topology:
 
 
 class _AllOthers(dict[int, list[int]]):
-    """The lists of all nodes but one, by that one; they are kept while there is room."""
+    """The list of all other nodes by node, computed on access and cached up to `ROOM` numbers."""
 
     def __init__(self, size: int):
         super().__init__()
@@ -212,5 +210,5 @@ def _check(graph: "nx.Graph[int]") -> None:
 
 
 def _circle(node: int, linked: list[int]) -> Nodes:
-    """Return a node and those that it is linked to, ascending."""
+    """Return a node and its linked nodes, ascending."""
     return np.array(sorted([*linked, node]), dtype=np.intp)

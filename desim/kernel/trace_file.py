@@ -1,4 +1,4 @@
-"""A trace as a file: a line of JSON for each event, with times in seconds where memory has integer nanoseconds."""
+"""Trace files: one line of JSON per event, with times in seconds instead of integer nanoseconds."""
 
 import json
 from collections import namedtuple
@@ -16,19 +16,19 @@ from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import LOST, Arrival, Body, Event, Nanoseconds
 
 Limits = Mapping[str, Any]
-"""What holds of the values with a mark (see `desim.kernel.events`), as pydantic annotates a type."""
+"""Additional pydantic constraints of values by their mark, see `desim.kernel.events`."""
 
 
 class TraceFile:
-    """A watcher that writes every event to a file as it happens, and keeps none: the lines of a trace with messages.
+    """A watcher that writes every event, messages included, to a file when it happens, and stores none in memory.
 
         with TraceFile("trace.jsonl") as file:
             run(scenario, seed, file)
 
-    Until it is complete the file is called NAME.part; one that was never completed stays, and what had that name does.
+    The file is written as NAME.part and replaces NAME at the end; after an error both files stay.
 
     Args:
-        path: of the file.
+        path: the path of the file.
     """
 
     def __init__(self, path: str | Path):
@@ -50,9 +50,9 @@ class TraceFile:
 
 
 def line_of(event: Event) -> str:
-    """Return an event as one line of JSON: its type, then its fields with times in seconds (null: never).
+    """Return an event as one line of JSON: its type, then its fields, with times in seconds (null: `LOST`).
 
-    A field that has its default is left out.
+    A field with its default value is omitted.
     """
     text, fields = _form(type(event))
     for value, (key, write, default) in zip(event, fields, strict=True):
@@ -64,19 +64,19 @@ def line_of(event: Event) -> str:
 def events_of(
     lines: Iterable[str], kinds: Iterable[type[Any]], limits: Limits = MappingProxyType({}), first: int = 1
 ) -> Iterator[Event]:
-    """Yield the events of which these are the `lines`, one by one, so that a long trace need not fit in memory.
+    """Yield the events of the lines of a trace file one by one, so that a long trace need not fit in memory.
 
-    Each value is checked by the annotation of its field. Lists come back as tuples, and a body with fields as a named
-    tuple of them: equal to that which was sent, but of another type.
+    Each value is validated by the annotation of its field. A list becomes a tuple, and a body with fields a named
+    tuple: equal to the sent body, but of another type.
 
     Args:
-        lines: of JSON.
-        kinds: of events that there may be.
-        limits: what else holds of the values with a mark, such as the number of nodes.
+        lines: the lines of the file.
+        kinds: the allowed types of events.
+        limits: additional constraints by mark, such as the largest number of a node.
         first: the number of the first line.
 
     Raises:
-        ValueError: with the number of the line that is no event.
+        ValueError: if a line is not an event; the message has its number.
     """
     types = {kind.__name__: kind for kind in kinds}
     readers: dict[str, Callable[[Any], Event]] = {}
@@ -85,33 +85,33 @@ def events_of(
             fields = json.loads(line)
             name = fields.pop("event", None) if isinstance(fields, dict) else None
             if not (isinstance(name, str) and name in types):
-                raise ValueError(f"should be a table of which event is one of {', '.join(types)}")
+                raise ValueError(f"should be a table whose key event is one of {', '.join(types)}")
             if name not in readers:
                 readers[name] = _reader(types[name], limits)
             event = readers[name](fields)
         except (ValueError, RecursionError) as error:
-            raise ValueError(f"line {number} is no event: {_told(error)}") from error
+            raise ValueError(f"line {number} is not an event: {_told(error)}") from error
         yield event
 
 
 _REQUIRED = object()
-"""In place of the default of a field that has none."""
+"""Marks a field without a default."""
 _json = json.JSONEncoder(default=repr).encode
 _number = float.__repr__
 Written = tuple[str, Callable[[Any], str], Any]
-"""What stands before the value of a field, how it is written, and its default."""
+"""The text before the value of a field, the function that writes the value, and the default."""
 
 
 @cache
 def _form(kind: Any) -> tuple[str, tuple[Written, ...]]:
-    """Return how events of a type are written: how a line begins, and its fields."""
+    """Return the layout of the lines of an event type: the start of a line, and its fields."""
     defaults, hints = kind._field_defaults, get_type_hints(kind, include_extras=True)
     fields = ((f", {_json(name)}: ", _writer(hints[name]), defaults.get(name, _REQUIRED)) for name in kind._fields)
     return f'{{"event": {_json(kind.__name__)}', tuple(fields)
 
 
 def _writer(hint: Any) -> Callable[[Any], str]:
-    """Return what writes a field of an event, given its type."""
+    """Return the function that writes a field of a type."""
     is_time = any(each in {Nanoseconds, Arrival} for each in (hint, *get_args(hint)))
     return _time if is_time else _body if hint is Body else _plain
 
@@ -120,12 +120,12 @@ def _time(time: Any) -> str:
     if isinstance(time, tuple):
         if LOST in time:
             return f"[{', '.join(map(_time, time))}]"
-        return str([each / SECOND for each in time])  # as JSON, and twice as fast
+        return str([each / SECOND for each in time])  # the same text as JSON, twice as fast
     return "null" if time == LOST else _number(time / SECOND)
 
 
 def _plain(value: Any) -> str:
-    """Return a value as JSON; one that JSON does not know as its `repr`."""
+    """Return a value as JSON; a value of a type that JSON lacks as its `repr`."""
     if type(value) is int:
         return repr(value)
     return _json(value.plain() if hasattr(value, "plain") else value)
@@ -137,7 +137,7 @@ def _body(value: Any) -> str:
 
 
 def _said(value: Any) -> str:
-    """Return a value as JSON, with the named tuples in it as tables."""
+    """Return a value as JSON, with named tuples as objects."""
     if isinstance(value, tuple | list):
         names = getattr(value, "_fields", None)
         if names is None:
@@ -149,7 +149,7 @@ def _said(value: Any) -> str:
 
 
 def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
-    """Return what makes an event of a type from its fields as JSON has them."""
+    """Return a function that validates the fields of a JSON object and creates an event of a type."""
     fields = [(name, _as_read(hint, limits)) for name, hint in get_type_hints(kind, include_extras=True).items()]
     make: Any = NamedTuple
     validate = TypeAdapter(make(kind.__name__, fields)).validator.validate_python
@@ -158,7 +158,7 @@ def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
 
 
 def _as_read(hint: Any, limits: Limits) -> Any:
-    """Return the type of a value in JSON, for the type that it has in an event."""
+    """Return the pydantic type that reads the JSON value of a field, given the type of the field."""
     if hint in _NUMBERS:
         return _NUMBERS[hint]
     if get_origin(hint) is Annotated:
@@ -174,7 +174,7 @@ def _as_read(hint: Any, limits: Limits) -> Any:
 
 
 def _told(error: Exception) -> str:
-    """Return what is wrong, in a line."""
+    """Return an error message of one line."""
     if not isinstance(error, ValidationError):
         return str(error)
     fault = error.errors(include_url=False, include_input=False)[0]
@@ -182,7 +182,7 @@ def _told(error: Exception) -> str:
 
 
 def _named(value: Any) -> Any:
-    """Return a value with named tuples for the tables in it, if their keys can be names, and tuples for lists."""
+    """Return a JSON value with lists as tuples, and with objects whose keys can be names as named tuples."""
     if isinstance(value, list):
         return tuple(map(_named, value))
     if not isinstance(value, dict):
@@ -195,7 +195,7 @@ def _named(value: Any) -> Any:
 
 @cache
 def _body_type(names: tuple[str, ...]) -> Callable[..., Any]:
-    """Return the type of bodies that have these fields."""
+    """Return the named tuple type of bodies with these fields."""
     make: Any = namedtuple
     kind: Callable[..., Any] = make("Body", names)
     return kind
@@ -217,4 +217,4 @@ _MARKED: Mapping[str, Any] = {
     "count": Annotated[int, Field(strict=True, ge=0, le=1 << 48)],
     "body": Annotated[Any, AfterValidator(_named)],
 }
-"""How values with a mark are read."""
+"""The types that read values by their mark."""

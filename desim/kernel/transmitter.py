@@ -1,7 +1,7 @@
-"""The transmitters of a network, in which messages wait for their turn.
+"""The transmitters of a network, with their queues of waiting messages.
 
-A node transmits one message at a time; what comes meanwhile waits, first in, first out. On a shared channel all nodes
-wait in one queue: an ideal medium access that wastes no time.
+A node transmits one message at a time; further messages wait in a FIFO queue. On a shared channel all nodes use one
+queue: ideal medium access without overhead or collisions.
 """
 
 from collections import deque
@@ -13,16 +13,16 @@ from desim.kernel.medium import Medium
 
 
 class Transmission(Protocol):
-    """What is to be put on the air."""
+    """An item that can be transmitted."""
 
     @property
     def src(self) -> int:
-        """Who transmits."""
+        """The node that transmits."""
         ...
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size, bytes."""
         ...
 
 
@@ -30,16 +30,19 @@ Item = TypeVar("Item", bound=Transmission)
 
 
 class Transmitter(Generic[Item]):
-    """The transmitters of all nodes, or the one they share.
+    """The transmitters of all nodes, or the shared channel of all nodes.
+
+    A transmission waits while its channel is busy, then it is on the air for its airtime. A waiting transmission is
+    dropped if the queue of its node is full, or removed by `flush`.
 
     Args:
         env: the clock of the simulation.
-        medium: what the air is like.
+        medium: the model of the medium.
         size: number of nodes.
-        leave: called when a transmission begins, with its airtime in ns.
+        leave: called when a transmission starts, with its airtime in ns.
         wait: called when a transmission has to wait.
-        drop: called when a transmission that waits is dropped.
-        lag: how long a message is processed at both ends before it is judged, ns.
+        drop: called when a waiting transmission is dropped.
+        lag: the processing delay of a message at both ends together, after which `transmitted` is called, ns.
     """
 
     def __init__(
@@ -58,12 +61,12 @@ class Transmitter(Generic[Item]):
         self._waiting: list[deque[Item]] = [deque() for _ in range(self.channels)]
         self._free_at = [0] * self.channels
         self._busy = 0
-        # For half duplex: when each node was on the air lately.
+        # For half duplex: the recent intervals (start, end) in which each node transmitted, ns.
         self._spells: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
         self._lag, self._longest = lag, 0
 
     def enqueue(self, item: Item) -> None:
-        """Transmit something now, or as soon as the transmitter is free."""
+        """Start a transmission now, or when the channel is free."""
         channel = 0 if self._medium.shared else item.src
         waiting = self._waiting[channel]
         if not waiting and self._env.now >= self._free_at[channel]:
@@ -79,24 +82,24 @@ class Transmitter(Generic[Item]):
             self._drop(own[0])
 
     def flush(self, src: int) -> list[Item]:
-        """Take back everything of a node that waits, and return it."""
+        """Remove and return all waiting transmissions of a node."""
         taken = [item for waiting in self._waiting for item in waiting if item.src == src]
         for channel, waiting in enumerate(self._waiting):
             self._waiting[channel] = deque(item for item in waiting if item.src != src)
         return taken
 
     def waiting(self) -> Iterator[Item]:
-        """Yield what waits for its turn."""
+        """Yield the waiting transmissions."""
         return (item for waiting in self._waiting for item in waiting)
 
     def airtime(self) -> int:
-        """Return how long the channels have been busy so far, summed, ns."""
+        """Return the total time that the channels have been busy so far, ns."""
         return self._busy - sum(max(0, free_at - self._env.now) for free_at in self._free_at)
 
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
-        """Return whether a node was on the air itself while something of an airtime (ns) came in until `received`, ns.
+        """Return whether a node transmitted during the reception of a message, from received - airtime to received, ns.
 
-        Both count from when they were handed to a transmitter, before any processing.
+        All times are those of the transmitters, without processing delays.
         """
         return any(begin < received and end > received - airtime for begin, end in self._spells[node])
 
@@ -118,7 +121,7 @@ class Transmitter(Generic[Item]):
     def _next(self, channel: int) -> None:
         waiting = self._waiting[channel]
         if not waiting or self._env.now < self._free_at[channel]:
-            return  # what it was called for is gone
+            return  # the transmission it was scheduled for is gone
         self._begin(channel, waiting.popleft())
         if waiting:
             self._await_turn(channel)

@@ -185,7 +185,7 @@ def test_a_file_has_the_lines_of_a_trace_and_the_events_come_back_one_by_one(tmp
     assert list(watched) == []
     found = events_of(iter([*lines, "broken"]), KINDS)
     assert [next(found) for _ in range(3)] == trace.events
-    with pytest.raises(ValueError, match="line 4 is no event"):
+    with pytest.raises(ValueError, match="line 4 is not an event"):
         next(found)
 
 
@@ -249,9 +249,9 @@ BAD = {
     "{": "Expecting property name",
     "7": "should be a table",
     "[]": "should be a table",
-    "{}": "should be a table of which event is one of Queued, Broadcast",
-    '{"event": [], "t": 0}': "should be a table of which event is one of",
-    '{"event": "Eaten", "t": 0}': "should be a table of which event is one of",
+    "{}": "should be a table whose key event is one of Queued, Broadcast",
+    '{"event": [], "t": 0}': "should be a table whose key event is one of",
+    '{"event": "Eaten", "t": 0}': "should be a table whose key event is one of",
     '{"event": "Queued", "t": 0.0}': "flight: Field required",
     json.dumps(SENT | {"new": 1}): "new: ",
     json.dumps(SENT | {"t": "x"}): "t: Input should be a valid number",
@@ -280,5 +280,5 @@ BAD = {
 @pytest.mark.parametrize(("line", "told"), BAD.items(), ids=BAD)
 def test_a_line_that_is_no_event_is_named_with_what_is_wrong(line, told):
     lost = Lost(0, 0, 0, 1, "loss")
-    with pytest.raises(ValueError, match=f"^line 2 is no event: {told}"):
+    with pytest.raises(ValueError, match=f"^line 2 is not an event: {told}"):
         list(events_of([line_of(lost), line], KINDS, {"node": Field(lt=3)}))

@@ -232,7 +232,7 @@ def test_a_trace_is_not_read_under_another_scenario(result, changes, tmp_path):
 def test_a_trace_without_a_beginning_is_not_read(result, tmp_path):
     write(result, tmp_path)
     (tmp_path / "trace.jsonl").write_text((tmp_path / "trace.jsonl").read_text().splitlines()[-1] + "\n")
-    with pytest.raises(ValueError, match=r"line 1 is no event: .* Started"):
+    with pytest.raises(ValueError, match=r"line 1 is not an event: .* Started"):
         read(tmp_path)
 
 
@@ -316,7 +316,7 @@ MISFITS = {
 @pytest.mark.parametrize("name", MISFITS)
 def test_an_event_that_does_not_fit_the_others_is_named(name, recorded, tmp_path):
     change, told = MISFITS[name]
-    with pytest.raises(ValueError, match=rf"trace\.jsonl: line \d+ (is no event: )?{told}"):
+    with pytest.raises(ValueError, match=rf"trace\.jsonl: line \d+ (is not an event: )?{told}"):
         read(rewritten(recorded, tmp_path / "x", change))
 
 
