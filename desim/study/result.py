@@ -1,4 +1,4 @@
-"""What came of a sweep: its runs by configuration, as a table to read, a frame to compute with, and files."""
+"""The result of a sweep: its runs by configuration, as tables, a data frame and files."""
 
 import csv
 import html
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
-"""The metrics that a table shows if none are named."""
+"""The metrics that a table shows by default."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,16 @@ class Group:
     """The runs of one configuration."""
 
     settings: Mapping[str, Any]
-    """The value of each key of the grid, as tables have it."""
+    """The value of each key of the grid, as in tables."""
     rows: tuple[Row, ...]
     """In the order of replications."""
 
     def values(self, metric: str) -> list[Any]:
-        """Return a metric of each run that did not fail; None where it does not exist."""
+        """Return a metric of each run that did not fail; None for a run without a value."""
         return [getattr(row.summary, metric) for row in self.rows if row.summary is not None]
 
     def in_words(self, but: Sequence[str] = ()) -> str:
-        """Return the settings, but for some keys, as a text of one line."""
+        """Return the settings without the keys `but` as one line of text."""
         return ", ".join(f"{key} = {text(each)}" for key, each in self.settings.items() if key not in but)
 
     @property
@@ -50,18 +50,18 @@ class SweepResult:
 
     name: str
     keys: tuple[str, ...]
-    """Of the grid."""
+    """The keys of the grid."""
     groups: tuple[Group, ...]
-    """In the order of the grid, its last key changing fastest."""
+    """In the order of the grid; its last key changes fastest."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
 
     @classmethod
     def of(cls, store: Store, configurations: Sequence[str] | None = None) -> Self:
-        """Return what a store has of all configurations, or of those of some keys.
+        """Return the runs in a store, of all configurations or of those with given hashes.
 
         Raises:
-            StoreError: if it was never used.
+            StoreError: if the store is empty or damaged.
         """
         if "grid" not in store.about:
             raise StoreError(f"{store.path}: is empty")
@@ -81,22 +81,22 @@ class SweepResult:
         return [row for group in self.groups for row in group.failed]
 
     def estimates(self, metric: str) -> list[Estimate]:
-        """Return the mean of a metric over the runs of each configuration in which it exists."""
+        """Return the mean of a metric for each configuration, over its runs with a value."""
         return [_mean([value for value in group.values(metric) if value is not None]) for group in self.groups]
 
     def differences(self, metric: str, reference: int | None = None) -> list[Estimate]:
-        """Return how much greater a metric is than in another configuration, run by run with equal seeds.
+        """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
 
         Args:
-            metric: its name.
-            reference: the position of the other; None = for each the first that differs from it in one key only: the
-                first key that has several values.
+            metric: the name of the metric.
+            reference: the position of the reference; None = for each configuration, the first one that differs from it
+                at most in the first key that has several values.
 
         Raises:
-            ValueError: if configurations do not share their seeds.
+            ValueError: if the configurations do not share their seeds.
         """
         if not self.common:
-            raise ValueError("runs with independent seeds are no pairs")
+            raise ValueError("runs with independent seeds cannot be paired")
         others = self._references if reference is None else [reference] * len(self.groups)
         return [
             paired(*_aligned_values(group, self.groups[other], metric))
@@ -110,18 +110,18 @@ class SweepResult:
 
     @property
     def _references(self) -> list[int]:
-        """The position of the configuration with which each is compared; see `differences`."""
+        """The position of the reference of each configuration; see `differences`."""
         key, first = self._compared_by, dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
         return [first.setdefault(other, k) for k, other in enumerate(others)]
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
-        """Return means and half widths, and below them the differences along the first key, as text."""
+        """Return the means with half widths, then the differences along the first key with several values, as text."""
         parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
         return "\n\n".join([*parts, *self._failures()])
 
     def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
-        """Return the same as titles and rows of text, of which the first is the head."""
+        """Return each table as its title and rows of text; the first row is the header."""
         metrics = [metrics] if isinstance(metrics, str) else metrics
         return [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
 
@@ -132,7 +132,7 @@ class SweepResult:
         return f"<{type(self).__name__} of {self._head(()).partition(';')[0]}, over {', '.join(self.keys)}>"
 
     def _repr_html_(self) -> str:
-        """Return the same as tables of a notebook."""
+        """Return the tables as HTML, for notebooks."""
         parts = [html_table(title, rows) for title, rows in self.tables()]
         return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in self._failures())])
 
@@ -142,11 +142,11 @@ class SweepResult:
         some_lack = any(0 < values.count(None) < len(values) for values in found)
         return (
             f"{self.name}: {_counted(len(self.groups), 'configuration')}, {_counted(runs, 'run')}; +- is half a 95 % t"
-            f" interval, captured with Wilson's{'; (n): there in n runs only' if some_lack else ''}"
+            f" interval, captured with Wilson's{'; (n): defined in n runs only' if some_lack else ''}"
         )
 
     def _compared(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
-        """Yield the table of differences, if there is something to compare, and its title."""
+        """Yield the title and the rows of the table of differences, if configurations can be compared."""
         key = self._compared_by
         if self.common and key is not None:
             first = f"{key} = {text(self.groups[0].settings[key])}" + ", all else equal" * (len(self.keys) > 1)
@@ -157,7 +157,7 @@ class SweepResult:
             yield f"{_counted(len(self.failed), 'run')} failed; the first: {self.failed[0].error}"
 
     def _means(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
-        """Return rows of text: settings, number of runs, share that captured, and the mean of each metric."""
+        """Return rows of text: settings, number of runs, share with a capture, and the mean of each metric."""
         titles = (f"{words(name)}{f', {METRICS[name].unit}' if METRICS[name].unit else ''}" for name in metrics)
         failed = ("failed",) if self.failed else ()
         rows: list[tuple[str, ...]] = [(*self.keys, "runs", *failed, "captured", *titles)]
@@ -183,7 +183,7 @@ class SweepResult:
 
     @property
     def _measured(self) -> tuple[str, ...]:
-        """The metrics that there are: those of several evaders only if some run had them."""
+        """The names of the metrics; those of several evaders only if some run had several."""
         several = any(each is not None for group in self.groups for each in group.values("captures"))
         return tuple(METRICS) if several else COMMON
 
@@ -192,7 +192,7 @@ class SweepResult:
         return (*self.keys, "replication", "status", *self._measured, "error")
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """Yield each run as a flat record: settings, replication, seed, status, metrics, and what it raised."""
+        """Yield each run as a flat record: settings, replication, seed, status, metrics and error."""
         measured = self._measured
         for group in self.groups:
             for row in group.rows:
@@ -206,7 +206,7 @@ class SweepResult:
                 }
 
     def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
-        """Return means, half widths and paired differences as JSON has them; null where there is none."""
+        """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
         means = {metric: self.estimates(metric) for metric in metrics}
         gaps = {metric: self.differences(metric) for metric in metrics} if self.common else {}
         configurations = []
@@ -228,7 +228,7 @@ class SweepResult:
         return {"name": self.name, "grid": self.keys, "configurations": configurations}
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return a row per run (the extra `frame`); see `records`.
+        """Return a data frame with a row per run (needs the extra `frame`); see `records`.
 
         Raises:
             ImportError: if pandas is not installed.
@@ -242,15 +242,15 @@ class SweepResult:
         return pd.DataFrame({name: pd.Series(*_typed(values)) for name, values in columns.items()})
 
     def write(self, file: str | Path) -> None:
-        """Write a row per run to a file: .csv, or .parquet (the extra `frame`).
+        """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`).
 
-        In CSV, control characters of texts are escaped, and a text that a spreadsheet would take for a formula has a '
-        before it.
+        In CSV, control characters of texts are escaped, and a text that a spreadsheet would read as a formula gets a
+        leading '.
 
         Raises:
-            ValueError: if it is named otherwise.
-            ImportError: if what Parquet needs is not installed.
-            OSError: if it cannot be written.
+            ValueError: if the file has another suffix.
+            ImportError: if a package for Parquet is not installed.
+            OSError: if the file cannot be written.
         """
         file = Path(file)
         if file.suffix == ".parquet":
@@ -265,9 +265,9 @@ class SweepResult:
 
 
 def _cell(value: Any) -> Any:
-    """Return a value as a cell of a spreadsheet that is no formula and does nothing to a terminal; numbers as they are.
+    """Return a value as a cell of a CSV file that is safe in spreadsheets and terminals; numbers are unchanged.
 
-    A text that begins with = + - @ or a tab gets a ' before it: OWASP, "CSV Injection".
+    A text that begins with = + - @, a tab or a line break gets a leading ': OWASP, "CSV Injection".
     """
     if not isinstance(value, str):
         return value
@@ -285,7 +285,7 @@ def _mean(values: Sequence[float]) -> Estimate:
 
 
 def _shared(one: Group, other: Group) -> list[tuple[Row, Row]]:
-    """Return the runs of two configurations that have the same seed and did not fail."""
+    """Return the pairs of runs of two configurations that have the same seed and did not fail."""
     there = {row.replication: row for row in other.rows if row.ok}
     return [(row, there[row.replication]) for row in one.rows if row.ok and row.replication in there]
 
@@ -296,13 +296,13 @@ def _aligned_values(one: Group, other: Group, metric: str) -> tuple[list[Any], l
 
 
 def _share(captured: Sequence[bool]) -> str:
-    """Return the share of runs with a capture and its interval, in %."""
+    """Return the share of runs with a capture and its 95 % Wilson interval, as text in %."""
     low, high = wilson(sum(captured), len(captured))
     return f"{sum(captured) / len(captured):.1%} ({low:.1%} .. {high:.1%})"
 
 
 def text(value: Any) -> str:
-    """Return a setting as it is read."""
+    """Return a setting as text."""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -311,7 +311,7 @@ def _counted(number: int, what: str) -> str:
 
 
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
-    """Return a column with one type of all that is there, as arguments of a series; integers stay integers."""
+    """Return the arguments of a pandas series for a column, with one type for all values; integers stay integers."""
     kinds = {type(each) for each in values} - {type(None)}
     gaps = None in values
     if kinds == {bool}:

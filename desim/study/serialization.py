@@ -1,7 +1,7 @@
-"""How work travels to other processes: as bytes, by value, with all that is not installed there.
+"""Serialization of calls for other processes: as bytes, with user code by value.
 
-So what is defined in a script, in a cell of a notebook or in a module beside a scenario file works everywhere, and
-whatever an executor pickles with: it sees nothing but bytes and `called`.
+Functions and classes that are defined in a script, a notebook or a module beside a scenario file therefore work in any
+worker. They also work with any pickler of an executor, which sees only bytes and the function `called`.
 """
 
 import os
@@ -20,7 +20,7 @@ Call = partial[Any]
 
 
 def packed(call: Call) -> bytes:
-    """Return a call as bytes, with the modules that its arguments come from if those are not installed."""
+    """Return a call as bytes, with the modules of its user code that are not installed."""
     own = [sys.modules[name] for name in _own_modules(call) - set(cloudpickle.list_registry_pickle_by_value())]
     for module in own:
         cloudpickle.register_pickle_by_value(module)
@@ -32,19 +32,19 @@ def packed(call: Call) -> bytes:
 
 
 def called(call: bytes) -> bytes:
-    """Make a call and return what it returns, both as bytes."""
+    """Perform a call given as bytes, and return its result as bytes."""
     return bytes(cloudpickle.dumps(pickle.loads(call)()))
 
 
 def _own_modules(call: Call) -> set[str]:
-    """Return the names of the modules that are not installed and lie where a call's own classes and functions do."""
+    """Return the names of the modules, not installed, in the folders of a call's user code or below these."""
     homes = {_home(each.__module__) for each in user_code(call)} - {None}
     if not homes:
         return set()
     return {
         name
         for name in tuple(sys.modules)
-        if name != "__main__"  # what is defined there travels by value anyway
+        if name != "__main__"  # cloudpickle always serializes its content by value
         and (home := _home(name)) is not None
         and not homes.isdisjoint((home, *home.parents))
     }
@@ -52,7 +52,7 @@ def _own_modules(call: Call) -> set[str]:
 
 @cache
 def _home(name: str) -> Path | None:
-    """Return the folder in which a module lies; None if it is installed."""
+    """Return the folder of a module; None if the module is installed or has no file."""
     file = getattr(sys.modules.get(name), "__file__", None)
     if file is None:
         return Path.cwd() if name == "__main__" else None  # a notebook

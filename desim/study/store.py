@@ -1,10 +1,10 @@
-"""The store of a sweep: a file of SQLite with a row per run, to which only the driver writes.
+"""The store of a sweep: a SQLite file with a row per run. Only the driver writes to it.
 
-What has been committed outlives a driver that is killed. A row belongs to its configuration, replication and root
-seed, so that a run that is there is not done again. `SELECT * FROM results` has a column per metric.
+Committed rows survive a driver that is killed. Configuration, replication and root seed identify a row, so a run that
+is in the store is not repeated. `SELECT * FROM results` has a column per metric.
 
-Every row has a checksum, and a file is checked as it is opened: its schema, its structure, and each row. So a store
-that was damaged or edited is refused. The checksums tell of accidents; they are no protection against forgery.
+Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store that was damaged or
+edited is refused. The checksums detect accidents; they do not protect against forgery.
 """
 
 import json
@@ -28,7 +28,7 @@ from desim.study.configurations import Configuration
 
 Status = Literal["ok", "error", "crashed"]
 FORMAT = "2"
-"""Of the tables below."""
+"""The version of the tables below."""
 TABLES = f"""
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS configurations (
@@ -50,24 +50,24 @@ CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, ru
     {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in COMMON if name != "seed")}
     FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
 """
-"""Seeds are texts, for they may have more than 64 bits."""
+"""The schema of a store. Seeds are texts, because they may have more than 64 bits."""
 INSTEAD = """ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,
     status = excluded.status, summary = excluded.summary, traceback = excluded.traceback, checksum = excluded.checksum
     WHERE"""
-"""What to do with a run that is there already: put the other in its place if ..."""
+"""The clause that replaces an existing run if a condition holds, which follows it."""
 NAMED_BY = {"about": 1, "configurations": 1, "runs": 4}
-"""The tables, and how many of their first columns name a row in an error."""
+"""The tables, and the number of their first columns that identify a row in an error."""
 PATIENCE = 30.0
-"""How long to wait for a file that another process has locked, s of wall time."""
+"""The time-out for a file that another process has locked, s of wall time."""
 PAUSE = 0.02
-"""Between two attempts where SQLite itself does not wait, s."""
+"""The pause between two attempts where SQLite itself does not wait, s of wall time."""
 HINT = "remove it, or choose another folder (-o)"
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")
 
 
 class StoreError(OSError):
-    """A store cannot be read or written, or does not belong to the sweep; the text names its file."""
+    """Raised when a store cannot be read or written, or does not belong to the sweep; the text names its file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,23 +75,23 @@ class Row:
     """A run of a sweep."""
 
     replication: int
-    """Its number within its configuration, 0, 1, ..."""
+    """The number of the run within its configuration, 0, 1, ..."""
     seed: int
     status: Status
-    """ok; error: it raised something; crashed: it ended its worker."""
+    """ok; error: the run raised an exception; crashed: the run ended its worker process."""
     summary: Summary | None = None
-    """What was measured, if ok."""
+    """The metrics, if ok."""
     traceback: str = ""
-    """Where it raised what, if it did."""
+    """The traceback and the exception, if the run failed."""
 
     @property
     def ok(self) -> bool:
-        """Whether it ended and was measured."""
+        """Whether the run ended and was measured."""
         return self.status == "ok"
 
     @property
     def error(self) -> str:
-        """What it raised, in a line."""
+        """The exception of the run in one line; "" if it did not fail."""
         lines = self.traceback.strip().splitlines()
         last_call = max((k for k, line in enumerate(lines) if line.startswith("  ")), default=-1)
         ends = [line for line in lines[last_call + 1 :] if line] or lines[-1:] or [""]
@@ -99,35 +99,35 @@ class Row:
 
 
 def _naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Let errors of SQLite name the file."""
+    """Return a method of a store with its SQLite errors as StoreErrors, which name the file."""
 
     @wraps(method)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
         try:
             return method(*args, **kwargs)
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # a message of SQLite may quote what is damaged
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite may quote damaged text
             raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
 
     return call
 
 
 class Store:
-    """The runs of one sweep, of a shard of it, or of several merged.
+    """The runs of one sweep, of a shard of it, or of several merged shards.
 
     Args:
-        path: of the file, which is made if it is not there; None: in memory.
-        read_only: whether it is only read, so that it has to be there and need not be writable.
+        path: the path of the file, which is created if it does not exist; None: in memory.
+        read_only: whether the store is only read; its file must exist and need not be writable.
 
     Raises:
-        StoreError: if it is no store, one of another version, or damaged.
+        StoreError: if the file is not a store, has another version, or is damaged.
     """
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
         self.path: Any = path or "the store in memory"
         if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
-        if path and path.is_symlink():  # a stranger's folder may have one to whatever it wants changed
-            raise StoreError(f"{path}: is a link, and would be written to: name the folder of the store itself")
+        if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
+            raise StoreError(f"{path}: is a link, and its target would be written: give the folder of the store itself")
         self._open(path, read_only)
 
     @_naming_the_file
@@ -142,7 +142,7 @@ class Store:
             raise
 
     def _prepare(self, path: Path | None, read_only: bool) -> None:
-        """Check what is there, or create it."""
+        """Check the content of the store, or create its tables."""
         if there := _schema(self._database):
             _check_schema(path, there)
             self._check_content()
@@ -159,7 +159,7 @@ class Store:
             self.tell(about)
 
     def _create(self, path: Path | None) -> None:
-        """Create the tables, with a write-ahead log if the file system allows one, else with a rollback journal."""
+        """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
         fault = _use_write_ahead_log(self._database)
         if fault:
             self._database.close()
@@ -174,17 +174,17 @@ class Store:
             )
 
     def _check_content(self) -> None:
-        """Raise StoreError unless the structure of the file is sound and each row is what was written."""
+        """Raise StoreError unless the structure of the file is sound and each row matches its checksum."""
         if (found := self.check()) != "ok":
             raise StoreError(f"{self.path}: is damaged: {found}")
         for table in NAMED_BY:
             for _ in self._rows(table):
                 pass
         if self._database.execute("PRAGMA foreign_key_check").fetchone():
-            raise StoreError(f"{self.path}: is damaged: there are runs of a configuration that is missing")
+            raise StoreError(f"{self.path}: is damaged: it has runs of a configuration that is missing")
 
     def _rows(self, table: str, where: str = "", values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
-        """Yield rows of a table without their checksums.
+        """Yield the rows of a table without their checksums.
 
         Raises:
             StoreError: if a row does not match its checksum.
@@ -205,7 +205,7 @@ class Store:
 
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Yield the database within a transaction that excludes other writers."""
+        """Yield the database inside a transaction that excludes other writers."""
         with self._database:
             self._database.execute("BEGIN IMMEDIATE")
             yield self._database
@@ -221,17 +221,17 @@ class Store:
         """Return a property of the sweep, parsed from JSON and checked against a type.
 
         Raises:
-            StoreError: if it is not there, or of another type.
+            StoreError: if the property is missing, or has another type.
         """
         if name not in self.about:
             raise StoreError(f"{self.path}: is damaged: {name} is missing in about")
         return self._read(_adapter(Annotated[kind, Json]), "about", (name, self.about[name]), 1)
 
     def _read(self, adapter: TypeAdapter[Any], table: str, row: Sequence[Any], column: int | None = None) -> Any:
-        """Return a row, or one column of it, as the values that it stands for.
+        """Return a row, or one column of it, parsed and checked against a type.
 
         Raises:
-            StoreError: if it is of another type.
+            StoreError: if a value has another type.
         """
         try:
             return adapter.validate_python(row if column is None else row[column], strict=True)
@@ -243,7 +243,7 @@ class Store:
 
     @_naming_the_file
     def check_same(self, about: Mapping[str, str]) -> None:
-        """Raise StoreError if it is of another sweep than is written down."""
+        """Raise StoreError if a property of the sweep is recorded with another value."""
         mine = self.about
         for name, value in about.items():
             if mine.get(name, value) != value:
@@ -252,10 +252,10 @@ class Store:
 
     @_naming_the_file
     def tell(self, about: Mapping[str, str]) -> None:
-        """Write down what sweep it is of.
+        """Record the properties of the sweep.
 
         Raises:
-            StoreError: if it is of another.
+            StoreError: if the store belongs to another sweep.
         """
         self.check_same(about)
         if about.keys() <= self.about.keys():
@@ -266,7 +266,7 @@ class Store:
 
     @_naming_the_file
     def enter(self, cells: Sequence[Configuration]) -> None:
-        """Write down configurations, before those that are there."""
+        """Add configurations, ordered before those that the store has."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self._writing() as database:
             there = {key: each for key, _, *each in self._rows("configurations", "ORDER BY place")}
@@ -278,7 +278,7 @@ class Store:
 
     @_naming_the_file
     def add(self, key: str, root: int, row: Row) -> None:
-        """Write down a run of a configuration and a root seed, instead of one that failed."""
+        """Add a run of a configuration and a root seed; it replaces the same run only if that one failed."""
         numbers = None if row.summary is None else json.dumps(plain(row.summary))
         values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
         with self._writing() as database:
@@ -294,7 +294,7 @@ class Store:
         return [self._run(row) for row in self._rows("runs", where, (key, str(root)))]
 
     def _run(self, row: tuple[Any, ...]) -> Row:
-        """Return a run of its row."""
+        """Return the run in a row."""
         _, replication, _, seed, status, numbers, trace = self._read(_adapter(RUN), "runs", row)
         if (numbers is None) == (status == "ok"):
             raise self._error("runs", row, "should have a summary if its status is ok, and none if not")
@@ -313,13 +313,13 @@ class Store:
 
     @_naming_the_file
     def take(self, other: "Store") -> None:
-        """Add the runs of another store of the same sweep; one that failed here and not there is replaced.
+        """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 
         Raises:
-            StoreError: if it is of another sweep.
+            StoreError: if the other store belongs to another sweep.
         """
         self.tell(other.about)
-        runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))  # these cover those
+        runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))  # of at least these runs
         with self._writing() as database:
             database.executemany(
                 "INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, configurations)
@@ -332,11 +332,11 @@ class Store:
 
     @_naming_the_file
     def check(self) -> str:
-        """Return "ok", or what SQLite finds wrong with the file."""
+        """Return "ok", or the damage that SQLite finds in the file."""
         return str(self._database.execute("PRAGMA integrity_check").fetchone()[0])
 
     def close(self) -> None:
-        """Let go of the file; what is in its journal goes into it."""
+        """Close the file; SQLite moves the content of its journal into it."""
         self._database.close()
 
     def __enter__(self) -> Self:
@@ -347,15 +347,15 @@ class Store:
 
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
-"""A seed as text: a whole number that Python reads."""
+"""A seed as text: a non-negative integer, short enough for Python's parser."""
 _FIELDS: dict[str, Any] = {
     each.name: (get_type_hints(Summary)[each.name], ... if each.name in COMMON else None) for each in fields(Summary)
 }
 _Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
-"""A summary as JSON has it."""
+"""The model of a summary in JSON."""
 RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
 SETTINGS = Json[dict[str, bool | int | float | str]]
-"""What a row of `runs`, and the settings of a configuration, are."""
+"""The types of a row of `runs`, and of the settings of a configuration."""
 
 
 @cache
@@ -364,10 +364,10 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def _address(path: Path, read_only: bool) -> str:
-    """Return the URI by which SQLite opens a file.
+    """Return the URI with which SQLite opens a file.
 
-    One that may not be written is taken for immutable, for SQLite cannot open a file with a write-ahead log otherwise;
-    unless there is something in its journal, which would be left out.
+    A file that is not writable is opened as immutable, because SQLite cannot open one with a write-ahead log otherwise;
+    but not if its journal has content, which an immutable file ignores.
     """
     options = "rwc"
     if read_only:
@@ -380,7 +380,7 @@ def _address(path: Path, read_only: bool) -> str:
 def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
     """Return a connection to a file, or to a new database in memory."""
     database = sqlite3.connect(":memory:" if path is None else _address(path, read_only), PATIENCE, uri=True)
-    database.text_factory = lambda raw: raw.decode(errors="replace")  # a checksum then tells of what is no UTF-8
+    database.text_factory = lambda raw: raw.decode(errors="replace")  # then the checksum reveals invalid UTF-8
     try:
         database.execute("PRAGMA trusted_schema = OFF")
     except sqlite3.Error:
@@ -390,10 +390,10 @@ def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection
 
 
 def _use_write_ahead_log(database: sqlite3.Connection) -> str:
-    """Let readers and a writer of a new file not block each other; return why that cannot be, "" if it can.
+    """Give a new file a write-ahead log, so that readers and a writer do not block each other.
 
-    To change the journal takes an exclusive lock. SQLite does not wait for one while another connection is about to
-    write, as when several processes create the store at the same moment.
+    Return "", or the reason why the file cannot have one. Changing the journal takes an exclusive lock. SQLite does not
+    wait for it while another connection is about to write, as when several processes create the store simultaneously.
     """
     end = time.monotonic() + PATIENCE
     while True:
@@ -411,7 +411,7 @@ def _use_write_ahead_log(database: sqlite3.Connection) -> str:
 
 
 def _use_rollback_journal(path: Path | None) -> None:
-    """Give a file a rollback journal; one process alone needs no shared memory for that."""
+    """Give a file a rollback journal, with exclusive locking, which needs no shared memory."""
     database = _connected(path)
     try:
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
@@ -421,14 +421,14 @@ def _use_rollback_journal(path: Path | None) -> None:
 
 
 def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
-    """Return the kind and the SQL of all that a database consists of, by name."""
+    """Return the type and the SQL of each table, index, view and trigger of a database, by name."""
     found = database.execute("SELECT name, type, sql FROM sqlite_master")
     return {name: (kind, sql) for name, kind, sql in found}
 
 
 @cache
 def _known_schema() -> Mapping[str, tuple[str, str | None]]:
-    """Return that of a store."""
+    """Return the schema of a store; see `_schema`."""
     database = sqlite3.connect(":memory:")
     try:
         database.executescript(TABLES)
@@ -438,15 +438,15 @@ def _known_schema() -> Mapping[str, tuple[str, str | None]]:
 
 
 def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]]) -> None:
-    """Raise StoreError unless a database is just what a store is.
+    """Raise StoreError unless a database has exactly the schema of a store.
 
-    A trigger, or a view instead of a table, would let whoever made the file run SQL in every command.
+    A trigger, or a view instead of a table, would run SQL of the author of the file in every command.
     """
     known = _known_schema()
     if "about" not in there:
-        raise StoreError(f"{path}: is a database, but not of the runs of a sweep")
+        raise StoreError(f"{path}: is a database, but not the store of a sweep")
     if strange := sorted(there.keys() - known.keys()):
-        raise StoreError(f"{path}: holds what no store has ({there[strange[0]][0]} {strange[0]}); {HINT}")
+        raise StoreError(f"{path}: has an unexpected object ({there[strange[0]][0]} {strange[0]}); {HINT}")
     for name, each in known.items():
         if each != there.get(name):
             state = "missing" if name not in there else "different"
@@ -463,7 +463,7 @@ def _with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def _differs(name: str, one: Any, other: Any) -> str:
-    """Return in what two sweeps differ, given what is written down of each."""
+    """Return the difference between two sweeps, given a recorded property of each, as the end of an error message."""
     if name in {"format", "metrics"}:
         return "by another version of desim"
     if name == "scenario":
@@ -476,7 +476,7 @@ def _differs(name: str, one: Any, other: Any) -> str:
 
 
 def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:
-    """Return what is in tables and lists, and in those in them, by dotted key; one that `opens` denies is one value."""
+    """Return the values in nested tables and lists by dotted key; a node that `opens` rejects is a value itself."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
     if inner is None or not opens(node):
         return {above.removesuffix("."): node}

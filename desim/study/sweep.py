@@ -1,4 +1,4 @@
-"""A sweep: each configuration of a grid, many times, by whatever workers, into a store from which it can go on."""
+"""Sweeps: many runs of each configuration of a grid, on any workers, with a store from which a sweep resumes."""
 
 import hashlib
 import json
@@ -30,24 +30,24 @@ from desim.study.workers import Workers, workers_for
 Job = tuple[Configuration, int]
 """A configuration and the number of one of its runs."""
 MAX_RUNS = 10_000
-"""How many runs of a configuration `until` asks for at most, if no number is given."""
+"""The default maximum number of runs of a configuration with `until`."""
 
 
 class RunError(RuntimeError):
-    """A run failed, and the sweep was to end then."""
+    """Raised when a failed run ends a sweep or an explanation."""
 
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """What is to be run: configurations, and the seeds of their runs."""
+    """The plan of a sweep: its configurations, and the seeds of their runs."""
 
     base: Scenario
-    """What is varied."""
+    """The scenario that is varied."""
     configurations: tuple[Configuration, ...]
     reps: int
-    """Runs of each configuration."""
+    """The number of runs of each configuration."""
     root: int
-    """Seed of the first run."""
+    """The seed of the first run."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
 
@@ -59,10 +59,10 @@ class SweepPlan:
         reps: int | None = None,
         seed: int | None = None,
     ) -> Self:
-        """Return what a scenario's table `sweep` says, or what is given instead of it.
+        """Return the plan in a scenario's table `sweep`; the arguments take precedence over it.
 
         Raises:
-            ScenarioError: with all that is wrong with the grid.
+            ScenarioError: with all faults of the grid.
             ValueError: if there are no runs, or the seed is negative.
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
@@ -79,7 +79,7 @@ class SweepPlan:
 
     @property
     def about(self) -> dict[str, Any]:
-        """What it is a sweep of; a store is of one."""
+        """The properties that identify the sweep; a store belongs to one sweep."""
         keys = list(self.configurations[0].settings)
         swept = tuple(f"{key}." for key in keys)
         codes = {
@@ -96,21 +96,21 @@ class SweepPlan:
         }
 
     def seed(self, cell: Configuration, replication: int) -> int:
-        """Return the seed of a run: that of the first plus its number, or a hash if configurations share none."""
+        """Return the seed of a run: `root` plus its number, or a hash if the configurations do not share seeds."""
         if self.common:
             return self.root + replication
         text = f"{self.root}/{cell.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
     def check(self, store: Store) -> None:
-        """Raise StoreError if a store is of another sweep."""
+        """Raise StoreError if a store belongs to another sweep."""
         store.check_same(self._written())
 
     def enter(self, store: Store) -> None:
-        """Write down in a store what it is a sweep of.
+        """Record the properties and the configurations of the sweep in a store.
 
         Raises:
-            StoreError: if it is of another, or cannot be written.
+            StoreError: if the store belongs to another sweep, or cannot be written.
         """
         store.tell(self._written())
         store.enter(self.configurations)
@@ -119,10 +119,10 @@ class SweepPlan:
         return {name: json.dumps(each) for name, each in self.about.items()}
 
     def shard(self, part: int, parts: int) -> list[Job]:
-        """Return the runs of one of several parts, which together are all; the first part is 1.
+        """Return the runs of one of several disjoint parts that make up the sweep; the first part is 1.
 
         Raises:
-            ValueError: if there is no such part.
+            ValueError: if the part does not exist.
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
@@ -142,32 +142,34 @@ def sweep(
     fail_fast: bool = False,
     timeout: float | None = None,
 ) -> SweepResult:
-    """Run each configuration of a grid over a scenario, many times, and return what was measured.
+    """Run each configuration of a grid over a scenario many times, and return the metrics of the runs.
+
+    Use it to compare configurations on equal seeds. Give a long sweep a `store`, from which it resumes if interrupted.
 
         found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
         print(found)
         found.to_frame().groupby("network.range").active_time.mean()
 
     Args:
-        scenario: what is varied.
-        grid: keys of the scenario, dotted, and the values that each takes: numbers, texts, also arrays, tables,
-            protocols and functions of a notebook; the grid of `scenario.sweep` if None.
-        reps: runs of each configuration; those of `scenario.sweep` if None.
-        executor: a number of worker processes (1: all happens here; 0: one per core), the address of a Dask scheduler
-            ("tcp://host:8786"), or any executor of `concurrent.futures`, which stays open.
-        seed: that of the first run; that of the scenario if None.
-        store: a file to which runs are written as they end, and of which those are taken that are there; None: none.
-        until: a metric and the half width of its 95 % interval at which a configuration has runs enough; it is first
-            looked at after 30, and `reps`, or 10,000 if None, are the most.
+        scenario: the scenario that is varied.
+        grid: dotted keys of the scenario and the values that each takes: numbers, texts, also arrays, tables, protocols
+            and functions of a notebook; None = the grid of `scenario.sweep`.
+        reps: the number of runs of each configuration; None = that of `scenario.sweep`.
+        executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
+            scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
+        seed: the seed of the first run; None = that of the scenario.
+        store: the file that receives each run as it ends; runs that it has are not repeated; None = no file.
+        until: a metric and the target half width of its 95 % interval, at which a configuration has enough runs; it is
+            first checked after 30 runs, and `reps` (10,000 if None) is the maximum.
         fail_fast: whether the first run that fails ends the sweep.
-        timeout: wall time after which a run has failed, s; see `desim.simulation.watchdog`.
+        timeout: the wall time after which a run has failed, s; see `desim.simulation.watchdog`.
 
     Raises:
-        ScenarioError: with all that is wrong with the grid.
-        ValueError: if there are no runs, or no such metric.
-        StoreError: if the store cannot be written, or is of another sweep.
+        ScenarioError: with all faults of the grid.
+        ValueError: if there are no runs, or the metric of `until` does not exist.
+        StoreError: if the store cannot be written, or belongs to another sweep.
         ConnectionError: if a scheduler does not answer.
-        RunError: if a run fails, and `fail_fast`.
+        RunError: if a run fails and `fail_fast` is set.
     """
     if until is not None:
         check_target(*until)
@@ -187,14 +189,14 @@ def carry_out(
     fail_fast: bool = False,
     timeout: float | None = None,
 ) -> SweepResult:
-    """Do what a plan says and its store does not have yet; runs that failed before are tried again.
+    """Perform the runs of a plan that its store lacks, and return the result; runs that failed before are repeated.
 
     A run that takes longer than `timeout`, s, has failed.
     """
     if until is not None:
         check_target(*until)
         if shard != (1, 1):
-            raise ValueError("how many runs are needed depends on all of them: `until` and a shard exclude each other")
+            raise ValueError("`until` and a shard exclude each other: the number of runs depends on all of them")
     done = {
         (cell.key, row.replication) for cell in plan.configurations for row in store.runs(cell.key, plan.root) if row.ok
     }
@@ -210,7 +212,7 @@ def carry_out(
 def _run(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
 ) -> None:
-    """Do some runs, and write down each as it ends."""
+    """Perform some runs, and add each to the store as it ends."""
     seeds = [plan.seed(cell, k) for cell, k in jobs]
     tasks = [(cell.scenario, seed) for (cell, _), seed in zip(jobs, seeds, strict=True)]
     bar: tqdm[Any]
@@ -227,20 +229,20 @@ def _run(
 
 
 def check_target(metric: str, half_width: float) -> None:
-    """Raise ValueError if a metric cannot be measured to a half width."""
+    """Raise ValueError if a metric is not numeric, or its target half width is not positive."""
     numeric = [name for name, each in METRICS.items() if each.is_number]
     if metric not in numeric:
-        raise ValueError(f"there is no metric {metric!r} to be measured; there are {', '.join(numeric)}")
+        raise ValueError(f"there is no numeric metric {metric!r}; there are {', '.join(numeric)}")
     if not half_width > 0.0:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
 
 def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
-    """Return the runs that a precision takes as far as can be told, those that are there included."""
+    """Return the runs that a precision needs, estimated from the runs in the store, which are included."""
     jobs: list[Job] = []
     for cell in plan.configurations:
         rows = {row.replication: row for row in store.runs(cell.key, plan.root)}
-        first = takewhile(rows.__contains__, count())  # without gaps, or the luck of the short ones would count
+        first = takewhile(rows.__contains__, count())  # no gaps: short runs end first, a bias
         values = [getattr(rows[k].summary, metric, None) for k in first]
         jobs += [(cell, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
     return jobs

@@ -1,7 +1,7 @@
-"""Where runs are done: here, in worker processes, on a cluster, or on any executor of one's own.
+"""Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
-Workers that are started here ignore the signals of `desim.study.interrupts`, which the driver answers, and exit as soon
-as the driver is gone.
+Worker processes ignore the signals of `desim.study.interrupts`, which the driver handles, and exit when the driver has
+died.
 """
 
 import logging
@@ -22,65 +22,65 @@ from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
 PATIENCE = 10.0
-"""How long a cluster has to answer, s."""
+"""The time-out for answers of a cluster, s of wall time."""
 WATCH = 0.5
-"""How often a worker looks whether its driver is still there, s."""
+"""The interval at which a worker checks that its driver is alive, s of wall time."""
 
 
 class Workers:
-    """An executor as it was given: it is used, never shut down."""
+    """The workers of an executor that the user passed, which is never shut down; the base of other kinds of workers."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
         self._name = name or repr(executor)
         self.count: int = count or getattr(executor, "_max_workers", None) or os.cpu_count() or 1
-        """How many work at the same time."""
+        """The number of workers."""
         self.max_pending = 2 * self.count
-        """How many calls to hand out at once, so that nobody waits for the next."""
+        """The number of calls to keep submitted, so that no worker waits for its next call."""
 
     def submit(self, call: Call) -> Future[Any]:
-        """Let a worker make a call."""
+        """Submit a call to a worker."""
         try:
             content = packed(call)
-        except Exception as error:  # what cannot be packed fails as if it had been tried
+        except Exception as error:  # a call that cannot be serialized fails like one that raises
             future: Future[Any] = Future()
             future.set_exception(error)
             return future
         return self.executor.submit(called, content)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Return those of some calls that have come back, once one has.
+        """Wait until at least one of some calls has ended, and return the calls that have.
 
         Raises:
-            ConnectionError: if none ever will.
+            ConnectionError: if no call can end because the workers are lost.
         """
         return wait(futures, return_when=FIRST_COMPLETED).done
 
     def result(self, future: Future[Any]) -> Any:
-        """Return what a call returned, or raise why it did not.
+        """Return the result of a call, or raise its exception.
 
         Raises:
-            ConnectionError: if the workers went away.
+            ConnectionError: if the connection to the workers is lost.
         """
         try:
             return pickle.loads(future.result())
         except CancelledError as error:
-            raise ConnectionError(f"{self._name}: went away before the runs were done") from error
+            raise ConnectionError(f"{self._name}: disconnected before the runs were done") from error
 
     def died(self, error: BaseException) -> bool:
-        """Return whether a call failed because its worker died; a cluster says so after several have."""
+        """Return whether a call failed because its worker died; a cluster reports so after several workers died."""
         return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
 
     def renew(self) -> None:
-        """Go on with new workers, after one died.
+        """Replace the workers after one died.
 
         Raises:
-            BrokenExecutor: if they are not ours to start.
+            BrokenExecutor: if the executor belongs to the user.
         """
-        raise BrokenExecutor(f"a worker of {self._name} died, and it takes no more work: give a number of workers")
+        raise BrokenExecutor(f"a worker of {self._name} died, so it accepts no more calls: give a number of workers")
 
     def stop(self) -> None:
-        """Let go of all that has been begun."""
+        """Abandon the calls that have been submitted."""
 
     def __enter__(self) -> Self:
         return self
@@ -90,13 +90,13 @@ class Workers:
 
 
 class InProcess(Workers):
-    """No workers: everything is done at once, in this process, where a debugger sees it."""
+    """No workers: each call is made when it is submitted, in this process, where a debugger can follow it."""
 
     def __init__(self) -> None:
         self.count = self.max_pending = 1
 
     def submit(self, call: Call) -> Future[Any]:
-        """Make a call; a Ctrl-C ends it."""
+        """Make a call; Ctrl-C ends it."""
         future: Future[Any] = Future()
         try:
             future.set_result(call())
@@ -105,12 +105,12 @@ class InProcess(Workers):
         return future
 
     def result(self, future: Future[Any]) -> Any:
-        """Return what a call returned, as it is."""
+        """Return the result of a call, or raise its exception."""
         return future.result()
 
 
 class Processes(Workers):
-    """Worker processes of this machine; they are kept for a while, and used again by the next sweep."""
+    """Worker processes of this machine; idle ones stay alive for a while, and the next sweep reuses them."""
 
     def __init__(self, count: int):
         super().__init__(_pool(count), count)
@@ -120,35 +120,33 @@ class Processes(Workers):
         self.executor = _pool(self.count)
 
     def submit(self, call: Call) -> Future[Any]:
-        """Let a worker make a call; workers are started by the first calls."""
+        """Submit a call to a worker; the first calls start the workers."""
         with _block_signals():
             return super().submit(call)
 
     def stop(self) -> None:
-        """End the workers, whatever they are doing."""
+        """End the workers, also during a call."""
         self.executor.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
 
 
 class Cluster(Workers):
-    """The workers of a Dask scheduler (the extra `cluster`), which looks after them.
+    """The workers of a Dask scheduler (needs the extra `cluster`).
 
     Raises:
-        ConnectionError: if it does not answer in time, or has no workers.
+        ConnectionError: if the scheduler does not answer in time, or has no workers.
     """
 
     def __init__(self, address: str, patience: float):
         try:
             from distributed import Client
         except ImportError as error:
-            raise ConnectionError(
-                f"{address}: no cluster without Dask: pip install 'pursuit-desim[cluster]'"
-            ) from error
+            raise ConnectionError(f"{address}: Dask is missing: pip install 'pursuit-desim[cluster]'") from error
         try:
             self._client = _within(patience, lambda: Client(address, timeout=patience, set_as_default=False))
         except (OSError, ValueError) as error:  # time-outs are OSErrors
             why = f" ({error})" if str(error) else ""
             raise ConnectionError(f"{address}: no scheduler answers within {patience:g} s{why}") from error
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we tell what goes wrong ourselves
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # we raise ConnectionErrors instead
         self._address, self._patience = address, patience
         try:
             self._check()
@@ -158,27 +156,29 @@ class Cluster(Workers):
         super().__init__(self._client.get_executor(pure=False), sum(self._client.nthreads().values()), address)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Return those of some calls that have come back; while there are none, see whether there is a worker left."""
+        """Wait until at least one of some calls has ended, and return the calls that have; check for lost workers."""
         while not (found := wait(futures, self._patience, FIRST_COMPLETED).done):
             self._check()
         return found
 
     def _check(self) -> None:
-        """Raise ConnectionError if there are no workers for a while."""
+        """Raise ConnectionError if the cluster has no workers within the time-out."""
         try:
             _within(self._patience, lambda: self._client.wait_for_workers(1, timeout=self._patience))
         except OSError as error:
             raise ConnectionError(f"{self._address}: has no workers within {self._patience:g} s") from error
 
     def renew(self) -> None:
-        """Do nothing: others start them."""
+        """Do nothing: the cluster replaces its own workers."""
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
 
 
 def workers_for(executor: Executor | int | str) -> Workers:
-    """Return workers: a number of processes (1 = here, 0 = one per core), those of a scheduler, or an executor's.
+    """Return the workers for an executor, the address of a Dask scheduler, or a number of processes.
+
+    The number 1 means no worker processes, 0 means one per core.
 
     Raises:
         ConnectionError: if a scheduler does not answer.
@@ -195,20 +195,20 @@ def workers_for(executor: Executor | int | str) -> Workers:
 
 
 def _pool(count: int) -> Executor:
-    """Return worker processes that wait, or new ones; they start with the first calls."""
+    """Return the pool of idle worker processes, or a new pool; its processes start with the first calls."""
     from loky import get_reusable_executor
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # or a later `_block_signals` would start it, which makes us hear again
-    with _block_signals():  # the executor starts a process that looks after its semaphores
+            resource_tracker.ensure_running()  # else a later `_block_signals` starts it, which unblocks the signals
+    with _block_signals():  # the executor starts a process that tracks its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=SHELTER
         )
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:
-    """Return what an act of the client returns, or raise TimeoutError: it has no limit where a scheduler is silent."""
+    """Return the result of a request, or raise TimeoutError; the client itself may wait forever for a scheduler."""
     found: Future[Returned] = Future()
 
     def make() -> None:
@@ -223,10 +223,10 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 
 @contextmanager
 def _block_signals() -> Iterator[None]:
-    """Let processes that are started here inherit that interrupts are not for them; those wait for us meanwhile.
+    """Block interrupts while processes start, so that they inherit the block; interrupts are delivered afterwards.
 
-    Python lets its handler run in the main thread whichever thread hears the signal, and another may not have blocked
-    it. So what is heard is noted, and comes afterwards.
+    Python runs a handler in the main thread whichever thread receives the signal, and another thread may not have
+    blocked it. Signals that arrive are therefore recorded, and the first is raised afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -242,13 +242,13 @@ def _block_signals() -> Iterator[None]:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for each, handler in handlers.items():
-            signal.signal(each, handler)  # what has come by now is noted before
+            signal.signal(each, handler)  # pending signals are recorded before this
         for number in heard[:1]:
             signal.raise_signal(number)
 
 
 def _init_worker(driver: int) -> None:
-    """Prepare a worker process: deaf to interrupts, and gone when its driver is."""
+    """Prepare a worker process: it ignores interrupts, and exits when its driver has died."""
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
 

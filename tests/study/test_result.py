@@ -117,7 +117,7 @@ def test_the_table_tells_means_intervals_and_differences():
     """Half widths: t of 2 degrees 4.303 x 1/sqrt(3) = 2.484; of 1 degree 12.706 x 1 = 12.706, of 2.5 and 4.5."""
     head, rest = PLAIN.table().split("\n", 1)
     assert head.startswith("a <b> & c: 2 configurations, 6 runs; +- is half a 95 % t interval, captured with Wilson's")
-    assert head.endswith("; (n): there in n runs only")
+    assert head.endswith("; (n): defined in n runs only")
     assert rest == (
         "network.range  runs                  captured  active time, s      capture time, s   messages sent\n"
         "4                 3  100.0% (43.9% .. 100.0%)  2.000 +- 2.484       2.000 +- 2.484  1,000.0 +- 0.0\n"

@@ -72,7 +72,7 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
     before = path.read_bytes()
     assert (
         refused("sweep", file, "--allow-import", "-o", tmp_path)
-        == f"{path}: is a database, but not of the runs of a sweep"
+        == f"{path}: is a database, but not the store of a sweep"
     )
     assert path.read_bytes() == before
 
@@ -451,9 +451,9 @@ EDITS = {
     "UPDATE runs SET traceback = CAST(x'ff' AS TEXT)": f"{FIRST_RUN}does not match its checksum",
     "UPDATE configurations SET place = 7": "configurations: configuration .*: does not match its checksum",
     "UPDATE about SET value = '[]' WHERE name = 'grid'": "about: name grid: does not match its checksum",
-    "DELETE FROM configurations": "is damaged: there are runs of a configuration that is missing",
-    "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END": r"holds what no store has \(trigger t\)",
-    "CREATE INDEX i ON runs (seed)": r"holds what no store has \(index i\)",
+    "DELETE FROM configurations": "is damaged: it has runs of a configuration that is missing",
+    "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END": r"has an unexpected object \(trigger t\)",
+    "CREATE INDEX i ON runs (seed)": r"has an unexpected object \(index i\)",
     "DROP VIEW results": "was made by another version of desim, or edited: results is missing",
     "ALTER TABLE runs ADD COLUMN extra TEXT": "was made by another version of desim, or edited: runs is different",
 }

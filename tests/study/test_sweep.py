@@ -110,7 +110,7 @@ def test_independent_seeds_are_those_of_yesterday():
 
 def test_independent_runs_are_no_pairs():
     found = sweep(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID, 2)
-    with pytest.raises(ValueError, match="no pairs"):
+    with pytest.raises(ValueError, match="cannot be paired"):
         found.differences("active_time")
     assert "difference" not in found.table()
     assert found.document()["configurations"][1]["difference"] == {}
@@ -210,7 +210,7 @@ def test_runs_that_fail_are_runs_but_say_nothing_of_the_mean():
     "until", [("aktive_time", 0.1), ("seed", 0.1), ("messages_lost_by", 1.0), ("active_time", 0.0)]
 )
 def test_a_precision_that_cannot_be_reached_is_refused_before_anything_is_written(tmp_path, until):
-    with pytest.raises(ValueError, match=r"there is no metric|should be positive"):
+    with pytest.raises(ValueError, match=r"there is no numeric metric|should be positive"):
         sweep(BASE, GRID, 40, store=tmp_path / "s.sqlite", until=until)
     assert not (tmp_path / "s.sqlite").exists()
 

@@ -278,7 +278,7 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
             killer.join()
             worker.kill()
     assert (made.exit_code, made.stdout) == (2, "")
-    assert made.stderr == f"{address}: went away before the runs were done\n"
+    assert made.stderr == f"{address}: disconnected before the runs were done\n"
     assert 5 <= sweeps.count(store) < 40
 
 
