@@ -1,11 +1,11 @@
-"""Claims to the evaders, of which each is one task: what auctions have in common.
+"""Auctions in which each evader is one task: the common part of `cbaa` and `cbba`.
 
-A bid is -phi, so that who would capture first bids most; of equal bids that of the lower id counts more. A pursuer bids
-for one evader at a time: of those for which nobody bids more, the one it would capture first. What it announces is whom
-it holds for the winner of each, so claims spread, are lost and are repeated as announcements are.
-Bids change as positions do. Where positions are sensed (payload "action") each is brought up to date before it is
-compared (`current`), so that at any instant all pursuers order bids alike. Else a bid is as old as its word is, and
-while two chase, each phi falls: whose phi differ by less than that age outbid each other at every turn, and both chase.
+A bid is -phi, so the pursuer with the least time of capture bids highest; ties go to the lower id. A pursuer bids for
+one evader at a time: of those for which it has the highest bid, the one it would capture first. Its announcements carry
+the winner and the winning bid of each evader, as far as it knows them.
+Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
+(`current`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement it came with.
+If two active bidders differ by less than the age of the bids, they outbid each other at every turn and both chase.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,19 +18,19 @@ from desim.pursuit.agent import Agent, Process
 from protocols.rule import Rule
 
 NO_WINNER = -1
-"""The winner if there is none."""
+"""Stands for the winner of an evader without bids."""
 
 
 class Bid(NamedTuple):
-    """Who offers how much."""
+    """A bidder and its bid for one evader."""
 
     winner: int
     amount: float
-    """-phi, s; -inf if nobody bids."""
+    """-phi, s; -inf without a bid."""
 
     @property
     def rank(self) -> tuple[float, int]:
-        """What is greater the better the bid."""
+        """The sort key of bids, greater for a better bid."""
         return self.amount, -self.winner
 
 
@@ -38,38 +38,36 @@ NO_BID = Bid(NO_WINNER, -inf)
 
 
 Fields = tuple[int, int | tuple[int, ...], float | tuple[float, ...]]
-"""What a pursuer does, and the winner and the bid of each evader: plain numbers if there is but one."""
+"""The action of a pursuer, and the winner and the winning bid of each evader; plain numbers for one evader."""
 
 
 class Auction(Rule):
-    """A rule by which the winner of an evader chases it."""
+    """A rule under which the winner of the auction for an evader chases it."""
 
     def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer; who has no choice but to stay takes its turns all the same, to pass word on."""
+        """Negotiate for one pursuer; one that can only stay takes its turns, too, to forward the claims of others."""
         actions = self.actions(me)
         yield from self.schedule(me, lambda: me.assign(next(actions)))
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
-        """Return the bytes of an announcement: the action, and the winner and the bid of each evader."""
+        """Return the size of an announcement, bytes: the action, and the winner and the bid of each evader."""
         return HEADER + NUMBER * (1 + 2 * evaders)
 
 
 def offer(me: Agent, evader: int = 1) -> Bid:
-    """Return what a pursuer could bid for an evader now; it bids only if it may chase and would be in time."""
+    """Return the present bid of a pursuer for an evader, or `NO_BID` if it may not chase it or would be late."""
     phi = me.capture_time(evader)
     return Bid(me.id, -phi) if me.may_chase(evader) and phi < me.time_left() else NO_BID
 
 
 def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
-    """Return what a pursuer does, and the bids with its own.
+    """Return the action of a pursuer, and the (M,) best bids with its own included.
+
+    The action is the evader for which it bids highest, of those for which it outbids all others; 0 if there is none.
 
     Args:
-        me: who bids.
+        me: the bidder.
         others: (M,) the best bid of another pursuer for each evader.
-
-    Returns:
-        The evader, of those for which it can bid more than others do, for which it bids most (0 if there is none); and
-        the (M,) best bids.
     """
     offers = {evader: offer(me, evader) for evader in me.evaders()}
     won = [evader for evader, bid in offers.items() if bid.rank > others[evader - 1].rank]
@@ -85,16 +83,16 @@ def claim_fields(action: int, bids: Sequence[Bid]) -> Fields:
 
 
 def bids_of(claim: Any) -> list[Bid]:
-    """Return the (M,) bids of a claim, which begins with what `claim_fields` returns."""
+    """Return the (M,) bids of a claim, the inverse of `claim_fields`."""
     _, winner, amount = claim[:3]
     return [Bid(winner, amount)] if isinstance(winner, int) else list(map(Bid, winner, amount))
 
 
 def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
-    """Return what brings a bid for an evader up to date: to -phi of its bidder as sensed now, heard of or not.
+    """Return the function that updates a bid for an evader to the -phi of its bidder as sensed at this instant.
 
-    Where positions are not sensed a bid stays as it is. Whether the bidder still bids is always for itself to say.
-    Nobody bids any more for an evader that has been captured.
+    It needs no message from the bidder, and never adds or withdraws a bid: only the bidder's own claims do that. Where
+    positions are not sensed, bids stay as they are. For a captured evader it returns `NO_BID`.
     """
     if evader not in me.evaders():
         return lambda _: NO_BID
@@ -105,9 +103,9 @@ def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
-    """Yield the records with a claim that are newer than those read before, in order of ids, and note them as read.
+    """Yield the records with a claim that are newer than those in `read` (id to number), by id, and add them to it.
 
-    At first, if everyone knows who is active, records have no claim.
+    With `announce.warm_start` the initial records carry no claim.
     """
     for j, record in sorted(me.trusted().items()):
         if record.seq > read.get(j, -1) and isinstance(record.body, claim):

@@ -1,12 +1,12 @@
-"""Best response and better reply: in its turn a pursuer changes to an action that is worth more.
+"""Best response and better reply: at its turn a pursuer changes to an action of higher utility.
 
 Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for the finite improvement property.
     BetterReply: better reply with inertia, Young 2004, "Strategic Learning and Its Limits"; Marden, Arslan & Shamma
     2007, "Regret Based Dynamics".
-Parameters: schedule, utility; alpha (how willing a pursuer is to change).
-Assumes: one at a time, for best response to end in an equilibrium of any potential game (on the relay game it does so
-    under any schedule); better reply with inertia needs no order. Word of everybody.
-Messages: announcements as the scenario's `announce` says.
+Parameters: schedule, utility; alpha (probability of changing).
+Assumes: announcements of all teammates; for best response also revisions one at a time, to end in an equilibrium of any
+    potential game (in the relay game it does so under any schedule). Better reply with inertia needs no order.
+Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
 
@@ -19,11 +19,11 @@ from desim.pursuit.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
 Willingness = Annotated[float, Field(gt=0, le=1, strict=True)]
-"""A probability that is not 0."""
+"""A probability greater than 0."""
 
 
 class BestResponse(LearningRule):
-    """Each pursuer in its turn takes the action that is worth most; if several are, the first of them: it stays."""
+    """At its turn a pursuer takes the action of highest utility; ties go to the lowest action, so to staying."""
 
     assumes: ClassVar[tuple[str, ...]] = (*LearningRule.assumes, "one_at_a_time")
     kind: Literal["best_response"] = "best_response"
@@ -35,7 +35,7 @@ class BestResponse(LearningRule):
 
 
 class BetterReply(LearningRule):
-    """Each pursuer in its turn takes, with a probability, one of the actions that are worth more than the present."""
+    """At its turn a pursuer takes, with probability alpha, a random one of the actions better than its present one."""
 
     kind: Literal["better_reply"] = "better_reply"
     alpha: Willingness = 0.5

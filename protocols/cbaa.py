@@ -1,23 +1,22 @@
-"""The consensus-based auction: who hears of no better bid than its own chases.
+"""The consensus-based auction algorithm: a pursuer chases an evader if it knows of no higher bid than its own.
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2;
-    the evaders are the tasks. Each pursuer knows for each of them the greatest bid y it has heard of and whose it is.
-    Other than there, bids follow the times of capture, so at each turn a pursuer chooses and bids anew, and its word
-    about its own bid counts for more than what others say of that bid. Where positions are sensed all bids are brought
-    up to date at each turn.
+    the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
+    the times of capture, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
+    overrides the claims of others about it; where positions are sensed, all bids are updated at each turn.
 Parameters: schedule. With Rounds these are the rounds of the paper.
-Assumes: a connected graph and constant bids; then all agree on one winner of one evader after a round of bids and one
-    more for each hop of the diameter, and on those of several after at most as many rounds for each: the assignment is
-    the greedy one, in order of phi. Where bids change, the greatest only rises as long as its bidder chases, for whose
-    phi falls. Who leaves an evader for another tells its neighbours; farther off it is only known that nobody has two.
-    Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
-    differ by less than word is old, in s, may both chase to the end. In the relay stress of `scenarios.rivals` another
-    set than the relay pursuer alone is active for 3.4 s on the mean of 20 runs and 23.3 s at worst, at L = 0.2 s;
-    sensed, for 0.8 and 1.8 s.
-    No crashes: claims have no stamps, so there is no telling that a winner has fallen silent, and it blocks all others
-    for ever.
-Messages: announcements of 24 bytes and 16 for each evader; news is a new winner, so bids that change need heartbeats or
-    `revision`.
+Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after one round of bids and one
+    more for each hop of the diameter, and on the winners of several after at most as many rounds for each evader; the
+    assignment is the greedy one, in order of phi. If bids change, the winning bid only rises while its bidder chases,
+    because its phi falls. A pursuer that leaves an evader for another informs its neighbours; pursuers farther away
+    only know that each bidder has one evader at most.
+    Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
+    by less than the age of the bids may both chase to the end. In the relay stress of `scenarios.rivals` with
+    L = 0.2 s, the active set differs from the relay pursuer alone for 3.4 s in the mean of 20 runs and 23.3 s in the
+    worst one; with sensed positions, for 0.8 and 1.8 s.
+    No crashes. Claims have no time stamps, so a winner that has crashed is not noticed and blocks all others for ever.
+Messages: announcements of 24 bytes and 16 for each evader. Only a new action or winner triggers one at once, so bids
+    that change need heartbeats or the trigger `revision`.
 Robust to loss: yes, with heartbeats.
 """
 
@@ -30,27 +29,27 @@ from protocols.rule import Rule
 
 
 class Claim(NamedTuple):
-    """Whom a pursuer holds for the winner of each evader: plain numbers if there is one evader, else (M,) of them."""
+    """The lists z and y of a pursuer: plain numbers if there is one evader, else (M,) of them."""
 
     active: int
     winner: int | tuple[int, ...]
     amount: float | tuple[float, ...]
-    """The greatest bid y, s."""
+    """The winning bid y, s."""
 
     @property
     def news(self) -> tuple[int, int | tuple[int, ...]]:
-        """What is told at once if it changes: action and winner."""
+        """The action and the winner; a change of them triggers an announcement."""
         return self.active, self.winner
 
 
 class CBAA(Auction):
-    """Consensus on the greatest bid: a pursuer that is outbid releases its claim."""
+    """Consensus on the highest bid for each evader; a pursuer that is outbid releases its claim."""
 
     assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "connected", "no_crashes")
     kind: Literal["cbaa"] = "cbaa"
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the evader of which it is the winner."""
+        """Yield the evader that the pursuer has won, or 0, at each turn."""
         bids, read = [NO_BID] * me.evader_count, dict[int, int]()
         while True:
             claims = {each.src: bids_of(each.body) for each in unread(me, read, Claim)}
@@ -64,9 +63,9 @@ class CBAA(Auction):
 
 
 def greatest(best: Bid, said: Mapping[int, Bid]) -> Bid:
-    """Return the greatest bid, of the best until now and what each pursuer says now (the bidder itself included).
+    """Return the highest of the best bid so far and the bids that each pursuer claims now.
 
-    Of who says something now no bid counts but what it says itself: it may have released its claim, or bid anew.
+    The bid of a pursuer in `said` counts only as it claims it itself: it may have released its claim or bid anew.
     """
     own_words = [bid for j, bid in said.items() if bid.winner == j]
     hearsay = [bid for bid in (best, *said.values()) if bid.winner not in said]
@@ -74,9 +73,9 @@ def greatest(best: Bid, said: Mapping[int, Bid]) -> Bid:
 
 
 def one_each(bids: Sequence[Bid]) -> list[Bid]:
-    """Return the (M,) bids but that of each bidder only the greatest counts, of equal ones the last.
+    """Return the (M,) bids with only the highest bid of each bidder left, of equal ones the last.
 
-    It bids for one evader at a time, so word of the others is old.
+    A pursuer bids for one evader at a time, so its other bids are outdated.
     """
     greatest_of = {bids[k].winner: k for k in sorted(range(len(bids)), key=lambda k: bids[k].amount)}
     return [bid if greatest_of[bid.winner] == k else NO_BID for k, bid in enumerate(bids)]

@@ -1,17 +1,17 @@
-"""The consensus-based bundle algorithm with bundles of one task: an auction in which word has stamps, and grows old.
+"""The consensus-based bundle algorithm with bundles of one task: an auction whose claims have time stamps and expire.
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Table I (see
-    `decision`) for each evader, which are the tasks. Other than there, s_i[k] is when k sent its word and not when i
-    received it, so a stamp is always by the clock of whom it is about, and clocks need not agree; a winner of whom no
-    newer word comes is given up; at each turn a pursuer chooses and bids anew; wherever bids are compared, of equal
-    ones that of the lower id is greater, and all are brought up to date if positions are sensed.
+    `decision`) for each evader; the evaders are the tasks. Differences: s_i[k] is the time at which k sent its latest
+    announcement, by the clock of k, not the time at which i received it, so clocks need not agree; a winner is dropped
+    after `winner_timeout` seconds without a newer announcement; a pursuer selects an evader and bids anew at each turn;
+    ties go to the lower id; all bids are updated before they are compared if positions are sensed.
 Parameters: schedule (with Rounds these are the rounds of the paper), winner_timeout.
-Assumes: a connected graph, or there is a winner in each component; and word that is repeated, by heartbeats or at each
-    revision. Else the winner seems to have fallen silent, and in the end everybody gives everybody up, and chases.
-    Positions that are sensed (payload "action"): with "time" or "state" a bid stays as old as it is, and two whose phi
-    differ by less than word is old, in s, may both chase to the end (`cbaa` has figures, which are the same here; with
-    positions sensed 0.9 s on the mean and 2.4 s at worst).
-Messages: announcements of 24 bytes, 16 for each evader and 8 for each pursuer; news is a new winner.
+Assumes: a connected graph, else there is a winner in each component. Announcements repeated by heartbeats or at each
+    revision, else the winner times out, and in the end every pursuer drops all others and chases.
+    Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
+    by less than the age of the bids may both chase to the end (the figures in `cbaa` hold here, too; with sensed
+    positions they are 0.9 s in the mean and 2.4 s in the worst run).
+Messages: announcements of 24 bytes, 16 for each evader and 8 for each pursuer. A new action or winner triggers one.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over after `winner_timeout`.
 """
 
@@ -26,42 +26,42 @@ from desim.pursuit.agent import Agent
 from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bids_of, chosen, claim_fields, current, unread
 
 Verdict = Literal["update", "reset", "leave"]
-"""Take the winner over from the sender; know of no winner any more; change nothing."""
+"""The actions of Table I: adopt the sender's winner and bid; clear winner and bid; change nothing."""
 
 
 class StampedClaim(NamedTuple):
-    """Whom a pursuer holds for the winner of each evader, and how old its word of each other is; see `Claim`."""
+    """The lists z, y and s of a pursuer: plain numbers or (M,) winners and bids, and (N,) time stamps."""
 
     active: int
     winner: int | tuple[int, ...]
     amount: float | tuple[float, ...]
     """The winning bid y, s."""
     stamps: tuple[float, ...]
-    """s[m]: when the latest word of m was sent that it knows of, at one hop or more, by the clock of m, s."""
+    """s[m]: when m sent its latest announcement known here, directly or over several hops, by the clock of m, s."""
 
     @property
     def news(self) -> tuple[int, int | tuple[int, ...]]:
-        """What is told at once if it changes: action and winner."""
+        """The action and the winner; a change of them triggers an announcement."""
         return self.active, self.winner
 
 
 class CBBA(Auction):
-    """Consensus on winner, bid and stamps; see `decision`."""
+    """Consensus on winner, bid and time stamps; see `decision`."""
 
     assumes: ClassVar[tuple[str, ...]] = ("connected", "announcements_repeated")
     kind: Literal["cbba"] = "cbba"
     winner_timeout: Timeout = 2.0
-    """How long a winner stays one of whom no newer word comes, s. A winner that is given up in error is rare if that is
-    many heartbeats, and turns of who passes word on: by default 20, and 10 of 20 pursuers."""
+    """Time after which a winner without a newer announcement is dropped, s. It should cover many heartbeats and many
+    turns of the pursuers that forward claims: the default is 20 heartbeats, and 10 turns in a team of 20."""
 
     def claim_size(self, pursuers: int, evaders: int) -> int:
-        """Return the bytes of an announcement: those of any auction, and a stamp of each pursuer."""
+        """Return the size of an announcement, bytes: that of `Auction`, and a time stamp for each pursuer."""
         return super().claim_size(pursuers, evaders) + NUMBER * pursuers
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the evader of which it is the winner."""
+        """Yield the evader that the pursuer has won, or 0, at each turn."""
         bids, read = [NO_BID] * me.evader_count, dict[int, int]()
-        stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: when a stamp was last found newer
+        stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: local time at which a stamp last grew
         while True:
             up_to_date = [current(me, k + 1) for k in range(me.evader_count)]
             bids = [update(bid) for update, bid in zip(up_to_date, bids, strict=True)]
@@ -85,9 +85,9 @@ class CBBA(Auction):
 def decision(
     i: int, k: int, z_i: int, y_i: float, s_i: Sequence[float], z_k: int, y_k: float, s_k: Sequence[float]
 ) -> Verdict:
-    """Return what receiver i, who holds z_i for the winner, does when sender k says z_k (Choi et al. 2009, Table I).
+    """Return the action of receiver i, with winner z_i, on a claim z_k of sender k (Choi et al. 2009, Table I).
 
-    Each row is: k says, i says; what i does. Here m and n are neither i nor k, nor one another.
+    Each row is: winner of k, winner of i; action of i. Here m and n are neither i nor k, and differ from each other.
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
     newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))

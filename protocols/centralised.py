@@ -1,10 +1,10 @@
-"""The centralised benchmark: who would capture an evader first is sent to chase it, and nobody else.
+"""The centralised benchmark: each evader is chased by one pursuer only, the one with the least time of capture.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
-    Algorithm 3; of several evaders, the best assignment (`desim.pursuit.assignment`).
+    Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
 Parameters: slot (time between two decisions).
-Assumes: somebody who knows everything and whose orders are carried out at once. The network is not used, so this is
-    what any protocol could at best achieve, whatever the network.
+Assumes: an omniscient centre whose orders take effect at once. It does not use the network, so it shows the best that
+    any protocol can achieve, whatever the network.
 Messages: none.
 Robust to loss: yes, for nothing is sent.
 """
@@ -23,20 +23,20 @@ from desim.pursuit.game import relay_pursuer
 
 
 class Centralised(Value):
-    """Pursuer 0 speaks for the omniscient centre: every slot it sees to it that those chase who are best, alone."""
+    """An omniscient centre, run by the process of pursuer 0, assigns pursuers to evaders in every slot."""
 
     announces: ClassVar[bool] = False
-    """Nobody repeats its action by heartbeats."""
+    """There are no heartbeats."""
     embodied: ClassVar[bool] = False
-    """The centre is in no robot, and does not break down with one."""
+    """The centre is not part of a robot and does not crash with pursuer 0."""
     omniscient: ClassVar[bool] = True
-    """Whom it leads goes by what the centre knows, however far pursuers see."""
+    """Pursuers move by the knowledge of the centre, whatever their sensing range."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time between two decisions delta, s."""
 
     def __call__(self, me: Agent) -> Process:
-        """Assign to each evader one pursuer at most, which can be in time."""
+        """Assign to each evader at most one pursuer that would be in time."""
         if me.id != 0:
             return
         for k in count():
@@ -57,7 +57,7 @@ class Centralised(Value):
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
-    """Return which evader each pursuer is to chase, 1 .. M; those who are to stay are left out.
+    """Return the evader (1 .. M) that each pursuer is to chase; pursuers that are to stay are left out.
 
     Args:
         phi: (M, N) times of capture, s.

@@ -1,13 +1,14 @@
-"""Dissemination: how the announcement of one pursuer becomes known to the others.
+"""Dissemination: how the announcements of a pursuer spread to its teammates.
 
-A dissemination is called with an agent and is the process that passes word on; `tell` is how a pursuer begins to spread
-word of its own.
+A dissemination is called with an agent and returns the process that forwards the announcements of others; its method
+`broadcast` sends an announcement of the agent's own.
 
-Paper: Flooding: whoever hears something new says it once more, after a random delay (Ni, Tseng, Chen & Sheu 1999, "The
-    Broadcast Storm Problem"). Gossip: everybody tells all it knows (anti-entropy of Demers et al. 1987).
-Parameters: hops (how far word is flooded), jitter (longest random delay).
-Assumes: nothing; one hop is enough where everybody hears everybody.
-Messages: per announcement one broadcast; flooded, up to one per pursuer; gossip's are as long as all that is known.
+Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
+    1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
+    al. 1987).
+Parameters: hops (most hops of a flooded announcement), jitter (longest random delay).
+Assumes: nothing; one hop is enough on a complete graph.
+Messages: one broadcast per announcement; flooding up to one per pursuer; a message of gossip carries all known records.
 Robust to loss: with heartbeats. Flooding also where there are several paths.
 """
 
@@ -21,28 +22,28 @@ from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
 PORT = "word"
-"""Where word that is passed on comes in."""
+"""The port at which forwarded announcements arrive."""
 
 
 class Dissemination(Protocol):
-    """How word spreads."""
+    """How announcements spread."""
 
     def broadcast(self, me: Agent, news: Any) -> None:
-        """Begin to spread an announcement of one's own."""
+        """Send an announcement of the agent's own."""
         ...
 
     def __call__(self, me: Agent) -> Process:
-        """Pass on the word of others."""
+        """Forward the announcements of others."""
         ...
 
 
 class OneHop(Value):
-    """Whoever is in reach hears it; nobody passes it on."""
+    """Announcements reach the neighbours only; they are not forwarded."""
 
     kind: Literal["one_hop"] = "one_hop"
 
     def broadcast(self, me: Agent, news: Any) -> None:
-        """Publish it."""
+        """Publish the announcement."""
         me.publish(news)
 
     def __call__(self, me: Agent) -> Process:
@@ -51,26 +52,26 @@ class OneHop(Value):
 
 
 class Flooding(Value):
-    """Whoever hears something new says it once more, up to a number of hops; duplicates are dropped.
+    """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
 
-    A copy that may travel farther than the first is no duplicate.
+    A copy with more hops left than the one before is not a duplicate.
     Robust to loss: where there are several paths. Messages: up to one transmission per pursuer and announcement.
     """
 
     kind: Literal["flooding"] = "flooding"
     hops: Annotated[int, Field(ge=1, strict=True)] = 5
-    """Most hops that word travels."""
+    """Most hops that an announcement travels."""
     jitter: Time = 0.005
-    """Longest random delay J before something is said once more, s; it keeps neighbours from speaking at once."""
+    """Longest random delay J before a rebroadcast, s; it keeps neighbours from transmitting at once."""
 
     def broadcast(self, me: Agent, news: Any) -> None:
-        """Send it to the neighbours."""
+        """Send the announcement to the neighbours."""
         me.send(None, Forwarded((me.record(news),), self.hops), PORT)
 
     def __call__(self, me: Agent) -> Process:
-        """Pass on what is new after a random delay."""
+        """Rebroadcast each new announcement after a random delay."""
         rng = me.stream("flooding")
-        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last word
+        passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy
         while True:
             yield me.arrival(PORT)
             for message in me.mail(PORT):
@@ -83,20 +84,20 @@ class Flooding(Value):
 
 
 class Gossip(Value):
-    """Whenever a pursuer announces its action, it tells all it knows of others, too; who hears it merges by the newest.
+    """Each announcement carries the newest known records of all pursuers; receivers keep the newest of each source.
 
-    Robust to loss: yes, with heartbeats, which say everything again. Messages: long ones.
+    Robust to loss: yes, with heartbeats, which repeat all records. Messages: their length grows with the team.
     """
 
     kind: Literal["gossip"] = "gossip"
 
     def broadcast(self, me: Agent, news: Any) -> None:
-        """Send it with all that is known."""
+        """Send the announcement with all known records to the neighbours."""
         known = [record for _, record in me.latest_records().values()]
         me.send(None, Forwarded((me.record(news), *known)), PORT)
 
     def __call__(self, me: Agent) -> Process:
-        """Merge what comes in."""
+        """Merge the records that arrive."""
         while True:
             yield me.arrival(PORT)
             for message in me.mail(PORT):

@@ -1,14 +1,14 @@
-"""Fictitious play: each pursuer answers not what the others do, but what they have done so far.
+"""Fictitious play: each pursuer responds to the past play of its teammates rather than to their present actions.
 
 Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Property for Games with Identical
     Interests". JointStrategyFictitiousPlay: Marden, Arslan & Shamma 2009, "Joint Strategy Fictitious Play with Inertia
     for Potential Games", with fading memory.
-Parameters: schedule, utility; alpha (how willing a pursuer is to change), rho (how fast it forgets).
-Assumes: word of everybody; no order of revisions. Fictitious play converges in beliefs in every potential game, with
-    times of capture that do not change; how often each pursuer chased is averaged over all turns, so it is slow
-    to follow those that do.
-Messages: announcements as the scenario's `announce` says.
-Robust to loss: yes, with heartbeats: what was heard last counts again at each turn.
+Parameters: schedule, utility; alpha (probability of changing), rho (rate of forgetting).
+Assumes: announcements of all teammates; no order of revisions. Fictitious play converges in beliefs in every potential
+    game with constant times of capture. Frequencies of actions are averages over all turns, so it is slow to follow
+    times of capture that change.
+Messages: announcements, see `announce` in the scenario.
+Robust to loss: yes, with heartbeats; the last action received counts again at each turn.
 """
 
 from collections import defaultdict
@@ -27,7 +27,7 @@ from protocols.rule import LearningRule, argmax, current_action
 
 
 class FictitiousPlay(LearningRule):
-    """The best action if each other chased each evader, independently, as often as it did at the turns so far."""
+    """The best response to the empirical frequencies at which each teammate has chased each evader, independently."""
 
     kind: Literal["fictitious_play"] = "fictitious_play"
 
@@ -52,7 +52,7 @@ class FictitiousPlay(LearningRule):
             )
 
     def _expected(self, me: Agent, evader: int, beliefs: dict[int, Belief], frequency: dict[int, float]) -> float:
-        """Return what chasing an evader is worth if teammates chase it as often as they did, s."""
+        """Return the expected utility of chasing an evader that teammates chase at these frequencies, s."""
         utility: Any = self.utility
         counted_teammates = me.counted_teammates(utility.scope)
         times = {
@@ -64,16 +64,16 @@ class FictitiousPlay(LearningRule):
 
 
 class JointStrategyFictitiousPlay(LearningRule):
-    """The action that would have been worth most on the average, and inertia; an optimal action is kept."""
+    """The action of highest average utility against the past joint actions, with inertia; an optimal action is kept."""
 
     kind: Literal["jsfp"] = "jsfp"
     alpha: Willingness = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia."""
     rho: Probability = 0.03
-    """Least weight of the latest turn in the average, which is how fast memory fades; 0: all turns count the same."""
+    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield an action of greatest average utility, or the present one."""
+        """Yield the action of highest average utility, or the present one."""
         average: dict[int, float] = defaultdict(float)
         for turn in count(1):
             weight = max(self.rho, 1.0 / turn)

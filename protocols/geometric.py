@@ -1,21 +1,21 @@
-"""Geometric rules: the pursuer that is first by a measure everybody can work out chases, without any negotiation.
+"""Geometric rules: each pursuer computes the owner of an evader from a measure known to all, without negotiation.
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
-    Automatica 48 (from memory): the active pursuer is the one in whose Voronoi cell the evader is. Argmin: the same by
-    time of capture, for unequal speeds, or by the time of an intercept at the evader's velocity.
+    Automatica 48 (from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the same
+    by time of capture, for unequal speeds, or by the time to intercept an evader of constant velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
-Time: everybody works out who is first at the same instants k * slot of its clock. Ties go to the lowest id. With a
-    hysteresis of, say, 0.1, who is first takes over only if it is better than the present owner by more than a tenth.
-    Who cannot capture in time (phi >= r) is never the owner. Of several evaders each has an owner of its own, found one
-    by one: of all first ones the one with the least measure owns, and is left out of what remains.
-Assumes: that everybody knows where everybody is, or its time of capture; that nobody breaks down, for where positions
-    are sensed nobody notices that the owner does not move. With a hysteresis the choice has a memory, which must be the
-    same everywhere: equal clocks. Voronoi: equal speeds, for who is nearest to be who is fastest.
-Messages: none with the payload "action", where positions are sensed. Else announcements as the scenario's `announce`
-    says, and the present owner is the first of those that say they are active, so that different opinions about it
-    pass.
-Robust to loss: needs no word if positions are sensed; else with heartbeats.
+Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
+    clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is less
+    than that of the present owner by more than a tenth. A pursuer that would be late (phi >= r) is never an owner.
+    Owners of several evaders are assigned greedily: the pair of least measure first, then the rest without that pair.
+Assumes: positions or times of capture known to all. No crashes: where positions are sensed, no pursuer notices that the
+    owner has stopped. With hysteresis the present owner is a state that must be the same in all pursuers: equal clocks.
+    Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
+Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
+    scenario; the present owner is then the best of the pursuers that announce that they chase, so that disagreement
+    about it is resolved.
+Robust to loss: needs no messages if positions are sensed; otherwise with heartbeats.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -33,30 +33,30 @@ from desim.pursuit.state import Floats, coordinates, lengths
 from protocols.schedules import ticks
 
 Distances = Callable[[TeamEstimate], Floats]
-"""By what pursuers are compared, the (n,) of them whose whereabouts are known: the least is first."""
+"""The measure of the n pursuers in an estimate, (n,); the pursuer of least measure is the first."""
 
 
 class Geometric(Value):
-    """What the geometric rules share: at every slot the owner of an evader chases it, and nobody else."""
+    """The common part of the geometric rules: in every slot only the owner of an evader chases it."""
 
     announces: ClassVar[Literal["unseen"]] = "unseen"
-    """Word is needed only where positions are not sensed."""
+    """Announcements are needed only where positions are not sensed."""
     slot: Period = 0.01
     """Time between two decisions, s."""
     hysteresis: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0
-    """By which share a challenger must be better than the present owner to take over, in [0, 1)."""
+    """Share by which a challenger must be better than the present owner to take over, in [0, 1)."""
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
+        """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Distances:
-        """Return by what pursuers are compared; it is asked once a slot."""
+        """Return the measure by which pursuers are compared for an evader; it is called once a slot."""
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:
-        """Chase whenever one is the owner."""
+        """Chase an evader while the pursuer is its owner."""
         of = {evader: self.measure(me, evader) for evader in me.evaders()}
         owner = dict[int, int]()
         for tick in ticks(me, self.slot):
@@ -76,38 +76,38 @@ class Geometric(Value):
 
 
 class Voronoi(Geometric):
-    """The pursuer in whose Voronoi cell the evader is chases: the nearest."""
+    """The pursuer whose Voronoi cell contains the evader, so the nearest one, chases it."""
 
     kind: Literal["voronoi"] = "voronoi"
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
+        """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return (*super().assumes, "places_known", "equal_speeds")
 
     def measure(self, me: Agent, evader: int) -> Distances:
-        """Return the measure of distance, m."""
+        """Return the distance to the evader as the measure, m."""
         return lambda known: lengths(me.evader(evader) - known.places)
 
 
 class Argmin(Geometric):
-    """The pursuer chases that would capture first, should the evader flee from it or keep its velocity."""
+    """The pursuer with the least time of capture or intercept chases the evader."""
 
     kind: Literal["argmin"] = "argmin"
     by: Literal["capture_time", "intercept_time"] = "capture_time"
-    """capture_time: an evader that flees straight from each (phi); intercept_time: one that keeps the velocity it is
-    seen to have."""
+    """capture_time: for an evader that flees straight from each pursuer (phi); intercept_time: for one that keeps its
+    estimated velocity."""
     time_constant: Time = 0.2
-    """Of the low-pass filter by which the velocity of the evader is estimated from its positions at the slots, s; 0:
+    """Time constant of the low-pass filter that estimates the evader's velocity from its positions at the slots, s; 0:
     the mean velocity in the last slot."""
 
     @property
     def assumes(self) -> tuple[str, ...]:
-        """What it needs to do what it promises; see `desim.scenario.assumptions`."""
+        """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
     def measure(self, me: Agent, evader: int) -> Distances:
-        """Return the measure of time, s."""
+        """Return the time of capture or intercept as the measure, s."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
         velocity = Velocity(self.time_constant)
@@ -121,10 +121,10 @@ class Argmin(Geometric):
 
 
 class Velocity:
-    """The velocity of something that is seen from time to time, by a low-pass filter: dw/dt = (dx/dt - w) / T.
+    """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
-    It begins with the mean velocity between the first two sights, and is 0 before the second. While nobody knows where
-    it is (nan) it stays as it is.
+    It starts at the mean velocity between the first two positions, and is 0 before the second. It is constant while the
+    position is unknown (nan).
     """
 
     def __init__(self, time_constant: float):
@@ -133,7 +133,7 @@ class Velocity:
         self._velocity: complex | None = None
 
     def __call__(self, now: float, place: complex) -> complex:
-        """Return the estimate after a sight at a time (s) and a place (m), m/s."""
+        """Return the estimate after an observation at a time (s) and a position (m), m/s."""
         if isnan(place.real):
             self._seen = None
             return self._velocity or 0j
@@ -153,13 +153,13 @@ def owners(
     present: Mapping[int, Collection[int | None]],
     hysteresis: float,
 ) -> dict[int, int]:
-    """Return who is to be the owner of each evader, of which a pursuer has one at most; see `first`.
+    """Return the owner of each evader; a pursuer owns one evader at most. See `first`.
 
     Args:
         ids: (n,) of the pursuers, ascending.
-        measures: of each evader, (n,) of them.
-        present: of each evader, who is its owner now.
-        hysteresis: by which share a pursuer must be better than the present owner.
+        measures: for each evader, (n,) measures of the pursuers.
+        present: for each evader, its present owner or owners.
+        hysteresis: share by which a pursuer must be better than the present owner.
     """
     found: dict[int, int] = {}
     while measures:
@@ -174,15 +174,15 @@ def owners(
 
 
 def first(ids: Sequence[int], measures: Floats, present: Collection[int | None], hysteresis: float) -> int | None:
-    """Return who is to be the owner, or None if nobody can.
+    """Return the owner of an evader, or None if no pursuer can own it.
 
     Args:
         ids: (n,) of the pursuers, ascending.
-        measures: (n,) of them; inf for who cannot be the owner.
-        present: who is the owner now, or several of whom the first counts.
-        hysteresis: by which share the first of all must be better to take over.
+        measures: (n,) of them; inf for a pursuer that cannot be the owner.
+        present: the present owner, or several, of which the one of least measure counts.
+        hysteresis: share by which the pursuer of least measure must be better to take over.
     """
-    best = int(measures.argmin())  # of equals the lowest id
+    best = int(measures.argmin())  # ties: the lowest id
     if measures[best] == inf:
         return None
     if hysteresis:
@@ -193,5 +193,5 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
 
 
 def said_active(me: Agent, evader: int) -> list[int]:
-    """Return who chases an evader, itself included, as far as it has heard."""
+    """Return the pursuers that chase an evader according to their announcements, the agent itself included."""
     return [*me.believed_active(evader), *([me.id] if me.action == evader else [])]

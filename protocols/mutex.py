@@ -1,16 +1,17 @@
-"""A schedule by mutual exclusion: no two neighbours decide at once, and each knows what the other decided last.
+"""A schedule by mutual exclusion: no two neighbours decide at once, and each knows the last decision of the other.
 
-Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours:
-    who wants to decide asks them all; who is asked replies at once, unless it wants to decide itself and asked earlier
-    (Lamport 1978), then it replies after its decision. Replies carry what the replier does.
-Parameters: rate (wishes to decide per second), attempts (before a neighbour is left out).
-Assumes: that neighbours hear each other; that a neighbour which does not answer `attempts` times has broken down or is
-    out of reach. Only neighbours exclude each other and are known as they are.
-Messages: 2 d_i per decision among d_i neighbours, and at least 2 L; more if it takes longer than expected, for requests
-    are repeated then, and who makes others wait says so.
+Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours.
+    A pursuer that wants to decide sends a request to all neighbours. A neighbour replies at once, unless it has an
+    older request of its own (Lamport 1978); then it replies after its decision. Replies carry the replier's action.
+Parameters: rate (requests per second of an idle pursuer), attempts (before a neighbour is left out).
+Assumes: symmetric links; that a neighbour that does not answer `attempts` requests has crashed or is out of range. Only
+    neighbours exclude each other, and only their actions are known to be up to date.
+Messages: 2 d_i per decision among d_i neighbours, which takes 2 L or longer. If it takes longer than expected, requests
+    are retransmitted, and neighbours that defer their reply answer that they do.
 Stable while the channel can carry 2 d_i messages per decision.
-Robust to loss: yes. Requests are repeated until they are answered; the oldest waits for nobody but the silent, whom
-    it leaves out, so nobody waits for ever. Who was silent is still asked but not waited for until it replies again.
+Robust to loss: yes. Requests are retransmitted until they are answered. The oldest request waits only for neighbours
+    that do not answer, and these are left out in the end, so no pursuer waits for ever. A silent neighbour still gets
+    requests, but its reply is not awaited until it has replied again.
 """
 
 from collections.abc import Callable
@@ -25,62 +26,62 @@ from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 PORT = "mutex"
-"""Where all that concerns the section comes in."""
+"""The port at which the messages of the mutual exclusion arrive."""
 
 Stamp = tuple[int, int]
-"""Lamport time and id: the smaller is the older, and no two requests have the same."""
+"""Lamport time and id of a request: unique, and smaller for an older request."""
 
 
 class Request(NamedTuple):
-    """May I decide?"""
+    """Asks for permission to decide."""
 
     stamp: Stamp
 
 
 class Reply(NamedTuple):
-    """You may."""
+    """Grants a request."""
 
     stamp: Stamp
-    """Of the request."""
+    """That of the request."""
     records: tuple[Record, ...]
-    """What the replier does."""
+    """The announcement of the replier."""
 
 
 class Deferred(NamedTuple):
-    """Not yet: answer to a request that is repeated."""
+    """Answers a retransmitted request that is not yet granted."""
 
     stamp: Stamp
-    """Of the request."""
+    """That of the request."""
 
 
 class LocalMutex(Value):
-    """Who wants to decide, after exponential waits, asks all neighbours first (Ricart and Agrawala)."""
+    """After an exponential wait, a pursuer asks all neighbours for permission to revise (Ricart and Agrawala)."""
 
     spreads_to: ClassVar[Literal["neighbours"]] = "neighbours"
-    """Replies carry what the replier does, and are asked for until they come."""
+    """Replies carry the replier's announcement, and requests are retransmitted until the replies arrive."""
     kind: Literal["local_mutex"] = "local_mutex"
     rate: Rate = 5.0
-    """Wishes to decide per second of each pursuer that has none, 1/s."""
+    """Rate of new requests of an idle pursuer, 1/s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
-    """How often a neighbour that does not answer is asked before it is left out."""
+    """Number of requests to a neighbour that does not answer before it is left out."""
     min_timeout: Duration = 0.001
-    """Least time after which a request is repeated, s; it is 5/4 of a round trip if that is longer."""
+    """Least time after which a request is retransmitted, s; it is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return (1 / rate + 2 L + A) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s.
 
-        d is the mean number of neighbours in the team, so that all agree; A is the airtime of requests to so many and
-        of their replies.
+        d is the mean degree of the team, so that all pursuers compute the same value; A is the airtime of requests to d
+        neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
 
     def without_turns(self) -> dict[str, Any]:
-        """Return the schedule under which nobody asks."""
+        """Return the schedule without mutual exclusion."""
         return {"kind": "poisson", "rate": self.rate}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
-        """Revise whenever all neighbours agree that it is one's turn."""
+        """Revise whenever all neighbours have granted a request."""
         section = CriticalSection(me, self.attempts, self.min_timeout)
         rng = me.stream("mutex")
         while True:
@@ -92,30 +93,34 @@ class LocalMutex(Value):
 
 
 def on_air(me: Agent, neighbours: float) -> float:
-    """Return how long one channel is busy with requests to so many neighbours and their replies, s."""
+    """Return the airtime of requests to a number of neighbours and of their replies on one channel, s."""
     stamp, record = (0, 0), Record(me.id, 0, 0, me.announcement())
     return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
 
 
 class CriticalSection:
-    """One pursuer's part in the exclusion: it is inside from `enter` to `leave`."""
+    """The mutual exclusion as run by one pursuer.
+
+    It is idle (`idle`: grants every request), waiting (`enter`: grants requests older than its own and defers others),
+    or inside (from the end of `enter` to `leave`, which grants the deferred requests).
+    """
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
         self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), min_timeout)
         self._highest = 0  # Lamport time of the requests so far
         self._wanted: Stamp | None = None  # its own request
-        self._missing: dict[int, int] = {}  # whose replies are missing, and how often they were asked in vain
-        self._deferred: dict[int, Stamp] = {}  # who waits for its reply
-        self._silent: set[int] = set()  # who did not answer when last waited for
+        self._missing: dict[int, int] = {}  # neighbours whose reply is missing: requests without an answer
+        self._deferred: dict[int, Stamp] = {}  # neighbours that wait for a reply: their request
+        self._silent: set[int] = set()  # neighbours that did not answer in time
 
     def idle(self, until: float) -> Process:
-        """Do nothing but answer until a time on the own clock, s."""
+        """Only answer requests until a time on the own clock, s."""
         while not (yield from self._wait(until)):
             pass
 
     def enter(self) -> Process:
-        """Ask all neighbours, and wait until those that are not silent have replied."""
+        """Send a request to all neighbours, and wait until those that are not silent have replied."""
         self._ask()
         attempt = 0
         while self._missing:
@@ -124,11 +129,11 @@ class CriticalSection:
                 if (yield from self._wait(until)):
                     self._ask_again()
                     break
-            if self._me.now > until + self._time_out():  # it broke down: what it knows may be old
+            if self._me.now > until + self._time_out():  # it had crashed: its beliefs may be outdated
                 self._ask()
 
     def leave(self) -> None:
-        """Reply to all who wait."""
+        """Reply to all deferred requests."""
         self._wanted = None
         for j, stamp in self._deferred.items():
             self._reply(j, stamp)
@@ -138,7 +143,7 @@ class CriticalSection:
         """Send a new request to all neighbours."""
         self.leave()
         me = self._me
-        self._highest = max(self._highest + 1, nanoseconds(me.now))  # the clock, for it may have lost its memory
+        self._highest = max(self._highest + 1, nanoseconds(me.now))  # by the clock: a crash may have cleared the memory
         self._wanted = (self._highest, me.id)
         neighbours = me.neighbours()
         self._missing = {j: 1 for j in neighbours if j not in self._silent}
@@ -146,7 +151,7 @@ class CriticalSection:
             me.send(j, Request(self._wanted), PORT)
 
     def _ask_again(self) -> None:
-        """Send the request once more to those that have not replied, and leave out who was asked often enough."""
+        """Retransmit the request to neighbours that have not replied, and leave out those without an attempt left."""
         assert self._wanted is not None
         for j, asked in list(self._missing.items()):
             if asked < self._attempts:
@@ -157,14 +162,14 @@ class CriticalSection:
                 self._silent.add(j)
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""
+        """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
         due = yield from wait_for_mail(self._me, PORT, until)
         for message in self._me.mail(PORT):
             self._hear(message.src, message.body)
         return due
 
     def _hear(self, src: int, body: Request | Reply | Deferred) -> None:
-        """Take notice of a message."""
+        """Process a message."""
         if isinstance(body, Request):
             self._consider(src, body.stamp)
             return
@@ -178,7 +183,7 @@ class CriticalSection:
                 self._missing[src] = 0
 
     def _consider(self, src: int, stamp: Stamp) -> None:
-        """Reply to a request, unless the own one is older."""
+        """Reply to a request, or defer the reply if the own request is older."""
         self._highest = max(self._highest, stamp[0])
         if self._wanted is None or stamp < self._wanted:
             self._reply(src, stamp)

@@ -1,16 +1,16 @@
-"""Regret matching: the more a pursuer regrets not having done something, the likelier it does it.
+"""Regret matching: a pursuer draws each action with probability proportional to its regret for not having taken it.
 
 Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
-    unconditional variant: the regret of an action is that of not having done it at every turn. The conditional
-    procedure that gives the paper its name (regrets of each action against each other, and a constant of inertia) and
-    that leads to correlated equilibria is not implemented.
+    unconditional variant: the regret of an action is that of not having taken it at every turn. The conditional
+    procedure of the paper's title (regrets of each action against each other, and a constant of inertia), which leads
+    to correlated equilibria, is not implemented.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
-Parameters: schedule, utility; rho (how fast regret fades), alpha (how willing a pursuer is to change).
-Assumes: word of everybody; no order of revisions. Regret matching has no regret in the long run, and how often each
-    profile was played tends to the coarse correlated equilibria: in the relay game with one evader and times of capture
-    that do not change, to the relay profile. The generalised one settles in a pure equilibrium.
-Messages: announcements as the scenario's `announce` says.
+Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
+Assumes: announcements of all teammates; no order of revisions. Regret matching has no regret in the long run, and the
+    empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay profile in the relay game
+    with one evader and constant times of capture. The generalised one settles in a pure equilibrium.
+Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
 
@@ -27,20 +27,20 @@ from protocols.sap import categorical
 
 
 class RegretMatching(LearningRule):
-    """Each action with probability proportional to its regret, if that is positive; if none is, no change.
+    """Each action is drawn with probability proportional to its positive regret; without one, the action is kept.
 
-    The regret of an action is how much more it would have been worth than what was done, averaged over the turns. To
-    draw at random where there is no regret, as one may, would leave most runs unsettled.
+    The regret of an action is its utility minus that of the action taken, averaged over the turns. Drawing at random
+    where there is no regret is possible, too, but would leave most runs unsettled.
     """
 
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
-    """Least weight of the latest turn in the average, which is how fast regret fades; 0: all turns count the same."""
+    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
     alpha: Willingness = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield an action in proportion to its regret, or the present one."""
+        """Yield an action drawn in proportion to its regret, or the present one."""
         regret: dict[int, float] = defaultdict(float)
         for turn in count(1):
             worth = self.utilities(me)
@@ -58,6 +58,6 @@ class GeneralisedRegretMatching(RegretMatching):
 
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
-    """Least weight of the latest turn in the average, which is how fast regret fades; 0: all turns count the same."""
+    """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
     alpha: Willingness = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""

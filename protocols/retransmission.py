@@ -1,7 +1,7 @@
-"""Patience: how long schedules wait for an answer before they ask again.
+"""Retransmission time-outs with exponential back-off, for the schedules that exchange messages.
 
-The first time-out is 5/4 of a round trip without queues. Each later one allows messages to be on the air for 3/2 as
-long as the one before, for the channel may be busy.
+The first time-out is 5/4 of a round trip without queues. Each later one allows for 3/2 of the airtime that the one
+before allowed for, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -10,19 +10,19 @@ from typing import Any
 from desim.pursuit.agent import Agent
 
 BACKOFF = 1.5
-"""How much longer messages are expected to be on the air at each time-out than at the one before."""
+"""Factor by which the airtime allowed for grows from one attempt to the next."""
 MAX_GROWTH = 100
-"""How often it grows at most."""
+"""Most attempts for which it grows."""
 Waiting = Generator[Any, Any, bool]
-"""A part of a process that finds out whether something is so."""
+"""A part of a process that waits and returns true or false."""
 
 
 class RetransmissionTimer:
-    """How long one pursuer waits for answers: `time_out(attempt)`.
+    """The time-outs of one pursuer's requests: call it with the number of the attempt.
 
     Args:
-        me: who asks.
-        on_air: how long the channel is busy with a question, its answer and what may wait in front of them, s.
+        me: the sender of the requests.
+        on_air: airtime of a request, its answer, and the messages that may be queued in front of them, s.
         floor: the least time-out, s.
     """
 
@@ -31,12 +31,12 @@ class RetransmissionTimer:
         self._first = max(2.5 * me.latency + self._on_air, floor)
 
     def __call__(self, attempt: int = 0) -> float:
-        """Return how long an answer is awaited, s, after so many attempts in vain."""
+        """Return the time-out of a transmission after a number of attempts without an answer, s."""
         return self._first + self._on_air * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
 def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for mail at a port, at most until a time on the own clock, s; return whether that has come."""
+    """Wait for a message at a port or a time on the own clock, s; return whether the time is up."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

@@ -1,9 +1,9 @@
-"""Rules: what a pursuer chooses whenever its schedule says that it is its turn.
+"""Rules: protocols that choose an action at each turn of a schedule.
 
-A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator: each `next` is a turn, what it yields is the
-action (0: stay, j: chase evader j), and its local variables are what the pursuer remembers. Who has no choice but to
-stay is not asked. A `LearningRule` chooses by what the actions are worth to it, and so has a utility, too. Any rule
-runs under any schedule, network and dissemination.
+A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: stay, j:
+chase evader j) and keeps the pursuer's memory in its local variables. It is not called for a pursuer that can only
+stay. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
+dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
 """
 
 from collections.abc import Collection, Iterator
@@ -33,23 +33,23 @@ SCHEDULES = OneOf(
 
 
 class Rule(Value):
-    """A protocol in which each pursuer chooses an action whenever its schedule says so, and announces it."""
+    """A protocol in which each pursuer chooses an action at each turn of its schedule, and announces it."""
 
     assumes: ClassVar[tuple[str, ...]] = ("messages_get_through",)
-    """What it needs to do what it promises; see `desim.scenario.assumptions`."""
+    """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
     schedule: Annotated[Schedule, SCHEDULES] = SharedSeed()
     """When each pursuer revises."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the action of a pursuer at each of its turns: the number of an evader to chase it, 0 to stay."""
+        """Yield the action of a pursuer at each of its turns: the number of the evader to chase, or 0 to stay."""
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
         """Negotiate for one pursuer.
 
         Raises:
-            TypeError: if the rule does not yield actions.
-            ValueError: if it ends.
+            TypeError: if `actions` is not a generator.
+            ValueError: if `actions` ends.
         """
         actions = self.actions(me)
         if not isinstance(actions, Iterator):
@@ -65,15 +65,15 @@ class Rule(Value):
 
 
 class LearningRule(Rule):
-    """A rule that goes by what the actions are worth, given what the others are believed to do."""
+    """A rule that chooses by the utility of each action, given the believed actions of teammates."""
 
     utility: Annotated[Utility, UTILITIES] = Mean()
-    """What being active is worth."""
+    """Utility of an active pursuer."""
 
     def utilities(self, me: Agent) -> dict[int, float]:
-        """Return what each action it may choose is worth now, s: staying 0, and chasing an evader its gain.
+        """Return the utility of each action that a pursuer may choose, s: 0 for staying, the gain for chasing.
 
-        That of who can never capture is cut off at -30 years, so that averages remain numbers.
+        The gain of a pursuer that can never capture is cut off at -30 years, so that averages are finite.
         """
         worth = {0: 0.0}
         for evader in me.options()[1:]:
@@ -82,10 +82,10 @@ class LearningRule(Rule):
 
 
 def current_action(me: Agent, actions: Collection[int]) -> int:
-    """Return what a pursuer does if that is one of the actions it may choose; else 0, for it has to stop."""
+    """Return the action of a pursuer, or 0 if it may no longer choose that action."""
     return me.action if me.action in actions else 0
 
 
 def argmax(utilities: dict[int, float]) -> int:
-    """Return the action that is worth most; of several the first, so that nobody chases for nothing."""
+    """Return the action of highest utility; ties go to the first, so that staying wins over a chase without gain."""
     return max(utilities, key=utilities.__getitem__)

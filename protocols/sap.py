@@ -1,11 +1,11 @@
-"""Spatial Adaptive Play: one at a time, each pursuer draws its action from the logit of what it is worth.
+"""Spatial Adaptive Play: one at a time, each pursuer draws an action from the logit of the utilities.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithms 1 and 2; the rule is log-linear learning (Blume 1993; Young 1998).
 Parameters: tau (temperature), schedule (who revises when), utility.
-Assumes: revisions one at a time and news that travels at once, for the Gibbs law and the paper's results; on a complete
-    graph neither is needed for convergence as tau -> 0.
-Messages: announcements as the scenario's `announce` says, one broadcast per change of action and heartbeat by default;
+Assumes: revisions one at a time and zero latency, for the Gibbs law and the paper's results; on a complete graph
+    neither is needed for convergence as tau -> 0.
+Messages: announcements, see `announce` in the scenario: by default one broadcast per change of action and heartbeat;
     and those of the schedule.
 Robust to loss: yes, with heartbeats.
 """
@@ -22,11 +22,11 @@ from protocols.temperature import TEMPERATURES, PaperTau, Temperature, slots_see
 
 
 class LogLinear(LearningRule):
-    """What the rules of the log-linear family share: a temperature that fades."""
+    """The common part of the log-linear rules: a temperature that may decrease."""
 
     assumes: ClassVar[tuple[str, ...]] = (*LearningRule.assumes, "one_at_a_time")
     tau: Annotated[Temperature, TEMPERATURES] = PaperTau()
-    """Temperature, s."""
+    """Temperature or cooling schedule, s."""
 
     def inverse_temperatures(self, me: Agent) -> Iterator[float]:
         """Yield 1/tau at each turn, 1/s."""
@@ -35,19 +35,19 @@ class LogLinear(LearningRule):
 
 
 class SpatialAdaptivePlay(LogLinear):
-    """Each pursuer in its turn draws its action with probability proportional to exp(utility / tau)."""
+    """At its turn a pursuer draws each action with probability proportional to exp(utility / tau)."""
 
     kind: Literal["sap"] = "sap"
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield a draw from the logit at each turn."""
+        """Yield an action drawn from the logit at each turn."""
         for inverse_tau in self.inverse_temperatures(me):
             utilities = self.utilities(me)
             yield list(utilities)[categorical(logit([*utilities.values()], inverse_tau), me.rng)]
 
 
 def categorical(chances: list[float], rng: np.random.Generator) -> int:
-    """Return which of several is drawn with the given probabilities, by one number of `rng`."""
+    """Return an index drawn with the given probabilities, from one random number of `rng`."""
     luck = rng.random()
     for which in range(len(chances) - 1, 0, -1):
         if luck < chances[which]:

@@ -1,4 +1,4 @@
-"""Everybody at once in every slot that another schedule gives to one: what it costs to take turns.
+"""Synchronous revisions in the slots of a schedule with turns: a control that shows the cost of taking turns.
 
 Paper: none; the synchronous learning of Marden & Shamma 2012 in the slots of another schedule.
 Parameters: schedule, the other schedule.
@@ -18,10 +18,9 @@ from protocols.token import TokenRing, TokenWalk
 
 
 class Synchronous(Value):
-    """A round per slot of a schedule under which pursuers take turns: where that lets one revise, all revise.
+    """All pursuers revise in each slot in which another schedule lets one pursuer revise.
 
-    So each revises N times as often. The slot that temperatures go by is that of the other schedule, so that they cool
-    alike.
+    Each pursuer therefore revises N times as often. Temperatures cool as under the other schedule, with its slot.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
@@ -30,7 +29,7 @@ class Synchronous(Value):
     schedule: Annotated[
         Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))
     ] = SharedSeed()
-    """The other schedule, of which there is a round per slot."""
+    """The other schedule; there is one round in each of its slots."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return the slot of the other schedule, s."""

@@ -1,7 +1,7 @@
-"""Temperatures of log-linear learning: how much chance there is in a decision, and how it fades.
+"""Temperatures of log-linear learning: the randomness of decisions and its cooling schedule.
 
-A temperature is called with eta = t / delta, the number of slots that have passed, and answers with the *inverse*
-temperature 1/tau in 1/s: an infinite temperature is then an ordinary number.
+A temperature is called with eta = t / delta, the number of slots that have passed, and returns the *inverse*
+temperature 1/tau in 1/s, which is 0 for an infinite temperature.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ class PaperTau(Value):
 
 
 class ConstantTau(Value):
-    """The same temperature for ever; the profile then follows the Gibbs law."""
+    """A constant temperature; the distribution of profiles is then the Gibbs law."""
 
     kind: Literal["constant"] = "constant"
     value: Positive = 0.1
@@ -46,11 +46,11 @@ class ConstantTau(Value):
 
 
 class LogarithmicTau(Value):
-    """tau = scale / ln(eta + offset): so slow that in a fixed game the best profile is found with probability 1."""
+    """tau = scale / ln(eta + offset): slow enough to find the best profile of a fixed game with probability 1."""
 
     kind: Literal["logarithmic"] = "logarithmic"
     scale: Positive = 1.0
-    """c, s; Hajek 1988, "Cooling Schedules for Optimal Annealing", tells how great it must be for that."""
+    """c, s; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least value for that."""
     offset: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 2.0
     """k0 > 1, slots."""
 
@@ -60,7 +60,7 @@ class LogarithmicTau(Value):
 
 
 class GeometricTau(Value):
-    """tau falls by the same factor in every slot, down to a floor (Kirkpatrick, Gelatt & Vecchi 1983)."""
+    """tau decreases by a constant factor per slot, down to a floor (Kirkpatrick, Gelatt & Vecchi 1983)."""
 
     kind: Literal["geometric"] = "geometric"
     first: Positive = 1.0
@@ -80,24 +80,24 @@ Surprise = Literal["neighbour", "silence", "order"]
 
 
 class AdaptiveTau(Value):
-    """Cools as another temperature does, but begins anew whenever a pursuer is surprised; each for itself."""
+    """Cools as another temperature does, and restarts at each surprise; each pursuer has its own temperature."""
 
     kind: Literal["adaptive"] = "adaptive"
     cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, takes=("eta",))] = (
         GeometricTau()
     )
-    """How it cools between two surprises."""
+    """Cooling between two surprises."""
     reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
-    """What surprises: a teammate is heard that was not; one falls silent (`announce.belief_timeout`); another pursuer
-    than before has the least time of capture of an evader, of those that are heard, itself included; or an evader has
-    been captured."""
+    """Events that restart the cooling. neighbour: a teammate is heard for the first time or again; silence: a teammate
+    times out (`announce.belief_timeout`); order: an evader is captured, or its pursuer of least time of capture, among
+    the known teammates and the pursuer itself, changes."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, eta slots after the last surprise, 1/s."""
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield at each turn how many slots (s) have passed since the last surprise."""
+        """Yield the number of slots (of length `slot`, s) since the last surprise at each turn."""
         since, heard, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()
@@ -113,7 +113,7 @@ class AdaptiveTau(Value):
 
 
 def _first(me: Agent, evader: int) -> int:
-    """Return who has the least time of capture of an evader, of a pursuer itself and those that have told theirs."""
+    """Return the pursuer of least time of capture of an evader, among the agent and teammates of known time."""
     told = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
     return min([*told, (me.capture_time(evader), me.id)])[1]
 
@@ -124,7 +124,7 @@ TEMPERATURES = OneOf(
 
 
 def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
-    """Yield eta at each turn: the number of slots (s) that have passed, since the last surprise if that matters."""
+    """Yield eta at each turn: the number of slots (of length `slot`, s) since the start or the last surprise."""
     if isinstance(tau, AdaptiveTau):
         yield from tau.slots_since(me, slot)
     while True:

@@ -1,15 +1,15 @@
-"""One token that circulates: how it is passed on, how its loss is noticed, and why only one is left in the end.
+"""Circulation of one token: forwarding, detection of its loss, regeneration, and removal of duplicates.
 
-Paper: the new token is claimed in an epoch of its own, and whoever has seen a newer epoch drops what is older; Le Lann
-    1977, "Distributed Systems - Towards a Formal Approach", for a lost token of a ring.
+Paper: a regenerated token has an epoch of its own, and a node discards any token older than the newest epoch it has
+    seen; Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring.
 Parameters: hold (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
-Assumes: nothing for safety in the end; for no token to be made in vain, that 3 N (L + hold) is longer than a round.
-Messages: two per hop, the token and its receipt; a claim and what reassures who was not visited for long are heard by
-    all neighbours, and passed on to those who are out of their reach.
-Robust to loss: yes. The token is sent again until its receipt. A neighbour that does not answer is left out from then
-    on, by everyone, for the token says who is absent; it is greeted now and then, and taken in again when it answers.
-    A token that is lost is replaced, by low ids first. Crashes, cuts and late messages can leave several tokens, but
-    no two in one epoch, and the older die where the newest has been.
+Assumes: nothing for a single token in the end; 3 N (L + hold) longer than a round for no needless regeneration.
+Messages: two per hop, the token and its receipt. Notices of a new token, and of a token in use for pursuers that it has
+    not visited for long, are broadcast to all neighbours and forwarded to pursuers out of their range.
+Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
+    in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
+    A lost token is regenerated, by low ids first. Crashes, partitions and delayed messages can produce several tokens;
+    each has its own epoch, and an older one is discarded by any node that has seen the newest.
 """
 
 from collections.abc import Callable
@@ -20,73 +20,73 @@ from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 Epoch = tuple[int, int, float]
-"""Number, claimant and the time on its clock, s: no two claims have the same, not even after a loss of memory."""
+"""Number, regenerating pursuer and the time on its clock, s: unique for each token, even after a loss of memory."""
 Age = tuple[Epoch, int]
-"""Epoch and hop: of two tokens, or two words of one, the newer is the greater."""
+"""Epoch and hop of a token or a message about it, greater for a newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
 
 
 class Token(NamedTuple):
-    """The right to revise, and all that is known."""
+    """The right to revise, with the known records of all pursuers."""
 
     epoch: Epoch
     hop: int
-    """How many revisions there were."""
+    """Number of revisions so far."""
     visits: tuple[int, ...]
-    """The hop at which each pursuer was last visited, or tried or greeted in vain; 0 if never."""
+    """(N,) hop of the last visit to each pursuer, or of the last failed delivery or probe; 0 if none."""
     absent: tuple[int, ...]
-    """Who did not answer."""
+    """The pursuers that did not answer."""
     records: tuple[Any, ...]
-    """The newest of each pursuer, as far as the sender knows."""
+    """The newest record of each pursuer known to the sender."""
 
 
 class TokenReceipt(NamedTuple):
-    """Answer to a token or a greeting; what was sent is of no use if the epoch is newer than its own."""
+    """Answers a token or a probe; a newer epoch than that of the token rejects it as outdated."""
 
     epoch: Epoch
     hop: int
 
 
 class TokenNotice(NamedTuple):
-    """Word that a token of this age is in use: a claim if the epoch is new."""
+    """Announces that a token of this age is in use; the token is a new one if the epoch is."""
 
     epoch: Epoch
     hop: int
     asks: bool = False
-    """Whether an answer is wanted: a greeting."""
+    """Whether the notice is a probe, to be answered by a receipt."""
 
 
 def not_absent(token: Token, pursuers: list[int]) -> list[int]:
-    """Return those of some pursuers that are not known to be absent."""
+    """Return those of the pursuers that are not known to be absent."""
     return [j for j in pursuers if j not in token.absent] if token.absent else pursuers
 
 
 def visited(token: Token, pursuer: int) -> tuple[int, ...]:
-    """Return the visits, with one at this hop."""
+    """Return the visits of the token, with a visit to a pursuer at the present hop."""
     return (*token.visits[:pursuer], token.hop, *token.visits[pursuer + 1 :])
 
 
 def neglects(token: Token) -> bool:
-    """Return whether somebody who is present was not visited for N hops, and may come to think that it is lost."""
+    """Return whether a present pursuer was not visited for N hops and may soon assume that the token is lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
 def longest_absent(token: Token, pursuers: list[int]) -> int | None:
-    """Return who of some pursuers is absent and was not tried or greeted for longest, if that is N hops or more."""
+    """Return the absent pursuer whose last delivery or probe is longest ago, if that is N hops or more, else None."""
     long_ago = token.hop - len(token.visits)
     due = [j for j in pursuers if j in token.absent and token.visits[j] <= long_ago]
     return min(due, key=token.visits.__getitem__, default=None)
 
 
 PORT = "token"
-"""Where all that concerns the token comes in."""
+"""The port at which tokens, receipts and notices arrive."""
 
 Choice = Callable[[Agent, Token], int | None]
-"""To whom a token goes next; None to keep it."""
+"""Returns the next holder of a token, or None to keep it."""
 
 
 def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int, choose: Choice) -> Process:
-    """Revise whenever the token has been here for `hold` s, and pass it on; claim a new one if it is lost."""
+    """Revise whenever the pursuer has held the token for `hold` s, and forward it; regenerate it if it is lost."""
     station = TokenNode(me, hold, attempts)
     if me.id == 0:
         station.set_payload()
@@ -100,64 +100,67 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
 
 
 def full_token(me: Agent) -> Token:
-    """Return a token that is as long as one that knows of everyone."""
+    """Return a token of the length of one with the records of all pursuers."""
     records = (Record(me.id, 0, 0, me.announcement()),) * me.team_size
     return Token(UNHEARD, 0, (0,) * me.team_size, (), records)
 
 
 def hop_time(me: Agent) -> float:
-    """Return how long a token that knows of everyone typically travels, its airtime included, s."""
+    """Return the typical delay of a token with the records of all pursuers, its airtime included, s."""
     return me.latency + me.airtime(full_token(me))
 
 
 class TokenNode:
-    """One pursuer's part in the circulation.
+    """The circulation of the token as run by one pursuer.
+
+    It is watching (no token; regenerates it after `patience` without a sign of it), holding (has the token until the
+    end of `hold`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
 
     Attributes:
-        token: while it is here, until the next has confirmed its receipt.
+        token: the token while holding or forwarding, else None.
     """
 
     def __init__(self, me: Agent, hold: float, attempts: int):
         self._me, self._hold, self._attempts = me, hold, attempts
         self.token: Token | None = None
-        self._next: int | None = None  # whose receipt is awaited
-        self._newest: Age = (UNHEARD, 0)  # the last sign of a token
-        self._taken: Age = (UNHEARD, 0)  # of the last token that was here
-        self._seen = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # what that one said
-        self._answered: set[int] = set()  # who has, since the last token left or a new epoch began
-        self._forgot = me.restarts > 0  # it may have lost its memory, and with it what it has taken already
+        self._next: int | None = None  # the pursuer whose receipt is awaited
+        self._newest: Age = (UNHEARD, 0)  # of the newest message about a token
+        self._taken: Age = (UNHEARD, 0)  # of the last token held
+        self._seen = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
+        self._answered: set[int] = set()  # pursuers that answered since the last token left or a new epoch began
+        self._forgot = me.restarts > 0  # a crash may have cleared the memory of tokens held
         self._hop_time = hop_time(me)
-        # There and back, with what may wait in front of the token and of its receipt.
+        # A round trip, with the messages that may be queued in front of the token and its receipt.
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), hold
         )
-        self._greeting = 0.0  # not before this time, on the own clock, is anybody greeted
+        self._greeting = 0.0  # earliest time of the next probe on the own clock, s
         self._deadline = me.now + self.patience
 
     @property
     def patience(self) -> float:
-        """How long there may be no sign of the token until this pursuer claims a new one, s.
+        """The time without a sign of the token after which this pursuer regenerates it, s.
 
-        Three rounds, and as long as it takes to give a neighbour up; two hops longer for each lower id, so that the
-        claim of one is heard before others make theirs.
+        Three rounds and the time to give up a neighbour; two hops more for each lower id, so that the notice of one new
+        token arrives before the next pursuer makes another.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._hold) + sum(map(self._time_out, range(self._attempts)))
 
-    # What it does while the token is elsewhere, and while it is here.
+    # The states.
 
     def watch(self) -> Process:
-        """Wait for mail; if there has been no sign of the token for too long, claim a new one."""
+        """Wait for messages; regenerate the token if there is no sign of it until the deadline."""
         deadline = self._deadline
         if (yield from self._wait(deadline)) and self._deadline == deadline:
             self.set_payload()
 
     def set_payload(self) -> None:
-        """Make a token from what was known of the last."""
+        """Make a new token from the last one that the pursuer held."""
         self._renew(self._seen)
 
     def keep(self, token: Token) -> Waiting:
-        """Keep the token for its time; return whether it is still here and has not been superseded."""
+        """Hold the token for `hold` s; return whether it is still valid then."""
         until = self._me.now + self._hold
         while self.token is token:
             if (yield from self._wait(until)):
@@ -165,7 +168,7 @@ class TokenNode:
         return False
 
     def forward(self, token: Token, choose: Choice) -> Process:
-        """Put all that is known into the token and give it to the next one that confirms its receipt."""
+        """Update the token with all known records and send it to the chosen neighbours until one confirms it."""
         token = self._updated(token)
         while (dst := choose(self._me, token)) is not None:
             yield from self._deliver(token, dst)
@@ -174,7 +177,7 @@ class TokenNode:
             token = self._suspect(token, dst)
 
     def _deliver(self, token: Token, dst: int) -> Process:
-        """Send the token until its receipt is confirmed, or superseded, or as often as is reasonable."""
+        """Transmit the token until it is confirmed or superseded, or no attempt is left."""
         self._next = dst
         for attempt in range(self._attempts):
             self._me.send(dst, token, PORT)
@@ -186,21 +189,21 @@ class TokenNode:
         self._next = None
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for mail, and answer it, until a time on the own clock; return whether that has come."""
+        """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
         me = self._me
         due = yield from wait_for_mail(me, PORT, until)
         overslept = me.now > until + self._hold
-        if overslept:  # it broke down meanwhile: others may have replaced the token
+        if overslept:  # it had crashed: others may have regenerated the token
             self.token = None
             self._reassured()
         for message in me.mail(PORT):
             self._hear(message.src, message.body)
         return due and not overslept
 
-    # What it hears.
+    # Messages.
 
     def _hear(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
-        """Take notice of a message; the token that is here dies of a newer epoch."""
+        """Process a message; a newer epoch discards the token held here."""
         age = (body.epoch, body.hop)
         news = age > self._newest
         if isinstance(body, Token):
@@ -221,7 +224,7 @@ class TokenNode:
                 self._pass_on(src, body._replace(asks=False))
 
     def _notice(self, age: Age) -> None:
-        """Take note of a newer sign of the token."""
+        """Record the age of a newer message about the token."""
         if age[0] > self._newest[0]:
             self.token = None
             self._answered.clear()
@@ -229,7 +232,7 @@ class TokenNode:
         self._reassured()
 
     def _receive(self, src: int, token: Token) -> None:
-        """Confirm the receipt of a token and, unless it is a duplicate, take it."""
+        """Confirm the receipt of a token and, unless it is a duplicate, hold it."""
         age = (token.epoch, token.hop)
         self._answer(src, age)
         if age > self._taken:
@@ -238,7 +241,7 @@ class TokenNode:
                 self._renew(token)
 
     def _release(self, src: int, age: Age) -> None:
-        """Let the token go if this is its receipt."""
+        """Give up the token if this is its receipt."""
         self._answered.add(src)
         if self.token is not None and (src, age) == (self._next, self._taken):
             self.token = None
@@ -248,7 +251,7 @@ class TokenNode:
         self._me.send(dst, TokenReceipt(*age), PORT)
 
     def _pass_on(self, src: int, sign: TokenNotice) -> None:
-        """Tell those that the speaker did not reach."""
+        """Forward a notice to the neighbours that its sender does not reach."""
         heard = {src, *self._me.neighbours(src)}
         for j in self._me.neighbours():
             if j not in heard:
@@ -257,33 +260,33 @@ class TokenNode:
     def _reassured(self) -> None:
         self._deadline = self._me.now + self.patience
 
-    # What it does to the token.
+    # The token.
 
     def _take(self, token: Token) -> None:
-        """Have a token here, as it is now."""
+        """Hold a token."""
         self.token = self._seen = token
         self._taken = (token.epoch, token.hop)
         self._newest = max(self._newest, self._taken)
 
     def _renew(self, token: Token) -> None:
-        """Have a token here in an epoch newer than all that were heard of, and let the neighbours know."""
+        """Hold a token in a newer epoch than all known ones, and notify the neighbours."""
         self._forgot = False
         self._answered.clear()
         self._take(token._replace(epoch=self._epoch()))
         self._me.send(None, TokenNotice(*self._taken), PORT)
 
     def _epoch(self) -> Epoch:
-        """Return an epoch of its own, newer than all that were heard of."""
+        """Return a unique epoch, newer than all known ones."""
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _suspect(self, token: Token, dst: int) -> Token:
-        """Return the token for others than a pursuer that does not answer; the copy that it may have is worthless."""
+        """Return the token with a silent pursuer recorded as absent; a new epoch invalidates the copy it may have."""
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token
 
     def _updated(self, token: Token) -> Token:
-        """Return the token after a revision, with all that is known here."""
+        """Return the token after a revision, with all known records."""
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
@@ -296,7 +299,7 @@ class TokenNode:
         return token
 
     def _greeted(self, token: Token) -> Token:
-        """Return the token after it was tried whether one of the absent answers again: each once in N hops."""
+        """Probe the absent neighbour that is due, each at most once in N hops; return the token with that recorded."""
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._greeting:
             return token

@@ -650,15 +650,15 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
     result = accepted("check", path)
     said = [re.match(r"warning: (.*): ([\w.]+): (.*)", line).groups() for line in result.stderr.splitlines()]
     assert {key: (where, why) for where, key, why in said} == {
-        "network.latency": (f"{path}:18", "it is given, and is not that of the preset 'wifi'"),
+        "network.latency": (f"{path}:18", "it overrides the value of the preset 'wifi'"),
         "network.reception": (f"{path}:19", "it has no effect while the range is inf"),
-        "announce.dissemination": (f"{path}:14", "it has no effect, for nothing is ever announced"),
-        "fault.1.start": (f"{path}:29", "it would begin after the horizon"),
+        "announce.dissemination": (f"{path}:14", "it has no effect, because nothing is ever announced"),
+        "fault.1.start": (f"{path}:29", "the fault starts after the horizon"),
         "protocol": (f"{path}:8", "sap assumes messages_get_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (
             f"{path}:10",
-            "a strictly periodic timer of 4 motion steps, an even number, keeps step with the evader's chatter between"
-            " two pursuers, and for seconds nobody may be active: give it some jitter",
+            "a strictly periodic timer of 4 motion steps, an even number, is synchronous with the evader's chatter"
+            " between two pursuers, and no pursuer may be active for seconds: give it some jitter",
         ),
     }
     assert len(said) == 6
@@ -672,7 +672,7 @@ def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_is_warned_of():
     before, after = load(lora).network.medium, load(lora, [override]).network.medium
     assert (before.queue_limit, after) == (8, before.model_copy(update={"queue_limit": 1.0}))
     (said,) = accepted("check", lora, "--set", override).stderr.splitlines()
-    assert said.startswith(f"warning: --set {override}: network.medium: it is given, and is not that of the preset")
+    assert said.startswith(f"warning: --set {override}: network.medium: it overrides the value of the preset")
     assert accepted("check", lora).stderr == ""
 
 
