@@ -167,7 +167,7 @@ class Records:
         """Delete all received records and initial beliefs of a node.
 
         Raises:
-            ValueError: if a record in the table shared by all nodes is not an initial belief.
+            ValueError: if a record reached all nodes at one instant, because it is stored once for all nodes.
         """
         if not self._shared.only_initial:
             raise ValueError("a record that reached all nodes at one instant cannot be deleted for one node")

@@ -164,7 +164,7 @@ class Topology:
         return circle[received]
 
     def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
-        """Return (k,) booleans: which nodes `dst` receive a message; if None, any message with probability >= 1/2."""
+        """Return (k,) booleans: which nodes `dst` receive a message; if `message` is None, those with p >= 1/2."""
         if self._certain:
             return apart <= self._range
         probability = self._reach(apart, self._range)
