@@ -31,7 +31,7 @@ BATCH_SIZE = 64
 INNERMOST = 30
 """The number of innermost calls that a traceback keeps: an infinite recursion has a thousand."""
 CRASHED = "the worker process died during the run, which may need more memory than there is\n"
-"""What there is to say of a run that crashed: the same wherever it did."""
+"""The traceback of a run that crashed: the same text for each, as there is no real one."""
 
 
 @dataclass(frozen=True, slots=True)
