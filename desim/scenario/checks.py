@@ -1,4 +1,4 @@
-"""What is legal but probably unintended: keys of a scenario that have no effect, and what breaks a theorem."""
+"""Warnings about valid but probably unintended scenarios: keys without effect, and violated assumptions."""
 
 from collections.abc import Iterator, Sequence
 from math import inf
@@ -14,11 +14,11 @@ from desim.pursuit.sensing import Sensing
 from desim.scenario.assumptions import broken
 from desim.scenario.scenario import Scenario
 
-ROUNDS_TO_0 = "rounds to 0, for time is counted in nanoseconds"
+ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 
 
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield what is legal but probably unintended: the key it concerns, and why."""
+    """Yield the key and the text of each warning about a scenario that is valid but probably unintended."""
     fastest = max(scenario.team.all_speeds())
     flights = [evader.speed for evader in scenario.evaders]
     if fastest <= max(flights):
@@ -40,7 +40,13 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str:
-    """Return that no pursuer is faster than some evaders, given speeds (m/s) and whether nobody may chase these."""
+    """Return the warning that no pursuer is faster than some evaders.
+
+    Args:
+        fastest: greatest speed of the pursuers, m/s.
+        flights: speeds of the evaders, m/s.
+        pruned: whether pursuers may not chase an evader that they cannot capture.
+    """
     quick = [flight for flight in flights if flight >= fastest]
     which, they, whose, whom = (
         ("the evader", "the evader", "", "")
@@ -49,12 +55,12 @@ def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str
     )
     return (
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
-        f" time of capture{whose} is inf{f' and nobody will chase{whom}' if pruned else ''}"
+        f" capture time{whose} is inf{f' and no pursuer will chase{whom}' if pruned else ''}"
     )
 
 
 def _of_times(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield which times are too short to count, and which periods are longer than a run."""
+    """Yield the times that round to 0, and the periods that are longer than the run."""
     used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
     for key, time, markers in _numbers(scenario):
         if Counted in markers and 0.0 < time <= RESOLUTION / 2:
@@ -64,7 +70,7 @@ def _of_times(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
-    """Yield the key, the value and the markers of every number in a model and in the models that it holds."""
+    """Yield the key, the value and the markers of every number in a model and its nested models."""
     for name, field in type(model).model_fields.items():
         value, markers = getattr(model, name), markers_of(field)
         for place, each in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
@@ -80,7 +86,7 @@ def _has_heartbeats(scenario: Scenario) -> bool:
 
 
 def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield what of sight has no effect, and what leaves nothing to see."""
+    """Yield the keys of sensing that have no effect, and a sensing radius within the capture radius."""
     sensing = scenario.sensing
     if not sensing.limited:
         default = Sensing()
@@ -89,26 +95,26 @@ def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
     elif sensing.radius <= scenario.capture.radius:
         yield (
             "sensing.radius",
-            f"nobody sees an evader before it is captured: the radius of {sensing.radius:g} m is not more than that of"
-            f" capture, {scenario.capture.radius:g} m",
+            f"no pursuer sees an evader before it captures it: the sensing radius of {sensing.radius:g} m is not"
+            f" greater than the capture radius of {scenario.capture.radius:g} m",
         )
 
 
 def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield what has no effect, and what a channel cannot carry."""
+    """Yield the keys of network, announcements and faults that have no effect, and an overloaded channel."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
         preset = Links(preset=network.preset)
         for key in PRESETS[network.preset]:
             if getattr(network, key) != getattr(preset, key):
-                yield f"network.{key}", f"it is given, and is not that of the preset {network.preset!r}"
+                yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
     if announce.trigger == "never" and getattr(announce.dissemination, "kind", "one_hop") != "one_hop":
-        yield "announce.dissemination", "it has no effect, for nothing is ever announced"
+        yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     for k, fault in enumerate(scenario.fault):
         if getattr(fault, "start", 0.0) >= scenario.horizon:
-            yield f"fault.{k}.start", "it would begin after the horizon"
+            yield f"fault.{k}.start", "the fault starts after the horizon"
     claim_size = getattr(scenario.protocol, "claim_size", None)
     size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
     airtime = network.medium(size)
@@ -118,6 +124,6 @@ def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
     if _has_heartbeats(scenario) and load > 1.0:
         yield (
             "announce.heartbeat",
-            f"heartbeats of {size} bytes alone would keep the channel busy {load:.1f} times over, so that"
-            " messages wait for longer and longer, or are dropped",
+            f"heartbeats of {size} bytes alone need {load:.1f} times the capacity of the channel: queues grow without"
+            " bound, or messages are dropped",
         )

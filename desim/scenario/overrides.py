@@ -1,4 +1,4 @@
-"""What a scenario is validated from: its tables as they were given, and where each key was set."""
+"""The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 import tomllib
 from dataclasses import dataclass, field
@@ -18,31 +18,31 @@ from desim.scenario.toml_lines import DEEP_KEY, KeyPath
 
 
 class ScenarioError(ValueError):
-    """A scenario is not valid; the text has one line per fault."""
+    """A scenario is not valid; the text has one line per error."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A scenario as it was given: its tables, and where each key came from."""
+    """A scenario as given, before validation: its tables and the origin of each key."""
 
     name: str
-    """The file, if it is one."""
+    """The path of the file, or a description of another source."""
     tables: dict[str, Any]
     lines: dict[KeyPath, int] | None = None
-    """The line of each key; None if it was no text."""
+    """The line of each key; None if the source is not a text."""
     origins: dict[KeyPath, str] = field(default_factory=dict)
-    """What set a key after the tables were given, in the words of whoever did."""
+    """For each key that was overridden, a description of the override."""
     folder: Path | None = None
-    """Where the files and modules that it names lie; None if beside the file."""
+    """The folder of the files and modules that it names; None for the folder of the file."""
     allow_import: bool = False
     """Whether it may name code to be run, and files outside of that folder."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
-        """Return what a scenario of a script was constructed from."""
+        """Return the source of a scenario that was constructed in Python: the arguments given, without defaults."""
         tables = _tables(scenario)
         preset = scenario.network.preset
-        if preset is not None:  # what it stands for was not given, or another preset would not replace it
+        if preset is not None:  # leave its values out, so that another preset replaces them
             given, stands_for = scenario.network, type(scenario.network)(preset=preset)
             for key in PRESETS[preset]:
                 if getattr(given, key) == getattr(stands_for, key):
@@ -50,11 +50,11 @@ class Source:
         return cls("the scenario", tables, allow_import=True)
 
     def where(self, place: KeyPath) -> str:
-        """Return where a key was set: `file:line`, or whatever set it since."""
+        """Return where a key was set: `file:line`, or the description of the last override."""
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         known = lines.keys() | self.origins.keys()
-        if place not in known and dotted in known:  # TOML makes tables of a dotted key without quotes
+        if place not in known and dotted in known:  # TOML reads an unquoted dotted key as nested tables
             place = dotted
         within = [place[:end] for end in range(len(place), 0, -1)]
         set_by = [text for key, text in self.origins.items() if key in within]
@@ -67,7 +67,7 @@ class Source:
         return f"{self.name}:{next((lines[each] for each in within if each in lines), 1)}"
 
     def copy(self) -> Self:
-        """Return one that can be set without a change of this one."""
+        """Return a copy that can be changed independently."""
         return type(self)(
             self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder, self.allow_import
         )
@@ -76,7 +76,7 @@ class Source:
         """Set a key to a value: "key.key=value", the value in TOML.
 
         Raises:
-            ScenarioError: if the text is none of that kind, or the key none of a table.
+            ScenarioError: if the text does not have this form, or the key does not belong to a table.
         """
         origin = f"--set {text}"
         name, equals, value = text.partition("=")
@@ -90,9 +90,9 @@ class Source:
             raise ScenarioError(f"{origin}: {error}") from error
 
     def set(self, name: str, value: Any, origin: str) -> None:
-        """Set a key, its parts joined by dots; tables that are not there begin with the kind they have by default.
+        """Set a dotted key to a value; missing tables are created with their default kind.
 
-        A table that is given another kind loses what it was given before and the new kind has no key for.
+        When the kind of a table changes, its earlier keys that the new kind does not have are removed.
 
         Raises:
             ScenarioError: if it is not a key of a table.
@@ -120,11 +120,11 @@ class Source:
         if key == "kind" and node.get("kind") != value:
             self._fit(place, value)
         node[key] = value
-        self.origins.pop((*place, key), None)  # the last one counts
+        self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
 
     def _fit(self, place: KeyPath, kind: Any) -> None:
-        """Take from a table what was not set since it was given, and a kind of what it holds has no key for."""
+        """Remove the keys of a table that a new kind does not have, except those that were overridden."""
         info = _field_at(self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
         for model in filter(None, models):
@@ -134,7 +134,7 @@ class Source:
                     del table[key]
 
     def _parts(self, name: str) -> list[str]:
-        """Return the parts of a dotted name; below `sweep.grid` it is one key, if it was not written as several."""
+        """Return the parts of a dotted name; the rest below `sweep.grid` is one key, unless it was given as tables."""
         parts = name.split(".")
         within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
         nested = [*within, *key.split(".")]
@@ -144,14 +144,14 @@ class Source:
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
-    """Return the model that the value of a field, or an item of it, should be."""
+    """Return the model class of the value of a field, or of its items."""
     for one_of in choices_of(info):
         return one_of.choice(str(value.get("kind"))) if isinstance(value, dict) else None
     return next(models_in(info.annotation), None)
 
 
 def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
-    """Return the field of a model that belongs to a place in the tables of a scenario, or to the list it is in."""
+    """Return the model field of a place in the tables of a scenario, or of the list that contains the place."""
     model: type[BaseModel] | None = Scenario
     info: FieldInfo | None = None
     for end, key in enumerate(place, start=1):
@@ -162,12 +162,12 @@ def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
 
 
 def _at(tables: Any, place: KeyPath) -> Any:
-    """Return what stands at a place in tables."""
+    """Return the value at a place in tables."""
     return reduce(getitem, place, tables)
 
 
 def _has(tables: Any, parts: list[str]) -> bool:
-    """Return whether there is a key below the keys of tables."""
+    """Return whether nested tables contain a dotted key."""
     for part in parts:
         if not isinstance(tables, dict) or part not in tables:
             return False
@@ -176,12 +176,12 @@ def _has(tables: Any, parts: list[str]) -> bool:
 
 
 def holds(node: Any, key: Any) -> bool:
-    """Return whether a table has a key, or a list a position."""
+    """Return whether a table contains a key, or a list a position."""
     return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
 
 
 def _tables(model: Value) -> dict[str, Any]:
-    """Return what a model was constructed from; a model of no installed kind stays as it is."""
+    """Return the arguments given to a model as tables; a nested model of no installed kind is left as it is."""
     fields = type(model).model_fields
     return {
         name: _table(getattr(model, name), fields[name])
@@ -191,7 +191,7 @@ def _tables(model: Value) -> dict[str, Any]:
 
 
 def _table(value: Any, info: FieldInfo) -> Any:
-    """Return the value of a field as a table, if it is a model, or as a list, if it is several."""
+    """Return the value of a field with models as tables, and tuples as lists."""
     if isinstance(value, tuple):
         return [_table(each, info) for each in value]
     choices = choices_of(info)
@@ -200,7 +200,7 @@ def _table(value: Any, info: FieldInfo) -> Any:
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:
-    """Return a model with another value of a key, in it or in one that it holds."""
+    """Return a copy of a model with another value of a key, of its own or of a nested model."""
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
@@ -214,14 +214,14 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
 
 
 def _copied(tables: Any) -> Any:
-    """Return tables and lists that can be changed without a change of these; what they hold is shared."""
+    """Return a copy of nested tables and lists; their values are shared."""
     if isinstance(tables, dict):
         return {key: _copied(each) for key, each in tables.items()}
     return [_copied(each) for each in tables] if isinstance(tables, list) else tables
 
 
 def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return what holds where tables say nothing: the default scenario, with the network's preset if it has one."""
+    """Return the defaults of missing keys: the default scenario, with the values of the network's preset if given."""
     default = Scenario().model_dump()
     network = tables.get("network")
     preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None
@@ -229,15 +229,15 @@ def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _key(part: str, node: Any) -> str | int:
-    """Return a part of a dotted name as the key of a table or the position in a list."""
+    """Return a part of a dotted name as a key of a table or an index of a list."""
     return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else part
 
 
 def _parsed(text: str) -> Any:
-    """Return a TOML value; text that does not begin like one is a string.
+    """Return the value of a TOML text; text that is not TOML and does not begin like a TOML value is a string.
 
     Raises:
-        ScenarioError: if it begins like a TOML value and is none, or is more than one.
+        ScenarioError: if it begins like a TOML value but is not valid, or is more than one value.
     """
     try:
         tables = tomllib.loads(f"value = {text}")
@@ -245,7 +245,7 @@ def _parsed(text: str) -> Any:
         if text.startswith(('"', "'", "[", "{")):
             raise ScenarioError(f"{text!r} is not a TOML value") from error
         return text
-    except (ValueError, RecursionError) as error:  # a number that is too long, or lists that are too deep
+    except (ValueError, RecursionError) as error:  # a number too long, or lists nested too deeply
         raise ScenarioError(f"{text[:20]!r}... is not a TOML value that can be read: {error}") from error
     if len(tables) > 1:
         raise ScenarioError(f"{text!r} is more than one value")

@@ -1,4 +1,4 @@
-"""A scenario: a whole experiment as one frozen, validated value, the same from a script and from a file."""
+"""A scenario: a complete experiment as one frozen, validated value, from Python or from a file."""
 
 from collections.abc import Iterator
 from math import inf
@@ -61,11 +61,11 @@ def _not_over_at_once(horizon: float) -> float:
 
 Point = tuple[Coordinate, Coordinate]
 PROTOCOLS = OneOf(group="desim.protocols", takes=("me",))
-"""The protocols that are installed."""
+"""The installed protocols."""
 
 
 class Speeds(Value):
-    """One speed for all but the last pursuer, another for the last."""
+    """One speed for all pursuers but the last, and one for the last."""
 
     default: Speed = 1.0
     """Speed of all pursuers but the last, m/s."""
@@ -80,12 +80,12 @@ def _form_of_speeds(value: Any) -> str:
 
 
 class Team(Value):
-    """The pursuers: how many, from where, how fast, and who chases at first."""
+    """The pursuers: number, initial positions, speeds, initial actions and guidance."""
 
     count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 20
-    """Number of pursuers N; follows from `positions` if they are given."""
+    """Number of pursuers N; the number of `positions` if these are given."""
     positions: tuple[Point, ...] | None = None
-    """Initial positions, one [x, y] per pursuer, m; if absent they are drawn from `box`, anew for every seed."""
+    """Initial positions, one [x, y] per pursuer, m; if absent, uniform random draws from `box` per seed."""
     box: Box = (0.0, 20.0)
     """Lower and upper bound of both initial coordinates, m."""
     speeds: Annotated[
@@ -94,11 +94,11 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 with which each pursuer is active at first, in [0, 1]; who has no choice (`prune`) stays."""
+    """Probability p0 that a pursuer is active at the start, in [0, 1]; a pursuer without a choice (`prune`) stays."""
     guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "flight", "speeds"))] = (
         PurePursuit()
     )
-    """How who chases heads for the evader."""
+    """Guidance law of active pursuers."""
 
     @model_validator(mode="before")
     @classmethod
@@ -129,46 +129,46 @@ class Team(Value):
         return stream(seed, "pursuers").uniform(*self.box, size=(self.count, 2))
 
     def start_profile(self, seed: int) -> NDArray[np.bool_]:
-        """Return (N,) who is active at first."""
+        """Return the (N,) initial profile, whether each pursuer is active."""
         return stream(seed, "start").random(self.count) < self.active_at_start
 
 
 class Evader(Value):
-    """An evader, or several that are alike: from where, how fast, and by what strategy they flee."""
+    """An evader, or several with the same parameters: initial position, speed, strategy and sensing."""
 
     count: Annotated[int, Field(ge=1, le=1_000, strict=True)] = 1
-    """Number of such evaders."""
+    """Number of evaders with these parameters."""
     position: Point | None = None
-    """Initial position [x, y], m; if absent it is drawn from `box`, anew for every seed."""
+    """Initial position [x, y], m; if absent, a uniform random draw from `box` per seed."""
     box: Box = (8.0, 12.0)
     """Lower and upper bound of both initial coordinates, m."""
     speed: Speed = 0.9
     """Speed v_e, m/s."""
     strategy: Annotated[Strategy, STRATEGIES] = PureEvasion()
-    """How it flees."""
+    """Evasion strategy."""
     sensing_range: Limit = inf
-    """Distance up to which it sees pursuers, m."""
+    """Distance up to which it senses pursuers, m."""
     reaction_delay: Time = 0.0
-    """Time by which it is late, s: it sees where pursuers were, and who chased, that long ago."""
+    """Delay of its observations of the pursuers' positions and actions, s."""
 
     def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
-        """Return the (2,) initial position, m, of the evader with this index among all of the scenario."""
+        """Return the (2,) initial position, m, of the evader with this index among all evaders of the scenario."""
         if self.position is not None:
             return np.array(self.position)
         return stream(seed, "evader", index).uniform(*self.box, size=2)
 
     @property
     def listens(self) -> bool:
-        """Whether it hears the pursuers' radio."""
+        """Whether its strategy overhears the pursuers' radio."""
         return bool(getattr(self.strategy, "listens", False))
 
     def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
-        """Return what one such evader perceives and chooses in a run.
+        """Return the controller of one such evader in a run.
 
         Args:
-            rng: its own.
-            speeds: (N,) of the pursuers, m/s.
-            radius: distance at which it is captured, m.
+            rng: its own random stream.
+            speeds: (N,) speeds of the pursuers, m/s.
+            radius: capture radius, m.
         """
         return EvaderController(
             self.strategy,
@@ -182,7 +182,7 @@ class Evader(Value):
 
 
 def _some(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
-    if not evaders:  # `min_length` would count only the valid ones
+    if not evaders:  # `min_length` would count valid items only
         raise ValueError("should have at least one table")
     return evaders
 
@@ -192,36 +192,35 @@ def _form_of_evaders(value: Any) -> str:
 
 
 class Capture(Value):
-    """When the evader is captured."""
+    """The condition of a capture, and the number of captures that end a run."""
 
     radius: Length = 0.1
-    """Distance eps at which the evader is captured, m."""
+    """Capture radius eps, m."""
     test: Literal["segment", "sample"] = "segment"
-    """segment: at the very instant the distance falls to the radius; sample: judged at motion steps only."""
+    """segment: at the exact instant the distance falls to the radius; sample: tested at motion steps only."""
     captures_to_end: Annotated[int, Field(ge=1, strict=True)] | None = None
-    """Number of captures that end the run; if absent, all evaders."""
+    """Number of captures that end the run; if absent, the number of evaders."""
 
 
 class Motion(Value):
-    """How motion is integrated."""
+    """The integration of motion."""
 
     step: Period = 0.01
-    """Time h between two headings, s."""
+    """Motion step h, the time between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
-    """Whether pursuers head for where the evader will be at the end of the step (the paper), or for where it was
-    at its beginning."""
+    """Whether pursuers aim at the position of the evader at the end of the step (the paper), or at its beginning."""
     static: Flag = False
-    """Nobody moves and the time left stays at the horizon: the game of t = 0 is negotiated for the whole run."""
+    """All players stand still and the time left stays at the horizon: the game of t = 0 is negotiated for the run."""
 
 
 class Recording(Value):
-    """What is recorded beside decisions."""
+    """The records of a run beside decisions and captures."""
 
     trajectory: Annotated[Time, AfterValidator(_never_or_period), Recurring] = 0.05
     """Time between samples of all positions, s; 0 = none."""
     messages: Literal[False, True, "file"] = False
-    """Whether every message is recorded, or only their number; file: in the trace of an output folder alone, as it
-    happens, for more than fit in memory; ages and beliefs are not measured then."""
+    """Whether every message is recorded, or only counts; file: written to the trace in an output folder during the run
+    and not kept in memory, so that ages and beliefs are not measured."""
 
 
 def _default_protocol() -> Any:
@@ -232,52 +231,52 @@ def _default_protocol() -> Any:
 
 
 class Scenario(Value):
-    """A whole experiment; the default is the scenario of Lee & Bakolas with 20 pursuers and an ideal network."""
+    """A complete experiment; the default is the scenario of Lee & Bakolas with 20 pursuers and an ideal network."""
 
     name: str = "unnamed"
-    """What it is called in tables and pictures."""
+    """Name in tables and figures."""
     seed: Annotated[int, Field(ge=0, strict=True)] = 0
     """Seed of every random stream of the run."""
     horizon: Annotated[Horizon, AfterValidator(_not_over_at_once)] = 30.0
     """Time t_f at which the pursuit ends if the evader has not been captured, s."""
     prune: Literal["none", "inf", "infeasible"] = "inf"
-    """Who has no choice but to stay, whatever the protocol: nobody; who can never capture (phi = inf); or also who
-    would be late (phi >= r). It holds from the start, whatever `team.active_at_start` draws."""
+    """Pursuers that may not chase an evader under any protocol. none: all may; inf: those that can never capture it
+    (phi = inf); infeasible: also those that would be late (phi >= r). It overrides `team.active_at_start`."""
     team: Team = Team()
     evader: Annotated[
         Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_some), Tag("list")],
         Discriminator(_form_of_evaders),
     ] = Evader()
-    """Who flees: a table or, for evaders that differ, a list of tables."""
+    """The evaders: a table or, for evaders with different parameters, a list of tables."""
     sensing: Sensing = Sensing()
-    """What the pursuers see of it."""
+    """Sensing of the evaders by the pursuers."""
     capture: Capture = Capture()
     motion: Motion = Motion()
     protocol: Annotated[Behaviour, PROTOCOLS] = Field(default_factory=_default_protocol)
-    """How the pursuers negotiate; `desim protocols` lists the kinds."""
+    """Negotiation protocol of the pursuers; `desim protocols` lists the kinds."""
     announce: Announcements = Field(default_factory=Announcements)
-    """What the pursuers tell each other, and when."""
+    """Content and times of the pursuers' announcements."""
     network: Links = Links()
     fault: tuple[Annotated[Any, FAULTS], ...] = ()
-    """What breaks."""
+    """Faults of pursuers, clocks and the network."""
     record: Recording = Recording()
     sweep: Sweep = Sweep()
 
     @property
     def evaders(self) -> tuple[Evader, ...]:
-        """(M,) what each evader is like; evader j of an action is number j - 1 of them."""
+        """(M,) parameters of each evader; evader j of an action has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
 
     @property
     def protocol_name(self) -> str:
-        """The kind of its protocol, or its name if it has none."""
+        """The kind of its protocol, or the name of a protocol without a kind."""
         protocol = self.protocol
         return str(getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__))
 
     @property
     def speaks(self) -> bool:
-        """Whether pursuers announce what they do: with some protocols never, or only if positions are not sensed."""
+        """Whether pursuers announce their actions; some protocols never do, or only if positions are not sensed."""
         announces = getattr(self.protocol, "announces", True)
         return self.announce.payload != "action" if announces == "unseen" else bool(announces)
 
@@ -290,7 +289,7 @@ class Scenario(Value):
         return self
 
     def _misfits(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
-        """Yield what does not fit the team: where it is, and why."""
+        """Yield the key and the text of each inconsistency between tables."""
         count = self.team.count
         nobody = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
         graph = None
@@ -308,7 +307,7 @@ class Scenario(Value):
             yield from ((("network", "link", k, end), nobody.format(getattr(link, end))) for end in strangers)
             twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
             for src, dst in twice[:1]:
-                yield ("network", "link", k), f"the link from {src} to {dst} is network.link.{seen[src, dst]} already"
+                yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
             for src, dst in link.ways() if not strangers else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"

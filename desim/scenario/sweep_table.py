@@ -1,4 +1,4 @@
-"""The table `sweep` of a scenario: a grid of its keys, and over how many seeds."""
+"""The table `sweep` of a scenario: a grid over its keys, and the number of runs per configuration."""
 
 from collections.abc import Iterator, Mapping, Set
 from typing import Annotated, Any, Literal
@@ -13,7 +13,7 @@ from desim.config.trust import is_trusted
 
 
 def _flat(grid: Any, above: str = "") -> Any:
-    """Return a grid with dotted keys, also if its keys were not quoted, which in TOML makes tables of them."""
+    """Return a grid with dotted keys, flattening the nested tables that TOML makes of unquoted dotted keys."""
     if not isinstance(grid, Mapping):
         return grid
     flat: dict[str, Any] = {}
@@ -21,7 +21,7 @@ def _flat(grid: Any, above: str = "") -> Any:
         name = f"{above}{key}"
         found = _flat(each, f"{name}.") if isinstance(each, dict) and each else {name: each}
         if twice := flat.keys() & found.keys():
-            raise ValueError(f"{min(twice)} is there twice")
+            raise ValueError(f"{min(twice)} is given twice")
         flat |= found
     return flat
 
@@ -33,7 +33,7 @@ def _in_order(values: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with Python's numbers and lists for those of numpy."""
+    """Return a value with numpy numbers and arrays converted to Python numbers and lists."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
@@ -42,25 +42,25 @@ def _plain(value: Any) -> Any:
 
 
 Values = Annotated[tuple[Annotated[Any, BeforeValidator(_plain)], ...], Field(min_length=1), BeforeValidator(_in_order)]
-"""What a key takes, one after the other."""
+"""The values of one key of a grid."""
 
 
 class Sweep(Value):
-    """Many runs of a scenario: over a grid of its keys, and over seeds (`desim sweep`)."""
+    """A sweep of a scenario over a grid of its keys and over seeds (`desim sweep`)."""
 
     reps: Annotated[int, Field(ge=1, le=1_000_000_000, strict=True)] = 30
     """Number of runs of each configuration."""
     seeds: Literal["common", "independent"] = "common"
-    """common: run k of every configuration has seed s + k, so that differences between configurations are not those
-    between seeds; independent: every run has a seed of its own."""
+    """common: run k of every configuration has seed s + k (common random numbers), so that configurations are compared
+    on equal seeds; independent: every run has its own seed."""
     grid: Annotated[dict[str, Values], BeforeValidator(_flat)] = Field(default_factory=dict)
-    """Keys of the scenario, dotted as in --set, and for each a list of the values it takes; each combination is a
+    """Dotted keys of the scenario as in --set, each with the list of its values; every combination is a
     configuration."""
 
     @field_validator("grid")
     @classmethod
     def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
-        """Refuse code that a stranger's file names: what a key takes is validated as a model much later."""
+        """Refuse code named by an untrusted file here, because the values of a key are validated only later."""
         named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if names_code(kind)]
         if named:
             text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
@@ -72,12 +72,12 @@ class Sweep(Value):
     def _written(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
         return {key: _named(values) for key, values in grid.items()}
 
-    def __hash__(self) -> int:  # what a key takes may be tables
+    def __hash__(self) -> int:  # the values of a key may be tables
         return hash((self.reps, self.seeds, tuple(self.grid)))
 
 
 def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
-    """Yield each kind that a key of a grid takes, or that is in the tables which it takes, and the key."""
+    """Yield each key of a grid with each kind among its values, also inside of tables."""
 
     def inside(value: Any) -> Iterator[Any]:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
@@ -92,7 +92,7 @@ def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
 
 
 def _named(value: Any) -> Any:
-    """Return what JSON may have for a value: a function or a model of a script is told by its name."""
+    """Return a value that JSON can represent; a function or class of a script is represented by its import name."""
     if isinstance(value, Value):
         return value.model_dump()
     if isinstance(value, dict):

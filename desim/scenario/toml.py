@@ -1,4 +1,4 @@
-"""Scenario files: TOML in, a `Scenario` or all that is wrong with the file out, each fault with its line."""
+"""Scenario files: from TOML to a `Scenario`, or to a list of all errors in the file, each with its line."""
 
 import re
 import tomllib
@@ -24,27 +24,31 @@ from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
     """Return the scenario in a TOML file.
 
+    Use it for a file as a whole, optionally with a few keys changed; a scenario of Python alone is built with
+    `Scenario(...)`.
+
     Args:
-        file: its path.
-        overrides: "key.key=value" each, the value in TOML; they win over the file.
-        allow_import: whether it may name code to be run ("module:name") and files outside of its folder.
+        file: the path of the file.
+        overrides: strings "key.key=value", with the value in TOML, which replace keys of the file.
+        allow_import: whether the file may name code to be run ("module:name") and files outside of its folder. Leave
+            it off for files that you do not trust.
 
     Raises:
-        ScenarioError: with every fault in the file, one a line.
-        OSError: if it cannot be read.
+        ScenarioError: with all errors in the file, one per line.
+        OSError: if the file cannot be read.
     """
     return validate(read(file, overrides, allow_import=allow_import))
 
 
 def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
-    """Return what a TOML file says, with overrides, not yet validated; see `load`."""
+    """Return the source of a TOML file with overrides, before validation; see `load`."""
     text = _text(Path(file))
     if deep := DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of a number that is too long, or of tables that are too deep
+    except (ValueError, RecursionError) as error:  # also for a number too long, or tables nested too deeply
         raise ScenarioError(_syntax_fault(file, str(error), text)) from error
     source = Source(str(file), tables, key_lines(text), allow_import=allow_import)
     for override in overrides:
@@ -53,7 +57,7 @@ def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
 
 def validate(source: Source) -> Scenario:
-    """Return the scenario that a source describes; raise ScenarioError with all its faults, sorted by place."""
+    """Return the scenario of a source; raise ScenarioError with all its errors, sorted by line."""
     folder = Path(source.name).parent if source.folder is None else source.folder
     try:
         return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
@@ -68,7 +72,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def _text(file: Path) -> str:
-    content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # with which editors of Windows begin
+    content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # written by editors on Windows
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
@@ -77,21 +81,21 @@ def _text(file: Path) -> str:
 
 
 def _syntax_fault(file: str | Path, message: str, text: str) -> str:
-    """Return the fault of a text that is not TOML, with its line in front."""
+    """Return the error message for a text that is not TOML, with file and line."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
-    if not found and (unread := unreadable(text)):  # it tells no line
+    if not found and (unread := unreadable(text)):  # a message without a line
         return f"{file}:{unread}: not TOML that can be read: {message}"
     line = min(int(found[1]), last) if found and found[1] else last
     return f"{file}:{line}: not TOML: {message[: found.start()] if found else message}"
 
 
 Problem = tuple[tuple[int, str], str]
-"""What is wrong with a file as text, after what it is sorted by: its line."""
+"""The sort key, with the line, and the text of an error in a file."""
 
 
 def _explain(error: ErrorDetails, source: Source) -> Iterator[Problem]:
-    """Yield the faults that an error tells of."""
+    """Yield the problems that a pydantic error describes."""
     if error["type"] == "misfits":
         for place, why in error["ctx"]["misfits"]:
             yield _fault(source, place, why)
@@ -111,9 +115,9 @@ def _fault(source: Source, place: KeyPath, what: str) -> Problem:
 
 
 def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
-    """Return where a fault is in the file, the model its key belongs to, and the field of the key.
+    """Return the place of an error in the file, the model of its table, and the field of its key.
 
-    pydantic's own path also names the kind of each table that has one.
+    The path in a pydantic error also contains the kind of each table that has one.
     """
     place: KeyPath = ()
     node: Any = tables
@@ -136,7 +140,7 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[KeyPath, type[
 
 
 def _tags(info: FieldInfo) -> set[str]:
-    """Return what pydantic's path may name between a field, or an item of it, and what is in that."""
+    """Return the tags that a pydantic path may contain between a field, or an item of it, and its content."""
     markers = markers_of(info)
     kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
     return kinds | {each.tag for each in markers if isinstance(each, Tag)}
@@ -147,7 +151,7 @@ def _one_of(info: FieldInfo) -> OneOf | None:
 
 
 def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
-    """Return what is wrong in words, with what is allowed."""
+    """Return the text of an error, with the allowed values."""
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
     kinds = list(one_of.choices()) if one_of else []
@@ -185,7 +189,7 @@ WORDS = {
     "valid ": "",
     "Value error, ": "",
 }
-"""pydantic's words and ours."""
+"""Phrases of pydantic messages and their replacements."""
 
 
 RENAMED = {
@@ -212,7 +216,7 @@ RENAMED = {
     "until": "end",
     "when_lost": "on_lost",
 }
-"""Former names of keys and kinds, and their names now."""
+"""Keys and kinds that are not valid, and the valid ones to suggest."""
 
 
 def _suggestion(word: str, allowed: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Where each key of a TOML file stands: what `tomllib` does not tell, and an error message needs."""
+"""Line numbers of the keys of a TOML file, which error messages need and `tomllib` does not provide."""
 
 import re
 import tomllib
@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 KeyPath = tuple[str | int, ...]
-"""Where a value stands in a file: keys and positions in lists, from the top."""
+"""The place of a value in a file: keys and list indices, from the top."""
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line on which each key of a valid TOML text is first set or named in the header of a table."""
+    """Return the line on which each key of a valid TOML text is first set or occurs in a table header."""
     lines: dict[KeyPath, int] = {}
     lengths: dict[KeyPath, int] = {}  # of arrays of tables
     header: KeyPath = ()
@@ -27,7 +27,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 def unreadable(text: str) -> int | None:
-    """Return the line of the first statement of a TOML text that `tomllib` cannot read, if it is there whole."""
+    """Return the line of the first complete statement of a TOML text that `tomllib` cannot read; None without one."""
     return next((line for line, statement in _statements(text) if not _is_readable(statement)), None)
 
 
@@ -40,10 +40,10 @@ def _is_readable(statement: str) -> bool:
 
 
 DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){100}""")
-"""A key of so many parts that `tomllib`, which keeps what begins each, may run out of memory."""
+"""Matches a key of so many parts that `tomllib`, which stores every prefix of a key, may run out of memory."""
 
 
-# What may hide a bracket or the end of a line in TOML: strings of four kinds, and comments.
+# Strings of four kinds and comments, which may contain brackets and ends of lines, and otherwise these themselves.
 _TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
     re.DOTALL,
@@ -51,7 +51,7 @@ _TOKEN = re.compile(
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield each statement of a TOML text with its first line: it ends with a line on which no bracket is open."""
+    """Yield the first line and the text of each statement of a TOML text; it ends where all brackets are closed."""
     depth = start = 0
     line = 1
     for token in _TOKEN.finditer(text + "\n"):
@@ -65,7 +65,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
-    """Return where a table header leads: below the newest table of each array on the way."""
+    """Return the place of a table header, below the last table of each array of tables on its path."""
     place: KeyPath = ()
     node: Any = tables
     while node:
@@ -82,7 +82,7 @@ def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int])
 
 
 def _places(value: Any, place: KeyPath = ()) -> Iterator[KeyPath]:
-    """Yield the place of everything inside a value."""
+    """Yield the place of every value inside a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, each in inner:
         yield (*place, key)

@@ -139,7 +139,7 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
 
     skewed = frozen(Synchronous(), rule=Alone).model_copy(update={"fault": (ClockSkew(offset=0.1),)})
     assert dict(broken(skewed)) == {
-        "protocol": f"{skewed.protocol.kind} assumes one_at_a_time, but everybody decides at once",
+        "protocol": f"{skewed.protocol.kind} assumes one_at_a_time, but all pursuers decide at once",
         "protocol.schedule": "synchronous assumes equal_clocks, but clocks differ",
     }
     assert not dict(broken(frozen(SharedSeed(), rule=Alone)))

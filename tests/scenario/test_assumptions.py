@@ -82,15 +82,15 @@ def assert_says(found, why):
     [
         (four(), None),
         (four(network=Links(range=3.0)), None),
-        (four(network=Links(range=2.99)), "not everybody hears everybody"),
+        (four(network=Links(range=2.99)), "not all pursuers hear each other"),
         (four(network=Links(range=2.99), announce=FLOODED), None),
         (four(network=Links(range=2.99), announce=Announcements(dissemination=Gossip())), None),
-        (four(nx.path_graph(4)), "not everybody hears everybody"),
+        (four(nx.path_graph(4)), "not all pursuers hear each other"),
         (four(TWO_PAIRS, announce=FLOODED), "several components"),
         (four(fault=[HALVES], announce=FLOODED), "partition"),
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenRing())), None),
         (four(nx.path_graph(4), protocol=BetterReply(schedule=TokenWalk())), None),
-        (four(nx.path_graph(4), protocol=BetterReply(schedule=LocalMutex())), "not everybody hears everybody"),
+        (four(nx.path_graph(4), protocol=BetterReply(schedule=LocalMutex())), "not all pursuers hear each other"),
         (Scenario(team=Team(count=1)), None),
     ],
 )
@@ -158,7 +158,7 @@ def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trig
     if trigger == "never":
         assert_says(found, "nothing is ever announced")
     else:
-        assert_says(found, "never said again" if lost and trigger == "change" else None)
+        assert_says(found, "never repeated" if lost and trigger == "change" else None)
 
 
 def test_who_comes_into_range_has_missed_what_was_said_before():
@@ -247,13 +247,13 @@ def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why)
     ("payload", "given", "times", "places"),
     [
         ("action", {"network": Links(range=1.0)}, None, None),
-        ("time", {}, None, "nobody says where it is"),
+        ("time", {}, None, "contain no positions"),
         ("state", {}, None, None),
-        ("time", {"network": Links(range=1.0)}, "not everybody hears", "nobody says where it is"),
-        ("state", {"network": Links(range=1.0)}, "not everybody hears", "not everybody hears"),
-        ("state", {"network": LOSSY, "trigger": "change"}, "never said again", "never said again"),
+        ("time", {"network": Links(range=1.0)}, "not all pursuers hear", "contain no positions"),
+        ("state", {"network": Links(range=1.0)}, "not all pursuers hear", "not all pursuers hear"),
+        ("state", {"network": LOSSY, "trigger": "change"}, "never repeated", "never repeated"),
         ("action", {"evader": Evader(count=2)}, None, None),
-        ("time", {"evader": Evader(count=2)}, "other evaders than its own", "nobody says where it is"),
+        ("time", {"evader": Evader(count=2)}, "one evader only", "contain no positions"),
         ("state", {"evader": Evader(count=2)}, None, None),
     ],
 )
@@ -281,9 +281,9 @@ def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
         protocol=SpatialAdaptivePlay(schedule=Rounds()),
         fault=[ClockSkew(offset=0.1)],
     )
-    hops = "as it begins not everybody hears everybody, and word is not passed on (`announce.dissemination`)"
+    hops = "not all pursuers hear each other at the start, and no dissemination relays (`announce.dissemination`)"
     found = [
-        ("protocol", "sap assumes one_at_a_time, but everybody decides at once"),
+        ("protocol", "sap assumes one_at_a_time, but all pursuers decide at once"),
         ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),
         ("protocol.utility", f"mean assumes everyone_heard, but {hops}"),
     ]
@@ -326,7 +326,7 @@ class Wishful(Rule):
 
 def test_an_assumption_that_nobody_knows_is_an_error_that_says_which_there_are():
     with pytest.raises(
-        ValueError, match=r"wishful assumes 'good_weather', which nobody knows; there are undivided, connected, "
+        ValueError, match=r"wishful assumes 'good_weather', which is unknown; allowed: undivided, connected, "
     ):
         list(broken(four(protocol=Wishful())))
     with pytest.raises(ValueError, match="good_weather"):

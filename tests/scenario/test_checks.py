@@ -38,33 +38,33 @@ def test_the_default_is_not_warned_of():
     [
         ({"team": Team(count=2, speeds=(0.5, 0.9))}, "team.speeds", "the fastest moves at 0.9 m/s, the evader at 0.9"),
         ({"sensing": Sensing(estimate="hold")}, "sensing.estimate", "no effect while the radius is inf"),
-        ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "nobody sees an evader before it is captured"),
+        ({"sensing": Sensing(radius=0.1)}, "sensing.radius", "no pursuer sees an evader before it captures it"),
         ({"network": Links(reception=QuasiUnitDisk())}, "network.reception", "no effect while the range is inf"),
         (
             {"network": Links(preset="lte", latency={"kind": "constant"})},
             "network.latency",
-            "not that of the preset 'lte'",
+            "overrides the value of the preset 'lte'",
         ),
         (
             {"announce": Announcements(trigger="never", dissemination=Flooding())},
             "announce.dissemination",
             "nothing is ever announced",
         ),
-        ({"fault": [Crash(start=1.0, node=0), Crash(start=30.0, node=0)]}, "fault.1.start", "begin after the horizon"),
+        ({"fault": [Crash(start=1.0, node=0), Crash(start=30.0, node=0)]}, "fault.1.start", "starts after the horizon"),
         (
             {"network": Links(medium=BITS), "announce": Announcements(heartbeat=0.08)},
             "announce.heartbeat",
-            "heartbeats of 24 bytes alone would keep the channel busy 1.2 times over",
+            "heartbeats of 24 bytes alone need 1.2 times the capacity of the channel",
         ),
         (
             {"network": Links(medium=BITS | {"shared": True}), "team": Team(count=3), "announce": {"heartbeat": 0.2}},
             "announce.heartbeat",
-            "busy 1.5 times over",
+            "need 1.5 times the capacity",
         ),
         (
             {"network": Links(medium=BITS), "team": Team(count=20), "protocol": CBBA()},
             "announce.heartbeat",
-            "heartbeats of 200 bytes alone would keep the channel busy 8.3 times over",
+            "heartbeats of 200 bytes alone need 8.3 times the capacity of the channel",
         ),
         (
             {"protocol": SpatialAdaptivePlay(schedule=Periodic(period=0.2, jitter=0.0)), "motion": Motion(step=0.05)},
@@ -94,7 +94,7 @@ def test_the_default_is_not_warned_of():
                 "evader": Evader(speed=2.0),
             },
             "team.speeds",
-            "every time of capture is inf",
+            "every capture time is inf",
         ),
     ],
 )
@@ -170,7 +170,7 @@ def test_each_of_several_evaders_is_to_be_slower_than_somebody(speeds, said):
     evaders = tuple(Evader(speed=speed) for speed in speeds)
     whys = [why for key, why in warned(team=Team(count=2, speeds=(0.5, 0.9)), evader=evaders) if key == "team.speeds"]
     assert len(whys) == (said is not None)
-    assert all(f"no pursuer is {said}, so every time of capture of theirs is inf and nobody" in why for why in whys)
+    assert all(f"no pursuer is {said}, so every capture time of theirs is inf and no pursuer" in why for why in whys)
     free = warned(team=Team(count=2, speeds=0.4), evader=evaders, prune="none")
     assert [why.endswith("of theirs is inf") for key, why in free if key == "team.speeds"] == [True]
 
@@ -199,7 +199,7 @@ SHORT = [
 @pytest.mark.parametrize(("key", "given"), SHORT)
 def test_a_time_that_rounds_to_0_is_warned_of(key, given):
     assert [each for each in warned(**given) if each[0] == key] == [
-        (key, "5e-10 s rounds to 0, for time is counted in nanoseconds")
+        (key, "5e-10 s rounds to 0, because time is counted in nanoseconds")
     ]
 
 

@@ -216,5 +216,5 @@ def test_an_override_of_a_key_of_a_grid_replaces_it_however_it_is_written(text, 
 
 def test_a_key_of_a_grid_that_is_written_twice_is_refused():
     source = of_text('[sweep.grid]\nnetwork.range = [1.0]\n"network.range" = [2.0]')
-    with pytest.raises(ScenarioError, match=r"^f:1: sweep\.grid: network\.range is there twice"):
+    with pytest.raises(ScenarioError, match=r"^f:1: sweep\.grid: network\.range is given twice"):
         validate(source)
