@@ -35,7 +35,7 @@ def config_hash(scenario: Scenario) -> str:
     Raises:
         ScenarioError: if the scenario holds an object without a stable hash; the text names its key.
     """
-    whole = {**tables(scenario), "code": code(scenario), "held": list(_held(scenario))}
+    whole = {**tables(scenario), "code": code(scenario), "held": list(_fingerprints(scenario))}
     return _hash(json.dumps(whole, sort_keys=True))
 
 
@@ -53,17 +53,17 @@ def code(scenario: Scenario) -> dict[str, str]:
     return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
 
 
-def _held(scenario: Scenario) -> Iterator[tuple[str, str]]:
+def _fingerprints(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the dotted key and the fingerprint of each user-defined object in a scenario."""
     fingerprint = Fingerprint()
-    for key, each in _own(scenario, ""):
+    for key, each in _user_objects(scenario, ""):
         try:
             yield key, fingerprint(each)
         except UnstableHashError as error:
             raise ScenarioError(f"{key}: {error}; {ADVICE}") from error
 
 
-def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
+def _user_objects(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and each object inside a value that its tables do not describe: callables, user's models."""
     inner: Any = ()
     if isinstance(value, BaseModel) and not is_user_code(value):
@@ -73,7 +73,7 @@ def _own(value: Any, key: str) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, BaseModel) or callable(value):
         yield key, value
     for name, each in inner:
-        yield from _own(each, f"{key}.{name}" if key else str(name))
+        yield from _user_objects(each, f"{key}.{name}" if key else str(name))
 
 
 def _source(home: Any) -> str:

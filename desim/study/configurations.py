@@ -70,12 +70,12 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
-            found.append(Configuration(settings, _set(source, settings)))
+            found.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
             for line in str(error).splitlines():
                 faults.setdefault(line, []).append(settings)
     if faults:
-        lines = sorted((_explained(line, among, grid) for line, among in faults.items()), key=_line)
+        lines = sorted((_with_cause(line, among, grid) for line, among in faults.items()), key=_line_number)
         more = [f"... and {len(lines) - MAX_FAULTS} more"] if len(lines) > MAX_FAULTS else []
         raise ScenarioError("\n".join([*lines[:MAX_FAULTS], *more]))
     _check_distinct(found, source, grid)
@@ -113,7 +113,7 @@ def _where(source: Source, key: str) -> str:
     return f"{source.where(('sweep', 'grid', key))}: sweep.grid: {key}"
 
 
-def _set(source: Source, settings: Settings) -> Scenario:
+def _scenario_with(source: Source, settings: Settings) -> Scenario:
     """Return the scenario of a source with some keys set to other values and without its sweep."""
     changed = source.copy()
     changed.tables.pop("sweep", None)
@@ -136,7 +136,7 @@ def _set(source: Source, settings: Settings) -> Scenario:
     return scenario
 
 
-def _explained(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
+def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return a fault followed by the settings that cause it, unless its text names them.
 
     `among` are the settings that have the fault. A key is a cause if some of its values does not occur in them.
@@ -151,7 +151,7 @@ def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
     return any(each not in values for each in all_values)
 
 
-def _line(fault: str) -> int:
+def _line_number(fault: str) -> int:
     found = re.match(r".*?:(\d+): ", fault)
     return int(found[1]) if found else 0
 

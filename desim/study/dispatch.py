@@ -78,14 +78,14 @@ def drive(
     """
     waiting = deque(range(len(tasks)))
 
-    def hand_out(lot: list[int]) -> Future[Any]:
-        return workers.submit(partial(perform, [tasks[k] for k in lot], measure, simulate))
+    def hand_out(batch: list[int]) -> Future[Any]:
+        return workers.submit(partial(perform, [tasks[k] for k in batch], measure, simulate))
 
     try:
         while waiting:
-            suspects = yield from _in_batches(waiting, hand_out, workers)
-            for k in suspects:
-                yield k, _alone(k, hand_out, workers)
+            unaccounted = yield from _in_batches(waiting, hand_out, workers)
+            for k in unaccounted:
+                yield k, _run_alone(k, hand_out, workers)
     except BaseException:  # the other outcomes are not needed any more
         workers.stop()
         raise
@@ -96,38 +96,38 @@ def _in_batches(
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
     """Yield outcomes until all are known or a worker dies; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
-    suspects: list[int] = []
+    unaccounted: list[int] = []
     broken, run_time = False, BATCH_TIME
     try:
         while out or (waiting and not broken):
             while waiting and not broken and len(out) < workers.max_pending:
                 fair = len(waiting) // (2 * workers.count)
-                lot = [waiting.popleft() for _ in range(max(1, min(int(BATCH_TIME / run_time), fair, BATCH_SIZE)))]
+                batch = [waiting.popleft() for _ in range(max(1, min(int(BATCH_TIME / run_time), fair, BATCH_SIZE)))]
                 try:
-                    out[hand_out(lot)] = lot
+                    out[hand_out(batch)] = batch
                 except BrokenExecutor:
                     broken = True
-                    waiting.extendleft(reversed(lot))
+                    waiting.extendleft(reversed(batch))
             for future in workers.done(out):
-                lot = out.pop(future)
+                batch = out.pop(future)
                 try:
                     outcomes, run_time = workers.result(future)
                 except ConnectionError:
                     raise
                 except Exception as error:
-                    suspects += lot
+                    unaccounted += batch
                     broken |= isinstance(error, BrokenExecutor)
                 else:
-                    yield from zip(lot, outcomes, strict=True)
+                    yield from zip(batch, outcomes, strict=True)
     finally:
         for future in out:
             future.cancel()
     if broken:
         workers.renew()
-    return suspects
+    return unaccounted
 
 
-def _alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
+def _run_alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
     """Return the outcome of a run that is performed while no other run is."""
     outcome: Outcome
     try:
@@ -158,11 +158,11 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too
-        told = traceback.format_exc(limit=-INNERMOST)
-        return Outcome("error", error=_passable(error), traceback=told)
+        text = traceback.format_exc(limit=-INNERMOST)
+        return Outcome("error", error=_picklable(error), traceback=text)
 
 
-def _passable(error: BaseException) -> BaseException | None:
+def _picklable(error: BaseException) -> BaseException | None:
     """Return an exception if it can be pickled, if need be without its traceback; else None.
 
     Once distributed is imported, exceptions are pickled with their tracebacks.

@@ -91,19 +91,19 @@ class Variants:
             name: {row.replication: row for row in store.runs(cell.key, plan.root)}
             for name, cell in self.configurations.items()
         }
-        whole = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
-        if not whole:
+        complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
+        if not complete:
             failed = next(row for found in rows.values() for row in found.values() if not row.ok)
             raise RunError(f"for every seed some run failed; the first: {failed.error}\n")
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )
-        costs = {metric: _cost(metric, rows, whole, absent) for metric in EXPLAINED}
-        return Explanation(plan.base.name, len(whole), plan.reps - len(whole), absent, costs)
+        costs = {metric: _cost(metric, rows, complete, absent) for metric in EXPLAINED}
+        return Explanation(plan.base.name, len(complete), plan.reps - len(complete), absent, costs)
 
 
-def _cost(metric: str, rows: Mapping[str, Mapping[int, Row]], whole: list[int], absent: tuple[str, ...]) -> Cost:
-    values = {name: [getattr(found[k].summary, metric) for k in whole] for name, found in rows.items()}
+def _cost(metric: str, rows: Mapping[str, Mapping[int, Row]], complete: list[int], absent: tuple[str, ...]) -> Cost:
+    values = {name: [getattr(found[k].summary, metric) for k in complete] for name, found in rows.items()}
     as_it_is = values.pop(AS_IT_IS)
     saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}

@@ -127,7 +127,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
     known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
     colours = ScalarMappable(Normalize(low, high), "cividis")
-    longest = max(map(len, [*map(_written, known.tolist()), *map(text, over[x])]), default=0)
+    longest = max(map(len, [*map(_cell_text, known.tolist()), *map(text, over[x])]), default=0)
     across = 0.4 + max(CELL[0], LETTER * (longest + 2)) * len(over[x])
     columns = max(1, min(len(panels), MAX_ABREAST, int((PAGE - 0.8) / across)))
     rows = -(-len(panels) // columns)
@@ -158,13 +158,13 @@ def _draw_map(axes: Axes, values: NDArray[np.float64], colours: ScalarMappable) 
         face = (red, green, blue) if there else "none"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, facecolor=face, edgecolor="none"))
         dark = there and 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        axes.text(column, row, _written(value), ha="center", va="center", color="white" if dark else INK)
+        axes.text(column, row, _cell_text(value), ha="center", va="center", color="white" if dark else INK)
     axes.set(xlim=(-0.5, values.shape[1] - 0.5), ylim=(-0.5, values.shape[0] - 0.5))
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 
 
-def _written(value: float) -> str:
+def _cell_text(value: float) -> str:
     """Return a mean as the text of a cell: three significant digits, or all integer digits from 1000 on."""
     if not isfinite(value):
         return "-"
@@ -195,7 +195,7 @@ def _is_swept_number(result: SweepResult, key: str) -> bool:
 def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> None:
     """Draw a metric over a key, with a line for each combination of the other keys."""
     values = sorted({group.settings[abscissa] for group in result.groups})
-    places, is_plain = _places(values)
+    places, is_plain = _axis_positions(values)
     lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
@@ -234,7 +234,7 @@ def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
     return _key_with_unit(others[0]) if len(others) == 1 else None
 
 
-def _places(values: Sequence[float]) -> tuple[dict[float, float], bool]:
+def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
     """Return the position of each value of a key on the axis, and whether the positions equal the values.
 
     On a logarithmic axis, 0 is drawn to the left of the other values. Infinity is always drawn to the right.

@@ -46,49 +46,49 @@ class Fingerprint:
     """
 
     def __init__(self) -> None:
-        self._met: dict[int, tuple[int, Any]] = {}  # holds the object, so that its id is not reused
-        self._text = cache(_text)  # per instance: a module may have changed before the next one
+        self._seen: dict[int, tuple[int, Any]] = {}  # holds the object, so that its id is not reused
+        self._module_source = cache(_module_source)  # per instance: a module may have changed before the next one
 
     def __call__(self, value: Any) -> str:
         """Return the hash of an object, 16 hexadecimal digits; O(n) in the number and size of its parts."""
         try:
-            return self._of(value).hex()[:16]
+            return self._digest(value).hex()[:16]
         except RecursionError as error:
             raise UnstableHashError(f"{type(value).__qualname__!r} objects are nested too deeply") from error
 
-    def _of(self, value: Any) -> bytes:
+    def _digest(self, value: Any) -> bytes:
         kind = type(value)
         if kind in ATOMS:
             return _hash("atom", repr(value))
         if kind is tuple:
-            return self._all("tuple", value)
+            return self._digest_all("tuple", value)
         if isinstance(value, ModuleType):
             return _hash("module", value.__name__)
         if isinstance(value, type | FunctionType) and _is_importable(value):
-            return _hash("name", value.__module__, value.__qualname__, self._text(value.__module__))
-        if id(value) in self._met:
-            return _hash("met", str(self._met[id(value)][0]))
-        self._met[id(value)] = len(self._met), value
-        return self._made_of(value)
+            return _hash("name", value.__module__, value.__qualname__, self._module_source(value.__module__))
+        if id(value) in self._seen:
+            return _hash("met", str(self._seen[id(value)][0]))
+        self._seen[id(value)] = len(self._seen), value
+        return self._digest_parts(value)
 
-    def _all(self, kind: str, values: Iterable[Any]) -> bytes:
-        return _hash(kind, *map(self._of, values))
+    def _digest_all(self, kind: str, values: Iterable[Any]) -> bytes:
+        return _hash(kind, *map(self._digest, values))
 
-    def _made_of(self, value: Any) -> bytes:
+    def _digest_parts(self, value: Any) -> bytes:
         """Return the hash of a compound object at its first occurrence."""
         kind = type(value)
         if kind in {dict, MappingProxyType}:
-            return self._all(kind.__name__, (each for item in value.items() for each in item))
+            return self._digest_all(kind.__name__, (each for item in value.items() for each in item))
         if kind is list:
-            return self._all("list", value)
+            return self._digest_all("list", value)
         if kind in {set, frozenset}:
-            return _hash(kind.__name__, *sorted(map(self._of, value)))
+            return _hash(kind.__name__, *sorted(map(self._digest, value)))
         if kind is np.ndarray and not value.dtype.hasobject:
             return _hash("array", repr(value.dtype), repr(value.shape), value.tobytes())
         if kind in WRAPPERS:
-            return self._all(kind.__name__, [getattr(value, WRAPPERS[kind])])
+            return self._digest_all(kind.__name__, [getattr(value, WRAPPERS[kind])])
         if kind is property:
-            return self._all("property", [value.fget, value.fset, value.fdel])
+            return self._digest_all("property", [value.fget, value.fset, value.fdel])
         if isinstance(value, FunctionType):
             return self._function(value)
         if isinstance(value, CodeType):
@@ -97,7 +97,7 @@ class Fingerprint:
             return self._class(value)
         if isinstance(value, BaseModel):
             own = value.__pydantic_extra__, value.__pydantic_private__
-            return self._all("model", [kind, _lasting(kind, vars(value)), *own])
+            return self._digest_all("model", [kind, _without_cached(kind, vars(value)), *own])
         return self._object(value)
 
     def _function(self, function: FunctionType) -> bytes:
@@ -106,17 +106,17 @@ class Fingerprint:
         cells = {
             name: held
             for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True)
-            for held in _held(cell)
+            for held in _cell_value(cell)
         }
         space = function.__globals__ if function.__module__ == "__main__" else {}  # else the module's text is hashed
-        reads = {name: space[name] for name in sorted(_reads(code)) if name in space}
+        reads = {name: space[name] for name in sorted(_globals_read(code)) if name in space}
         given = function.__defaults__, function.__kwdefaults__, vars(function)
-        return self._all(
-            "function", [function.__qualname__, self._text(function.__module__), code, cells, reads, *given]
+        return self._digest_all(
+            "function", [function.__qualname__, self._module_source(function.__module__), code, cells, reads, *given]
         )
 
     def _code(self, code: CodeType) -> bytes:
-        return self._all("code", [code.co_code, code.co_names, code.co_freevars, code.co_consts])
+        return self._digest_all("code", [code.co_code, code.co_names, code.co_freevars, code.co_consts])
 
     def _class(self, home: type) -> bytes:
         """Return the hash of a class that cannot be imported by name, without attributes that are generated for it."""
@@ -126,7 +126,7 @@ class Fingerprint:
             if isinstance(each, FunctionType | staticmethod | classmethod | property)
             or not (name.startswith("__") or name == "_abc_impl")
         }
-        return self._all("class", [home.__qualname__, self._text(home.__module__), home.__bases__, own])
+        return self._digest_all("class", [home.__qualname__, self._module_source(home.__module__), home.__bases__, own])
 
     def _object(self, value: Any) -> bytes:
         """Return the hash of an object, decomposed by `__reduce_ex__` as in pickling."""
@@ -139,18 +139,20 @@ class Fingerprint:
         if isinstance(made, str):
             return self._global(value, made)
         make, args, state, *rest = (*made, None)[:5]
-        return self._all("object", [kind, make, args, _lasting(kind, state), *(each and list(each) for each in rest)])
+        return self._digest_all(
+            "object", [kind, make, args, _without_cached(kind, state), *(each and list(each) for each in rest)]
+        )
 
     def _global(self, value: Any, name: str) -> bytes:
         """Return the hash of an object that pickling refers to by its name."""
         if (wrapped := getattr(value, "__wrapped__", None)) is not None:  # a function with a cache
-            return self._all("wrapped", [wrapped])
+            return self._digest_all("wrapped", [wrapped])
         module: str = pickle.whichmodule(value, name)  # type: ignore[attr-defined]
-        if _found(module, name) is not value:
+        if _lookup(module, name) is not value:
             raise UnstableHashError(
                 f"{type(value).__qualname__!r} objects have no stable hash ({name!r} is in no module)"
             )
-        return _hash("global", module, name, self._text(module))
+        return _hash("global", module, name, self._module_source(module))
 
 
 def _hash(*parts: str | bytes) -> bytes:
@@ -161,7 +163,7 @@ def _hash(*parts: str | bytes) -> bytes:
     return digest.digest()
 
 
-def _lasting(kind: type, state: Any) -> Any:
+def _without_cached(kind: type, state: Any) -> Any:
     """Return the state of an object without its cached properties."""
     if not isinstance(state, dict):
         return state
@@ -172,7 +174,7 @@ def _lasting(kind: type, state: Any) -> Any:
     }
 
 
-def _held(cell: CellType) -> Iterator[Any]:
+def _cell_value(cell: CellType) -> Iterator[Any]:
     """Yield the value of a variable of an enclosing function; nothing if it is not assigned yet."""
     try:
         yield cell.cell_contents
@@ -180,13 +182,13 @@ def _held(cell: CellType) -> Iterator[Any]:
         return
 
 
-def _reads(code: CodeType) -> set[str]:
+def _globals_read(code: CodeType) -> set[str]:
     """Return the names of the globals that a function reads, functions inside it included."""
     own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
-    return own.union(*(_reads(each) for each in code.co_consts if isinstance(each, CodeType)))
+    return own.union(*(_globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
-def _found(module: str, name: str) -> Any:
+def _lookup(module: str, name: str) -> Any:
     """Return the object with a dotted name in a module; None if there is none."""
     found: Any = sys.modules.get(module)
     for part in name.split("."):
@@ -195,10 +197,10 @@ def _found(module: str, name: str) -> Any:
 
 
 def _is_importable(home: type | FunctionType) -> bool:
-    return home.__module__ != "__main__" and _found(home.__module__, home.__qualname__) is home
+    return home.__module__ != "__main__" and _lookup(home.__module__, home.__qualname__) is home
 
 
-def _text(module: str) -> str:
+def _module_source(module: str) -> str:
     """Return the source of a module; "" if its package is in `KNOWN`, it is a script, or it has no source."""
     if module == "__main__" or module.partition(".")[0] in KNOWN:
         return ""

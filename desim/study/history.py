@@ -43,10 +43,10 @@ def note(
         shards=shard and shard[1],  # not the part: all parts may run at once
         cwd=str(Path.cwd()),
     )
-    before, now = _asked(folder), _of(made)
-    if any(_covers(each, now) for each in before):
+    before, now = _requests(folder), _request(made)
+    if any(_includes(each, now) for each in before):
         return
-    if rest := [each for each in before if not _covers(now, each)]:
+    if rest := [each for each in before if not _includes(now, each)]:
         made["earlier"] = rest
     provenance.write(folder, made)
 
@@ -57,7 +57,7 @@ def note_merged(folder: Path, store: "Store", parts: Sequence[Path]) -> None:
     made = provenance.document(
         "merge", seed=root, runs=len(store), stores=[str(part) for part in parts], cwd=str(Path.cwd())
     )
-    if earlier := [_part(each, part) for part in parts for each in _asked(part.parent)]:
+    if earlier := [_shard_request(each, part) for part in parts for each in _requests(part.parent)]:
         made["earlier"] = earlier
     provenance.write(folder, made)
 
@@ -92,23 +92,23 @@ def wanted(made: Document) -> int | None:
     return None if open_ended else int(made["runs"])
 
 
-def _asked(folder: Path) -> list[Document]:
+def _requests(folder: Path) -> list[Document]:
     """Return the request of each command that made the results in a folder, oldest first; [] if not recorded."""
     try:
         made = provenance.read(folder / provenance.FILE)
     except (OSError, ValueError):
         return []
-    return [*made.get("earlier", ()), _of(made)]
+    return [*made.get("earlier", ()), _request(made)]
 
 
-def _of(made: Document) -> Document:
+def _request(made: Document) -> Document:
     """Return the request of a command, given the provenance document of its results."""
     is_sweep = made["what"] == "sweep" and made["scenario"] is not None
     grid = made["scenario"]["sweep"]["grid"] if is_sweep else None
     return {"argv": made["argv"], "grid": grid} | {key: made.get(key) for key in ("reps", "until", "shards", "cwd")}
 
 
-def _covers(one: Document, other: Document) -> bool:
+def _includes(one: Document, other: Document) -> bool:
     """Return whether a request includes all runs of another, where the sweeps differ in their extent only."""
     if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
         return False
@@ -117,11 +117,11 @@ def _covers(one: Document, other: Document) -> bool:
     return more and alike and int(one["reps"]) >= int(other["reps"])
 
 
-def _part(asked: Document, store: Path) -> Document:
+def _shard_request(request: Document, store: Path) -> Document:
     """Return a request with the shard in the file name of a store, if the store is of a shard."""
     if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
-        return asked
+        return request
     part, parts = found.groups()
-    return asked | {
-        "argv": [re.sub(rf"^(--shard=)?\d+/{parts}$", rf"\g<1>{part}/{parts}", each) for each in asked["argv"]]
+    return request | {
+        "argv": [re.sub(rf"^(--shard=)?\d+/{parts}$", rf"\g<1>{part}/{parts}", each) for each in request["argv"]]
     }

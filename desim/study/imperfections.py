@@ -27,7 +27,7 @@ def without_latency(scenario: Scenario) -> Scenario:
     Nodes no longer wait for a channel, so no message is dropped from a queue or missed by a transmitting node. Delays
     that a dissemination model adds on purpose before forwarding remain.
     """
-    return _on(
+    return _with_network(
         scenario,
         latency=Constant(),
         processing=Processing(),
@@ -39,7 +39,7 @@ def without_latency(scenario: Scenario) -> Scenario:
 
 def without_loss(scenario: Scenario) -> Scenario:
     """Return the scenario in which no message is lost at random in transit."""
-    return _on(
+    return _with_network(
         scenario,
         loss=Bernoulli(),
         graph=_bare_graph(scenario, "loss"),
@@ -49,7 +49,7 @@ def without_loss(scenario: Scenario) -> Scenario:
 
 def without_range(scenario: Scenario) -> Scenario:
     """Return the scenario in which linked nodes receive each other's messages at any distance."""
-    return _on(scenario, range=inf, reception=Disk())
+    return _with_network(scenario, range=inf, reception=Disk())
 
 
 def without_faults(scenario: Scenario) -> Scenario:
@@ -70,8 +70,8 @@ def without_turns(scenario: Scenario) -> Scenario:
         free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
     except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
-    said = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
-    return scenario.model_copy(update={"protocol": free, "announce": said})
+    announcements = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
+    return scenario.model_copy(update={"protocol": free, "announce": announcements})
 
 
 def without_staleness(scenario: Scenario) -> Scenario:
@@ -103,7 +103,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
 """The name of each imperfection, and the function that removes it."""
 
 
-def _on(scenario: Scenario, **ideal: Any) -> Scenario:
+def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     """Return a scenario with other values of its network; the same object if nothing changes."""
     network = scenario.network
     if all(getattr(network, key) == value for key, value in ideal.items()):

@@ -37,13 +37,13 @@ def raising() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard = [each for each in SIGNALS if signal.getsignal(each) is signal.SIG_DFL]
-    for each in heard:
+    unhandled = [each for each in SIGNALS if signal.getsignal(each) is signal.SIG_DFL]
+    for each in unhandled:
         signal.signal(each, _terminate)
     try:
         yield
     finally:
-        for each in heard:
+        for each in unhandled:
             signal.signal(each, signal.SIG_DFL)
 
 

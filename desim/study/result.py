@@ -123,7 +123,7 @@ class SweepResult:
     def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return each table as its title and rows of text; the first row is the header."""
         metrics = [metrics] if isinstance(metrics, str) else metrics
-        return [(self._head(metrics), self._means(metrics)), *self._compared(metrics)]
+        return [(self._head(metrics), self._mean_rows(metrics)), *self._compared(metrics)]
 
     def __str__(self) -> str:
         return self.table()
@@ -150,13 +150,13 @@ class SweepResult:
         key = self._compared_by
         if self.common and key is not None:
             first = f"{key} = {text(self.groups[0].settings[key])}" + ", all else equal" * (len(self.keys) > 1)
-            yield f"difference from {first}, run by run with the same seed", self._gaps(metrics)
+            yield f"difference from {first}, run by run with the same seed", self._difference_rows(metrics)
 
     def _failures(self) -> Iterator[str]:
         if self.failed:
             yield f"{_counted(len(self.failed), 'run')} failed; the first: {self.failed[0].error}"
 
-    def _means(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
+    def _mean_rows(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         """Return rows of text: settings, number of runs, share with a capture, and the mean of each metric."""
         titles = (f"{words(name)}{f', {METRICS[name].unit}' if METRICS[name].unit else ''}" for name in metrics)
         failed = ("failed",) if self.failed else ()
@@ -170,13 +170,13 @@ class SweepResult:
             rows.append((*map(text, group.settings.values()), *counts, share, *means))
         return rows
 
-    def _gaps(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
+    def _difference_rows(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         found = [self.differences(metric) for metric in metrics]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *map(words, metrics))]
         for k, (group, other) in enumerate(zip(self.groups, self._references, strict=True)):
             if k == other:
                 continue
-            pairs = len(_shared(group, self.groups[other]))
+            pairs = len(_pairs(group, self.groups[other]))
             means = (with_half_width(each[k], pairs, sign="+") for each in found)
             rows.append((*map(text, group.settings.values()), str(pairs), *means))
         return rows
@@ -284,14 +284,14 @@ def _mean(values: Sequence[float]) -> Estimate:
     return estimate(values) if values else Estimate(float("nan"), float("nan"), 0)
 
 
-def _shared(one: Group, other: Group) -> list[tuple[Row, Row]]:
+def _pairs(one: Group, other: Group) -> list[tuple[Row, Row]]:
     """Return the pairs of runs of two configurations that have the same seed and did not fail."""
     there = {row.replication: row for row in other.rows if row.ok}
     return [(row, there[row.replication]) for row in one.rows if row.ok and row.replication in there]
 
 
 def _aligned_values(one: Group, other: Group, metric: str) -> tuple[list[Any], list[Any]]:
-    pairs = _shared(one, other)
+    pairs = _pairs(one, other)
     return [getattr(a.summary, metric) for a, _ in pairs], [getattr(b.summary, metric) for _, b in pairs]
 
 

@@ -231,11 +231,11 @@ def _block_signals() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    heard: list[int] = []
+    received: list[int] = []
     is_main = threading.current_thread() is threading.main_thread()
     handlers = {each: handler for each in SIGNALS if is_main and (handler := signal.getsignal(each)) is not None}
     for each in handlers:
-        signal.signal(each, lambda number, _: heard.append(number))
+        signal.signal(each, lambda number, _: received.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -243,7 +243,7 @@ def _block_signals() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for each, handler in handlers.items():
             signal.signal(each, handler)  # pending signals are recorded before this
-        for number in heard[:1]:
+        for number in received[:1]:
             signal.raise_signal(number)
 
 
