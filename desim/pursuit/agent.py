@@ -28,7 +28,7 @@ Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 PAPER = Mean()
 """The utility of Lee & Bakolas."""
-NEVER = " (a protocol that waits for nothing more returns)"
+NEVER = " (a protocol ends by returning)"
 """Hint in error messages about an infinite waiting time."""
 
 
@@ -101,7 +101,7 @@ class Agent:
             self._said.payload = None
             self._said.restarts += 1
 
-    # What it knows.
+    # Knowledge.
 
     @property
     def restarts(self) -> int:
@@ -267,7 +267,7 @@ class Agent:
         """Return a new random stream that yields the same draws for every pursuer that uses this name."""
         return stream(self._seed, f"shared {name}")
 
-    # What it does.
+    # Actions and announcements.
 
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or stay (0) from now on.
@@ -343,7 +343,7 @@ class Agent:
         """Return and remove the unread messages of a port, without waiting."""
         return self._network.inbox(self.id, port).drain()
 
-    # What it waits for.
+    # Events to wait for.
 
     def at(self, time: float) -> simpy.Event:
         """Return an event at a time on its own clock, s, to the nearest nanosecond; at once if that has passed.
@@ -393,7 +393,7 @@ class Agent:
             yield self.at(first + k * period)
             act()
 
-    # How it announces.
+    # Internal.
 
     def _news(self) -> Any:
         """Return the value whose change makes an announcement due at once."""

@@ -30,8 +30,9 @@ class World:
     then replaces the prediction.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. A pursuer is up or
-    down: it is down from `crash` until `recover`, and then stays, whatever its action. An evader is at large or
-    captured. The pursuit is running until `over` happens, by a capture, at the horizon, or by `stop`.
+    down (from `crash` until `recover`); while down it stands still, and afterwards it stays until its action is set. An
+    evader is at large or captured. The pursuit is running until `over` happens: by a capture, at the horizon, or by
+    `stop`.
 
     Args:
         env: the clock of the simulation.
@@ -114,7 +115,7 @@ class World:
         if self._sampling:
             self._env.process(self._samples(nanoseconds(self._sampling)))
 
-    # What can be sensed.
+    # Observation.
 
     def state(self, evader: int) -> State:
         """Return the state of the pursuit of one evader now."""
