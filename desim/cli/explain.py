@@ -55,7 +55,7 @@ def explain(
     variants = Variants.of(scenario, runs or RUNS, seed)
     folder = out or folder_for(scenario, None) / "explain"
     with storing(folder), Store(folder / STORE) as store:
-        variants.plan.enter(store)
+        variants.plan.register(store)
         made = provenance.document(
             "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
         )

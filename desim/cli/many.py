@@ -110,7 +110,7 @@ def sweep(
     from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out
 
     source, scenario = source_of(file, overrides)
-    shown = _known(metrics) or SHOWN
+    shown = _checked_metrics(metrics) or SHOWN
     if until and shard:
         fail("--until needs all runs, and --shard does a part of them: they exclude each other")
     try:
@@ -129,7 +129,7 @@ def sweep(
         return
     with storing(folder), Store(path) as store:
         before = len(store)
-        plan.enter(store)
+        plan.register(store)
         note(folder, plan, file.parent, until, shard)
         with working(jobs, cluster, store) as workers:
             found = carry_out(
@@ -142,7 +142,7 @@ def sweep(
     echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} already stored; store: {path}", err=True)
     if not shard:
         with storing(folder):
-            _show(found, shown[0], folder, table)
+            _write_summary(found, shown[0], folder, table)
     if found.failed:
         echo(f"{len(found.failed)} runs failed; the same command retries them", err=True)
         sys.exit(FAILED)
@@ -157,12 +157,12 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
-        parts = [opened.enter_context(Store(path, read_only=True)) for path in _files(stores)]
+        parts = [opened.enter_context(Store(path, read_only=True)) for path in _store_files(stores)]
         for part in parts:
             parts[0].check_same(part.about)
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
-            store.take(part)
+            store.merge(part)
         note_merged(out, store, [part.path for part in parts])
         count = len(store)
     echo(f"{count} runs are in {out / STORE}")
@@ -179,7 +179,7 @@ def export(store: Path, file: Path) -> None:
     from desim.study.result import SweepResult
     from desim.study.store import Store
 
-    path, *others = _files((store,))
+    path, *others = _store_files((store,))
     if others:
         fail(f"{store}: has {len(others) + 1} stores: merge them first, or give one of them")
     with storing(), Store(path, read_only=True) as kept:
@@ -193,7 +193,7 @@ def export(store: Path, file: Path) -> None:
     echo(f"wrote {sum(len(group.rows) for group in result.groups)} runs to {file}", err=True)
 
 
-def _files(stores: tuple[Path, ...]) -> list[Path]:
+def _store_files(stores: tuple[Path, ...]) -> list[Path]:
     """Return the files of stores; a folder stands for all stores in it, shards included."""
     return [
         file
@@ -202,7 +202,7 @@ def _files(stores: tuple[Path, ...]) -> list[Path]:
     ]
 
 
-def _known(metrics: tuple[str, ...]) -> tuple[str, ...]:
+def _checked_metrics(metrics: tuple[str, ...]) -> tuple[str, ...]:
     """Return the given metrics; end the program if one is unknown or not a number."""
     from desim.analysis.metrics import METRICS
 
@@ -231,7 +231,7 @@ def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tupl
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"
 
 
-def _show(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
+def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
     """Write the table of a sweep and its figure, if matplotlib is installed, to the folder."""
     from desim.results.run_folder import can_plot
 

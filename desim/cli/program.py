@@ -11,7 +11,7 @@ import click.utils
 
 from desim.cli.options import OUT_OF_TIME, echo, fail
 from desim.simulation.watchdog import TimedOut
-from desim.study.interrupts import exit_code, raising
+from desim.simulation.interrupts import exit_code, raising
 
 
 class Program(click.Command):
@@ -27,9 +27,9 @@ class Program(click.Command):
                 warnings.showwarning = lambda message, *_, **__: echo(f"warning: {message}", err=True)
                 return super().invoke(ctx)
         except KeyboardInterrupt as error:
-            told = f"interrupted {error}".rstrip()
+            text = f"interrupted {error}".rstrip()
             try:
-                echo(": ".join([told, *getattr(error, "__notes__", ())]), err=True)
+                echo(": ".join([text, *getattr(error, "__notes__", ())]), err=True)
             finally:  # even if the terminal is closed
                 ctx.exit(exit_code(error))
         except TimedOut as error:

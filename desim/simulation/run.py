@@ -46,14 +46,16 @@ class Result:
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": self.scenario.protocol_name,
-            "ended": _ended(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet",
+            "ended": _outcome(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders))
+            if ends
+            else "not yet",
             "events": f"{len(self.trace):,}",
         }
         lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
         return f"<table>{lines}</table>"
 
 
-def _ended(end: Ended, captures: int, evaders: int) -> str:
+def _outcome(end: Ended, captures: int, evaders: int) -> str:
     """Return the outcome of a run as text."""
     several = f"{captures} of {evaders} captured" if evaders > 1 else ""
     if end.reason == "captured":
@@ -86,7 +88,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     world = World(env, scenario, seed, trace, radio)
     faults = draw_faults(scenario.fault, world.size, scenario.horizon, seed)
 
-    positions = _Places(world, 0.0 if scenario.motion.static else max(scenario.team.all_speeds()))
+    positions = _PursuerPositions(world, 0.0 if scenario.motion.static else max(scenario.team.all_speeds()))
     network = Network(
         env,
         scenario.network.graph(world.size),
@@ -97,14 +99,14 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         fault_state=FaultState(positions) if faults else None,
         predicate=tells_of_chase,
     )
-    crew = _Team(env, scenario, world, network, seed)
-    inject(faults, env, network, trace, crashed=crew.crashed, recovered=crew.recovered)
-    crew.begin()
+    team = _Team(env, scenario, world, network, seed)
+    inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
+    team.begin()
     world.begin()
     try:
         env.run(until=world.over)
     except TimedOut as error:
-        raise stuck(env, error, crew.lives) from error
+        raise stuck(env, error, team.processes) from error
     except SystemExit as error:
         notes = getattr(error, "__notes__", [])
         who = "the protocol" if notes else "code of the scenario"
@@ -116,7 +118,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     return Result(scenario, seed, trace)
 
 
-class _Places:
+class _PursuerPositions:
     """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
     def __init__(self, world: World, fastest: float):
@@ -147,10 +149,10 @@ class _Team:
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
         ]
         self._embodied = getattr(scenario.protocol, "embodied", True)
-        self.lives: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
-        self._open: dict[int, list[Crash]] = defaultdict(list)
-        self._repaired: dict[int, simpy.Event] = {}
-        self._forgetful: set[int] = set()
+        self.processes: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
+        self._open_crashes: dict[int, list[Crash]] = defaultdict(list)
+        self._recoveries: dict[int, simpy.Event] = {}
+        self._memory_lost: set[int] = set()
 
     def begin(self) -> None:
         """Set the initial beliefs and start all processes."""
@@ -160,7 +162,7 @@ class _Team:
             if announce.warm_start:
                 agent.set_initial_belief()
             relay = RestartableProcess(env, agent.in_phase(Phase.RELAY), announce.dissemination)
-            self.lives[pursuer] = relay, RestartableProcess(env, agent, protocol)
+            self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol)
             beating = agent.in_phase(Phase.HEARTBEAT)
             if self._scenario.speaks and announce.beats:
                 env.process(beating.repeat(beating.broadcast, announce.heartbeat, "heartbeat"))
@@ -171,27 +173,27 @@ class _Team:
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer if its robot, not only its radio, breaks down."""
         if crash.scope == "robot":
-            self._open[crash.node].append(crash)
-            if len(self._open[crash.node]) == 1:
+            self._open_crashes[crash.node].append(crash)
+            if len(self._open_crashes[crash.node]) == 1:
                 self._world.crash(crash.node)
-                self._repaired[crash.node] = self._env.event()
-                relay, own = self.lives[crash.node]
-                for life in (relay, own) if self._embodied else (relay,):
-                    if life.is_alive:
-                        life.interrupt(self._repaired[crash.node])
+                self._recoveries[crash.node] = self._env.event()
+                relay, own = self.processes[crash.node]
+                for process in (relay, own) if self._embodied else (relay,):
+                    if process.is_alive:
+                        process.interrupt(self._recoveries[crash.node])
 
     def recovered(self, crash: Crash) -> None:
         """Resume a pursuer when the last of its overlapping crashes ends."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
-            self._open[node].remove(crash)
+            self._open_crashes[node].remove(crash)
             if not crash.memory:
-                self._forgetful.add(node)
-            if not self._open[node]:
-                remembers = node not in self._forgetful
-                self._forgetful.discard(node)
+                self._memory_lost.add(node)
+            if not self._open_crashes[node]:
+                remembers = node not in self._memory_lost
+                self._memory_lost.discard(node)
                 self._world.recover(node)
-                self._repaired[node].succeed(remembers)
+                self._recoveries[node].succeed(remembers)
         self._agents[node].recovered(restarted=not remembers)
         if self._watch is not None and not crash.memory:
             self._watch.sights[node].forget(heard_only=remembers)
@@ -206,9 +208,9 @@ class RestartableProcess(simpy.Process):
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour):
         self.behaviour: Process | None = None
-        super().__init__(env, self._live(agent, protocol))
+        super().__init__(env, self._behave(agent, protocol))
 
-    def _live(self, agent: Agent, protocol: Behaviour) -> Process:
+    def _behave(self, agent: Agent, protocol: Behaviour) -> Process:
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
         awaited: simpy.Event | None = agent.at(agent.now)
         missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
@@ -229,7 +231,7 @@ class RestartableProcess(simpy.Process):
                 value, missed = missed.value, None
             try:
                 if self.behaviour is None:
-                    self.behaviour = _begun(protocol, agent)
+                    self.behaviour = _start_behaviour(protocol, agent)
                     awaited = next(self.behaviour, None)
                 else:
                     awaited = self.behaviour.send(value)
@@ -240,7 +242,7 @@ class RestartableProcess(simpy.Process):
                 raise
 
 
-def _begun(protocol: Behaviour, agent: Agent) -> Process:
+def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
     """Return the process of a pursuer that runs a protocol.
 
     Raises:

@@ -46,11 +46,11 @@ def within(limit: float) -> Iterator[None]:
         ValueError: if the limit is not a valid time, s.
     """
     checked(limit)
-    tell, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
+    set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
     on_its_way: WeakSet[TimedOut] = WeakSet()
     is_late = False
 
-    class Told(TimedOut):
+    class Raised(TimedOut):
         def __init__(self, *text: object) -> None:  # SimPy copies exceptions
             super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached at its start or end",))
             on_its_way.add(self)
@@ -61,7 +61,7 @@ def within(limit: float) -> Iterator[None]:
         while not over.wait(pause):
             is_late, pause = True, AGAIN
             if not on_its_way:
-                tell(thread, ctypes.py_object(Told))
+                set_exception(thread, ctypes.py_object(Raised))
 
     watcher = Thread(target=watch, daemon=True)
 
@@ -69,7 +69,7 @@ def within(limit: float) -> Iterator[None]:
         over.set()
         if watcher.is_alive():
             watcher.join()
-        tell(thread, None)
+        set_exception(thread, None)
 
     try:
         try:
@@ -81,8 +81,8 @@ def within(limit: float) -> Iterator[None]:
         end()  # again, if it was raised in the first call; now it propagates, and no other is raised
         if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
             raise
-        is_told = isinstance(error, TimedOut) and not isinstance(error, Told)
-        raise TimedOut(f"took longer than {limit:g} s: {error if is_told else place_of(error)}") from error
+        is_described = isinstance(error, TimedOut) and not isinstance(error, Raised)
+        raise TimedOut(f"took longer than {limit:g} s: {error if is_described else place_of(error)}") from error
     if is_late:
         raise TimedOut(f"took longer than {limit:g} s: it ended before it could be interrupted")
 

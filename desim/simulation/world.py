@@ -67,7 +67,7 @@ class World:
                 number,
                 evader.speed,
                 evader.controller(stream(seed, "evader strategy", number - 1), self._speeds, radius),
-                EvaderTrack(scenario.team.guidance, remembers=_reckons(scenario)),
+                EvaderTrack(scenario.team.guidance, remembers=_needs_whole_paths(scenario)),
                 players=self.players,
                 speeds=self._speeds,
                 radius=radius,
@@ -77,9 +77,9 @@ class World:
         first = scenario.motion.order == "evader_first"
         self._steering = Steering(self.players, self._targets, scenario.team.guidance, self._speeds, evader_first=first)
         self._at_large = list(self._targets)
-        self._free: Sequence[int] = range(1, len(self._targets) + 1)
+        self._uncaptured: Sequence[int] = range(1, len(self._targets) + 1)
         self._options: dict[int, tuple[int, ...]] = {}
-        self._lone = len(self._targets) == 1
+        self._single = len(self._targets) == 1
         self._choices = range(len(self._targets) + 1)
         self._needed = scenario.capture.captures_to_end or len(self._targets)
         self._step, self._step_end = nanoseconds(scenario.motion.step), 0
@@ -87,7 +87,7 @@ class World:
         self._broken = np.zeros(self.size, dtype=bool)
         self._watch: TeamSensor | None = None
         chased: Actions = scenario.team.start_profile(seed).astype(np.int64)
-        if not self._lone:
+        if not self._single:
             chased = chased * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
         self._act(chased)
         self._prune_actions()
@@ -100,7 +100,7 @@ class World:
 
     def _prune_actions(self) -> None:
         """Set the action of each pursuer that may not chase its evader to 0."""
-        able = [action and self._may(pursuer, action) for pursuer, action in enumerate(self._profile)]
+        able = [action and self._may_choose(pursuer, action) for pursuer, action in enumerate(self._profile)]
         self._act(self._actions * np.array(able, dtype=bool))
 
     def begin(self) -> None:
@@ -152,12 +152,12 @@ class World:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         known = self._options.get(pursuer)
         if known is None:
-            known = (0, *(evader for evader in self._free if self.may_chase(pursuer, evader)))
+            known = (0, *(evader for evader in self._uncaptured if self.may_chase(pursuer, evader)))
             if self._prune != "infeasible":  # they change with captures only
                 self._options[pursuer] = known
         return known
 
-    def _may(self, pursuer: int, evader: int) -> bool:
+    def _may_choose(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader, by its own view of the world."""
         view = self if self._watch is None else self._watch.sights[pursuer]
         return view.may_chase(pursuer, evader)
@@ -210,7 +210,7 @@ class World:
 
     def evaders(self) -> Sequence[int]:
         """Return the numbers of the evaders that have not been captured."""
-        return self._free
+        return self._uncaptured
 
     @property
     def radius(self) -> float:
@@ -268,17 +268,17 @@ class World:
             raise ValueError(f"there is no pursuer {pursuer}: they are 0 .. {self.size - 1}")
         if action not in self._choices:
             raise ValueError(f"an action should be 0 or an evader, 1 .. {len(self._targets)}, got {action}")
-        able = action and not self._broken[pursuer] and self._may(pursuer, action)
+        able = action and not self._broken[pursuer] and self._may_choose(pursuer, action)
         action = int(action) if able else 0
         self._trace.append(Decided(self._env.now, pursuer, action))
-        self._set(pursuer, action)
+        self._change_action(pursuer, action)
 
     def crash(self, pursuer: int) -> None:
         """Take a pursuer down: it stands still, whatever its action is set to, and captures no evader."""
         self._broken[pursuer] = True
         if self._profile[pursuer]:
             self._trace.append(BrokeDown(self._env.now, pursuer))
-            self._set(pursuer, 0)
+            self._change_action(pursuer, 0)
         self._foresee_capture()
 
     def recover(self, pursuer: int) -> None:
@@ -286,7 +286,7 @@ class World:
         self._broken[pursuer] = False
         self._foresee_capture()
 
-    def _set(self, pursuer: int, action: int) -> None:
+    def _change_action(self, pursuer: int, action: int) -> None:
         """Change the action of one pursuer from this instant on."""
         if self._profile[pursuer] == action:
             return
@@ -357,17 +357,17 @@ class World:
     def _capture_evader(self, foreseen: simpy.Event, target: EvaderBody, capturer: int) -> None:
         if foreseen is not self._capture_ahead:
             return
-        if not self._lone:
+        if not self._single:
             self._trace.append(Captured(self._env.now, target.number, capturer))
             self._remove(target)
-        if self._lone or len(self._targets) - len(self._at_large) >= self._needed:
+        if self._single or len(self._targets) - len(self._at_large) >= self._needed:
             self.finish("captured", capturer)
 
     def _remove(self, target: EvaderBody) -> None:
         """Capture an evader: it stands still, and its pursuers stay until they decide again."""
         target.captured = self._env.now
         self._at_large.remove(target)
-        self._free = tuple(each.number for each in self._at_large)
+        self._uncaptured = tuple(each.number for each in self._at_large)
         self._options.clear()
         velocities = self.players.velocities.copy()
         velocities[target.player] = 0.0
@@ -398,7 +398,7 @@ def _points(points: Points) -> tuple[tuple[float, float], ...]:
     return tuple((x, y) for x, y in coordinates(points).tolist())
 
 
-def _reckons(scenario: Scenario) -> bool:
+def _needs_whole_paths(scenario: Scenario) -> bool:
     """Return whether dead reckoning needs the whole paths of the evaders."""
     located = scenario.announce.payload == "state" or getattr(scenario.protocol, "reckons", False)
     return located and scenario.announce.reckoning == "exact"

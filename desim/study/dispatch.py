@@ -50,7 +50,7 @@ class Outcome:
 
 Outcomes = Generator[tuple[int, Outcome], None, None]
 """Yields the position of each task and the outcome of its run."""
-HandOut = Callable[[list[int]], Future[Any]]
+Submit = Callable[[list[int]], Future[Any]]
 """Submits the tasks at some positions to a worker."""
 
 
@@ -78,21 +78,21 @@ def drive(
     """
     waiting = deque(range(len(tasks)))
 
-    def hand_out(batch: list[int]) -> Future[Any]:
+    def submit(batch: list[int]) -> Future[Any]:
         return workers.submit(partial(perform, [tasks[k] for k in batch], measure, simulate))
 
     try:
         while waiting:
-            unaccounted = yield from _in_batches(waiting, hand_out, workers)
+            unaccounted = yield from _in_batches(waiting, submit, workers)
             for k in unaccounted:
-                yield k, _run_alone(k, hand_out, workers)
+                yield k, _run_alone(k, submit, workers)
     except BaseException:  # the other outcomes are not needed any more
         workers.stop()
         raise
 
 
 def _in_batches(
-    waiting: deque[int], hand_out: HandOut, workers: Workers
+    waiting: deque[int], submit: Submit, workers: Workers
 ) -> Generator[tuple[int, Outcome], None, list[int]]:
     """Yield outcomes until all are known or a worker dies; return the submitted runs without an outcome."""
     out: dict[Future[Any], list[int]] = {}
@@ -104,7 +104,7 @@ def _in_batches(
                 fair = len(waiting) // (2 * workers.count)
                 batch = [waiting.popleft() for _ in range(max(1, min(int(BATCH_TIME / run_time), fair, BATCH_SIZE)))]
                 try:
-                    out[hand_out(batch)] = batch
+                    out[submit(batch)] = batch
                 except BrokenExecutor:
                     broken = True
                     waiting.extendleft(reversed(batch))
@@ -127,11 +127,11 @@ def _in_batches(
     return unaccounted
 
 
-def _run_alone(k: int, hand_out: HandOut, workers: Workers) -> Outcome:
+def _run_alone(k: int, submit: Submit, workers: Workers) -> Outcome:
     """Return the outcome of a run that is performed while no other run is."""
     outcome: Outcome
     try:
-        future = hand_out([k])
+        future = submit([k])
         workers.done([future])
         ((outcome,), _) = workers.result(future)
     except ConnectionError:

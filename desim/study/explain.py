@@ -46,7 +46,7 @@ def explain(
     """
     variants = Variants.of(scenario, runs, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
-        variants.plan.enter(kept)
+        variants.plan.register(kept)
         return variants.carry_out(kept, workers)
 
 

@@ -53,7 +53,7 @@ def note(
 
 def note_merged(folder: Path, store: "Store", parts: Sequence[Path]) -> None:
     """Record the stores that were merged into one, and the request of each command that made them."""
-    root = store.said("root seed", int) if "root seed" in store.about else 0  # the store is empty
+    root = store.read_property("root seed", int) if "root seed" in store.about else 0  # the store is empty
     made = provenance.document(
         "merge", seed=root, runs=len(store), stores=[str(part) for part in parts], cwd=str(Path.cwd())
     )

@@ -66,7 +66,7 @@ class SweepResult:
         if "grid" not in store.about:
             raise StoreError(f"{store.path}: is empty")
         kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
-        name, keys, seeds, root = (store.said(each, kind) for each, kind in kinds.items())
+        name, keys, seeds, root = (store.read_property(each, kind) for each, kind in kinds.items())
         settings = dict(store.configurations())
         for key, each in settings.items():
             if each.keys() != set(keys):

@@ -156,7 +156,7 @@ class Store:
             self.check_same(about)
         else:
             self._database.execute("PRAGMA synchronous = NORMAL")
-            self.tell(about)
+            self.record_properties(about)
 
     def _create(self, path: Path | None) -> None:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
@@ -217,7 +217,7 @@ class Store:
         return MappingProxyType(dict(self._rows("about")))
 
     @_naming_the_file
-    def said(self, name: str, kind: Any) -> Any:
+    def read_property(self, name: str, kind: Any) -> Any:
         """Return a property of the sweep, parsed from JSON and checked against a type.
 
         Raises:
@@ -247,11 +247,11 @@ class Store:
         mine = self.about
         for name, value in about.items():
             if mine.get(name, value) != value:
-                why = _differs(name, self.said(name, Any), json.loads(value))
+                why = _differs(name, self.read_property(name, Any), json.loads(value))
                 raise StoreError(f"{self.path}: was made {why}; {HINT}")
 
     @_naming_the_file
-    def tell(self, about: Mapping[str, str]) -> None:
+    def record_properties(self, about: Mapping[str, str]) -> None:
         """Record the properties of the sweep.
 
         Raises:
@@ -265,7 +265,7 @@ class Store:
             database.executemany("INSERT OR IGNORE INTO about VALUES (?, ?, ?)", map(_with_checksum, about.items()))
 
     @_naming_the_file
-    def enter(self, cells: Sequence[Configuration]) -> None:
+    def register(self, cells: Sequence[Configuration]) -> None:
         """Add configurations, ordered before those that the store has."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self._writing() as database:
@@ -312,13 +312,13 @@ class Store:
         return int(self._database.execute("SELECT count(*) FROM runs").fetchone()[0])
 
     @_naming_the_file
-    def take(self, other: "Store") -> None:
+    def merge(self, other: "Store") -> None:
         """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 
         Raises:
             StoreError: if the other store belongs to another sweep.
         """
-        self.tell(other.about)
+        self.record_properties(other.about)
         runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))  # of at least these runs
         with self._writing() as database:
             database.executemany(

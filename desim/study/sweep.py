@@ -106,14 +106,14 @@ class SweepPlan:
         """Raise StoreError if a store belongs to another sweep."""
         store.check_same(self._written())
 
-    def enter(self, store: Store) -> None:
+    def register(self, store: Store) -> None:
         """Record the properties and the configurations of the sweep in a store.
 
         Raises:
             StoreError: if the store belongs to another sweep, or cannot be written.
         """
-        store.tell(self._written())
-        store.enter(self.configurations)
+        store.record_properties(self._written())
+        store.register(self.configurations)
 
     def _written(self) -> dict[str, str]:
         return {name: json.dumps(each) for name, each in self.about.items()}
@@ -175,7 +175,7 @@ def sweep(
         check_target(*until)
     plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
-        plan.enter(kept)
+        plan.register(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
 
 

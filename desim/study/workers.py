@@ -1,7 +1,7 @@
 """Workers perform runs: in this process, in worker processes, on a Dask cluster, or on an executor of the user.
 
-Worker processes ignore the signals of `desim.study.interrupts`, which the driver handles, and exit when the driver has
-died.
+Worker processes ignore the signals of `desim.simulation.interrupts`, which the driver handles, and exit when the driver
+has died.
 """
 
 import logging
@@ -17,7 +17,7 @@ from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
 from desim.config.trust import SHELTER
-from desim.study.interrupts import SIGNALS
+from desim.simulation.interrupts import SIGNALS
 from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")

@@ -198,7 +198,7 @@ def told_of(**times):
     named = {AS_IT_IS: "as_it_is", IDEAL: "ideal"}
     variants = Variants.of(TWO, len(times["ideal"]))
     with Store() as store, workers_for(1) as workers:
-        variants.plan.enter(store)
+        variants.plan.register(store)
         for name, cell in variants.configurations.items():
             if cell.key == variants.configurations[AS_IT_IS].key and name != AS_IT_IS:
                 continue

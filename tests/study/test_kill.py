@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from desim.study.interrupts import Terminated, raising
+from desim.simulation.interrupts import Terminated, raising
 from tests.study import sweeps
 from tests.study.test_workers import command
 

@@ -167,7 +167,7 @@ def test_configurations_stand_before_those_that_were_there(file):
     plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
         for cell in reversed(plan.configurations):
-            store.enter([cell])
+            store.register([cell])
         assert [key for key, _ in store.configurations()] == [cell.key for cell in plan.configurations]
         assert len(plan.configurations) > 1
 
@@ -176,7 +176,7 @@ def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
     """So the slower of two drivers cannot spoil what the faster has."""
     plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
-        plan.enter(store)
+        plan.register(store)
         for status, text in (("error", "one"), ("crashed", "two"), ("ok", "three"), ("error", "four")):
             store.add(plan.configurations[0].key, 0, run_of(0, status, text))
             expected = "three" if text == "four" else text
@@ -214,7 +214,7 @@ def test_a_run_that_failed_in_one_shard_and_not_in_another_did_not_fail(tmp_path
     stores = [tmp_path / f"{k}.sqlite" for k in range(2)]
     for path, status in zip(stores, (("ok", "error"), ("crashed", "ok")), strict=True):
         with Store(path) as store:
-            plan.enter(store)
+            plan.register(store)
             for number, each in enumerate(status):
                 store.add(plan.configurations[0].key, 0, run_of(number, each, path.name))
     for name, order in {"a": stores, "b": stores[::-1]}.items():
@@ -228,12 +228,12 @@ def test_of_a_run_that_failed_in_two_shards_the_first_failure_is_kept(tmp_path, 
     failures = [("error", "one"), ("crashed", "two")]
     stores = [Store(tmp_path / f"{text}.sqlite") for _, text in failures]
     for store, failure in zip(stores, failures, strict=True):
-        plan.enter(store)
+        plan.register(store)
         store.add(plan.configurations[0].key, 0, run_of(0, *failure))
     for order in (1, -1):
         with Store() as merged:
             for store in stores[::order]:
-                merged.take(store)
+                merged.merge(store)
             assert statuses(merged, plan) == {(0, *failures[::order][0])}
     for store in stores:
         store.close()
@@ -354,7 +354,7 @@ def test_without_a_write_ahead_log_there_is_a_rollback_journal_and_a_warning(tmp
     else:
         (tmp_path / "sweep.sqlite-shm").mkdir()
     with pytest.warns(UserWarning, match=f"{path}: .* no write-ahead log"), Store(path) as store:
-        store.enter([])
+        store.register([])
     with Store(path) as store:
         assert store._database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
     with Store(path, read_only=True) as store:
@@ -418,7 +418,7 @@ def test_what_is_in_the_journal_of_a_store_that_may_not_be_written_is_not_left_o
     """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is told."""
     (tmp_path / "live").mkdir()
     with Store(tmp_path / "live" / "sweep.sqlite") as store:
-        SweepPlan.of(load(file, allow_import=True)).enter(store)
+        SweepPlan.of(load(file, allow_import=True)).register(store)
         shutil.copytree(tmp_path / "live", tmp_path / "killed", ignore=shutil.ignore_patterns("*-shm"))
     path = tmp_path / "killed" / "sweep.sqlite"
     assert path.with_name("sweep.sqlite-wal").stat().st_size > 0
