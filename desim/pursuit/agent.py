@@ -28,7 +28,7 @@ Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 PAPER = Mean()
 """The utility of Lee & Bakolas."""
-NEVER = " (a protocol ends by returning)"
+NEVER = " (a protocol with nothing left to wait for returns)"
 """Hint in error messages about an infinite waiting time."""
 
 
@@ -84,7 +84,7 @@ class Agent:
         self._announcements = announcements
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
         self._clock = clock
-        self._said = AnnouncementState((self.action,) if self._announcements.warm_start else None)
+        self._announced = AnnouncementState((self.action,) if self._announcements.warm_start else None)
         self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.announcement)
         self._streams: dict[str, np.random.Generator] = {}
 
@@ -96,17 +96,17 @@ class Agent:
 
     def recovered(self, *, restarted: bool) -> None:
         """Register a recovery from a crash: the last announcement may not have been sent."""
-        self._said.news = None
+        self._announced.news = None
         if restarted:
-            self._said.payload = None
-            self._said.restarts += 1
+            self._announced.payload = None
+            self._announced.restarts += 1
 
     # Knowledge.
 
     @property
     def restarts(self) -> int:
         """Number of restarts without memory after a crash."""
-        return self._said.restarts
+        return self._announced.restarts
 
     @property
     def now(self) -> float:
@@ -282,12 +282,12 @@ class Agent:
         Call it after every `assign`: it sends only when due. Use `broadcast` to send in any case.
         """
         trigger = self._announcements.trigger
-        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._said.news):
+        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced.news):
             self.broadcast()
 
     def broadcast(self) -> None:
         """Announce its action through `announce.dissemination`, whether or not it has changed."""
-        self._said.news = self._news()
+        self._announced.news = self._news()
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def set_payload(self, body: Any) -> None:
@@ -295,7 +295,7 @@ class Agent:
 
         Its attribute `active` is the action; an announcement is due at once when its attribute `news` changes.
         """
-        self._said.payload = body
+        self._announced.payload = body
 
     def set_initial_belief(self) -> None:
         """Give all teammates its current announcement as their initial belief, without a transmission."""
@@ -303,8 +303,8 @@ class Agent:
 
     def announcement(self) -> Any:
         """Return the body that it would announce now."""
-        claim = self._said.payload
-        return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if claim is None else claim
+        payload = self._announced.payload
+        return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if payload is None else payload
 
     def located(self) -> LocatedAssignment:
         """Return the body that it would announce now if the payload were "state"."""
@@ -365,15 +365,15 @@ class Agent:
         try:
             return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
         except (OverflowError, ValueError) as error:
-            told = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{NEVER}"
-            raise ValueError(told) from error
+            text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{NEVER}"
+            raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
         """Schedule a call a duration (s, by its own clock) from now; a restart without memory cancels it."""
-        life = self.restarts
+        restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
-            if self.restarts == life:
+            if self.restarts == restarts_before:
                 act()
 
         self.sleep(duration).callbacks.append(happen)
@@ -397,7 +397,7 @@ class Agent:
 
     def _news(self) -> Any:
         """Return the value whose change makes an announcement due at once."""
-        return (self.action,) if self._said.payload is None else self._said.payload.news
+        return (self.action,) if self._announced.payload is None else self._announced.payload.news
 
 
 Behaviour = Callable[[Agent], Process]

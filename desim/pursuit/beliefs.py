@@ -85,18 +85,18 @@ class Beliefs:
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return its own capture time of an evader, s, the trusted teammates believed to chase it, and their times."""
-        oldest, words = self._clock.true - self._memory, self._network.matching(self._id)
-        chasing = [j for j in sorted(words) if words[j][1].body.active == evader and words[j][0] >= oldest]
+        oldest, matching = self._clock.true - self._memory, self._network.matching(self._id)
+        chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self.senses_others:
             own, *times = self._world.capture_times_of([self._id, *chasing], evader)
             return own, chasing, times
         (own,) = self._world.capture_times_of([self._id], evader)
-        return own, chasing, [self._time(words[j][1], evader) for j in chasing]
+        return own, chasing, [self._time(matching[j][1], evader) for j in chasing]
 
     def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
-        words = self.trusted(period).items()
-        return {j: Belief(word.body.active, self._time(word, evader, orders)) for j, word in words}
+        records = self.trusted(period).items()
+        return {j: Belief(record.body.active, self._time(record, evader, orders)) for j, record in records}
 
     def team_estimate(self, evader: int) -> TeamEstimate:
         """Return the estimated positions and speeds of the team, and the capture times of an evader.
@@ -106,12 +106,12 @@ class Beliefs:
         world = self._world
         if self.senses_others:
             return TeamEstimate(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
-        words = self.trusted()
-        ids = sorted({*words, self._id})
-        places = [self._place(words[j]) if j in words else world.place(j) for j in ids]
+        records = self.trusted()
+        ids = sorted({*records, self._id})
+        places = [self._place(records[j]) if j in records else world.place(j) for j in ids]
         phi = [
-            self._time(words[j], evader)
-            if j in words and isinstance(words[j].body, TimedAssignment)
+            self._time(records[j], evader)
+            if j in records and isinstance(records[j].body, TimedAssignment)
             else world.capture_time_from(j, place, evader)
             for j, place in zip(ids, places, strict=True)
         ]
@@ -158,12 +158,12 @@ class Beliefs:
         if not isinstance(body, LocatedAssignment):
             return self._world.place(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
-        told = orders.get(record.src, ())
-        if not body.active and not any(action for _, action in told):
+        ordered = orders.get(record.src, ())
+        if not body.active and not any(action for _, action in ordered):
             return place
         now = self._clock.stamp
         since = min(record.sent, now)
-        legs = [(since, body.active), *((max(begun, since), action) for begun, action in told)]
+        legs = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*legs, (now, 0)]):
             if action and begun < now:

@@ -50,7 +50,7 @@ class EvaderController:
         self._speed, self._speeds, self._radius, self._sight = speed, speeds, radius, sight
         self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
         flees_all = isinstance(strategy, PureEvasion) and strategy.flees_from == "all"
-        self._plain = flees_all and sight == inf and self._memory is None
+        self._is_pure_evasion = flees_all and sight == inf and self._memory is None
         self._heading = 0j
         self._since: int | None = None
 
@@ -64,9 +64,9 @@ class EvaderController:
         Raises:
             ValueError: if its strategy returns a longer heading.
         """
-        if self._plain:  # the evader of the paper: the same, several times faster
+        if self._is_pure_evasion:  # the evader of the paper: the same, several times faster
             return away(state)
-        outlook = EvaderObservation(
+        observation = EvaderObservation(
             self._memory(state) if self._memory else state,
             self._speeds,
             self._speed,
@@ -76,8 +76,8 @@ class EvaderController:
             handover,
         )
         if self._sight < inf:
-            outlook = outlook.only(outlook.distances <= self._sight)
-        heading = self._strategy(outlook, self._rng)
+            observation = observation.only(observation.distances <= self._sight)
+        heading = self._strategy(observation, self._rng)
         if not abs(heading) <= 1.0 + 1e-9:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
         self._heading, self._since = complex(heading), state.t
@@ -178,7 +178,7 @@ class EvaderBody:
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius = len(speeds), radius
         self.player = self._size + number - 1
-        self._mind, self._players = mind, players
+        self._controller, self._players = mind, players
         self._radial_time = RadialTime(speeds, speed, radius)
         self.slow: list[bool] = self._radial_time.slow.tolist()
         self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # bound on the closing speed, m/s
@@ -244,7 +244,7 @@ class EvaderBody:
         """
         if self.captured is not None:
             return 0j
-        return self.speed * self._mind.heading(state, handover)
+        return self.speed * self._controller.heading(state, handover)
 
     def contact(
         self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]

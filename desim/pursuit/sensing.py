@@ -158,7 +158,7 @@ class SensedView:
         self.speed, self.place, self.places = world.speed, world.place, world.places
         self.action, self.set_action = world.action, world.set_action
         self.evaders, self.time_left = world.evaders, world.time_left
-        self._heard: dict[int, Sighting] = {}
+        self._reported: dict[int, Sighting] = {}
 
     # Sightings and estimates of an evader.
 
@@ -168,15 +168,15 @@ class SensedView:
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one; None if there is none."""
-        self._listen()
-        heard = self._heard.get(evader)
+        self._read_reports()
+        reported = self._reported.get(evader)
         if self.sees(evader):
             return _sighting(evader, self._clock.now, self._world.evader(evader), self._world.velocity(evader))
         when, place, velocity = self._watch.last(self._id, evader)
         if when == NEVER:
-            return heard
+            return reported
         own = self._clock.at(when)
-        return heard if heard is not None and heard.seen > own else _sighting(evader, own, place, velocity)
+        return reported if reported is not None and reported.seen > own else _sighting(evader, own, place, velocity)
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it has no sighting of it, or has lost it and does not search."""
@@ -204,24 +204,24 @@ class SensedView:
         """Report the newest sightings that have not expired to the neighbours."""
         oldest = self._clock.now - self._sensing.track_timeout
         news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
-        told = tuple(each for each in news if self._sensing.relay or each is not self._heard.get(each.evader))
-        if told:
-            self._network.send(self._id, None, told, port=PORT)
+        reports = tuple(each for each in news if self._sensing.relay or each is not self._reported.get(each.evader))
+        if reports:
+            self._network.send(self._id, None, reports, port=PORT)
 
     def forget(self, *, heard_only: bool) -> None:
         """Delete the reported sightings, and its own as well unless `heard_only`."""
-        self._listen()
-        self._heard.clear()
+        self._read_reports()
+        self._reported.clear()
         if not heard_only:
             self._watch.forget(self._id)
 
-    def _listen(self) -> None:
+    def _read_reports(self) -> None:
         """Process the reports that have arrived."""
         for message in self._network.inbox(self._id, PORT).drain():
             for sighting in message.body:
-                known = self._heard.get(sighting.evader)
+                known = self._reported.get(sighting.evader)
                 if known is None or sighting.seen > known.seen:
-                    self._heard[sighting.evader] = sighting
+                    self._reported[sighting.evader] = sighting
 
     # The view of its agent.
 

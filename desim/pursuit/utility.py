@@ -112,11 +112,11 @@ class Minimum(Value):
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
         if own == inf:
             return -inf
-        total, nobody = 0.0, 1.0  # the probability that none before in order of phi is active
+        total, none_active = 0.0, 1.0  # the probability that none before in order of phi is active
         for phi, q in sorted(zip(others, chances, strict=True)):
-            total += nobody * q * max(phi - own, 0.0)
-            nobody *= 1.0 - q
-        return total + nobody * (reward - own)
+            total += none_active * q * max(phi - own, 0.0)
+            none_active *= 1.0 - q
+        return total + none_active * (reward - own)
 
 
 class EdgePenalty(Value):

@@ -26,14 +26,14 @@ Assumption = Callable[["Scenario"], str | None]
 
 def undivided(scenario: "Scenario") -> str | None:
     """No partition splits the team."""
-    return "a partition splits the team" if _breaks(scenario, "partition", Partition) else None
+    return "a partition splits the team" if _has_fault(scenario, "partition", Partition) else None
 
 
 def connected(scenario: "Scenario") -> str | None:
     """Every pursuer is connected to every other in both directions, over any number of hops."""
     if parted := undivided(scenario):
         return parted
-    graph = _who_hears_whom(scenario)
+    graph = _initial_graph(scenario)
     if not is_complete(graph) and not nx.is_strongly_connected(graph):
         return "the network has several components at the start"
     return None
@@ -41,9 +41,9 @@ def connected(scenario: "Scenario") -> str | None:
 
 def everyone_heard(scenario: "Scenario") -> str | None:
     """Announcements of every pursuer reach all others, directly or relayed."""
-    if _is_passed_on(scenario):
-        return connected(scenario) or _too_wide(scenario)
-    graph, size = _who_hears_whom(scenario), scenario.team.count
+    if _is_relayed(scenario):
+        return connected(scenario) or _out_of_hops(scenario)
+    graph, size = _initial_graph(scenario), scenario.team.count
     if graph.number_of_edges() < size * (size - 1):
         return "not all pursuers hear each other at the start, and no dissemination relays (`announce.dissemination`)"
     return undivided(scenario)
@@ -51,9 +51,9 @@ def everyone_heard(scenario: "Scenario") -> str | None:
 
 def component_heard(scenario: "Scenario") -> str | None:
     """Announcements of every pursuer reach all others in its network component, directly or relayed."""
-    graph = _who_hears_whom(scenario)
-    if _is_passed_on(scenario):
-        return _too_wide(scenario)
+    graph = _initial_graph(scenario)
+    if _is_relayed(scenario):
+        return _out_of_hops(scenario)
     if is_complete(graph):
         return None
     parts = nx.weakly_connected_components(graph)
@@ -67,7 +67,7 @@ def component_heard(scenario: "Scenario") -> str | None:
 def messages_get_through(scenario: "Scenario") -> str | None:
     """A lost announcement is repeated, so that all receivers get it eventually."""
     network, trigger = scenario.network, scenario.announce.trigger
-    if trigger not in {"change", "never"} or _spread_by_schedule(scenario):
+    if trigger not in {"change", "never"} or _reached_by_schedule(scenario):
         return None
     if trigger == "never":
         return "nothing is ever announced"
@@ -94,7 +94,7 @@ def one_at_a_time(scenario: "Scenario") -> str | None:
 
 def no_crashes(scenario: "Scenario") -> str | None:
     """No pursuer breaks down."""
-    return "pursuers break down" if _breaks(scenario, "crash", Crash | RandomCrashes) else None
+    return "pursuers break down" if _has_fault(scenario, "crash", Crash | RandomCrashes) else None
 
 
 def equal_clocks(scenario: "Scenario") -> str | None:
@@ -113,7 +113,7 @@ def host_in_reach(scenario: "Scenario") -> str | None:
     host, size = getattr(scenario.protocol, "host", 0), scenario.team.count
     if parted := undivided(scenario):
         return parted
-    graph = _who_hears_whom(scenario)
+    graph = _initial_graph(scenario)
     far = [j for j in range(size) if j != host and not (graph.has_edge(j, host) and graph.has_edge(host, j))]
     return f"{len(far)} of {size - 1} are out of reach of pursuer {host} at the start" if far else None
 
@@ -177,7 +177,7 @@ def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
                 yield ".".join(filter(None, ("protocol", key))), f"{kind} assumes {name}, but {why}"
 
 
-def _breaks(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
+def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
     """Return whether faults of a kind are given, or may be drawn by random faults."""
     return any(
         isinstance(fault, faults) or (isinstance(fault, RandomFaults) and kind in fault.kinds)
@@ -185,23 +185,23 @@ def _breaks(scenario: "Scenario", kind: str, faults: type | UnionType) -> bool:
     )
 
 
-def _spread_by_schedule(scenario: "Scenario") -> str | None:
+def _reached_by_schedule(scenario: "Scenario") -> str | None:
     """Return the pursuers to whom messages of the schedule carry actions, repeatedly: "all", "neighbours" or None."""
     return getattr(getattr(scenario.protocol, "schedule", None), "spreads_to", None)
 
 
-def _is_passed_on(scenario: "Scenario") -> bool:
+def _is_relayed(scenario: "Scenario") -> bool:
     """Return whether announcements are relayed over several hops."""
     one_hop = getattr(scenario.announce.dissemination, "kind", "one_hop") == "one_hop"
-    return not one_hop or _spread_by_schedule(scenario) == "all"
+    return not one_hop or _reached_by_schedule(scenario) == "all"
 
 
-def _too_wide(scenario: "Scenario") -> str | None:
+def _out_of_hops(scenario: "Scenario") -> str | None:
     """Return the reason why relayed announcements do not reach the whole component; None if they do."""
     hops = getattr(scenario.announce.dissemination, "hops", inf)
-    if hops == inf or _spread_by_schedule(scenario) == "all":
+    if hops == inf or _reached_by_schedule(scenario) == "all":
         return None
-    graph = _who_hears_whom(scenario)
+    graph = _initial_graph(scenario)
     if is_complete(graph):
         return None
     lengths = nx.all_pairs_shortest_path_length(graph)
@@ -209,7 +209,7 @@ def _too_wide(scenario: "Scenario") -> str | None:
     return f"some are {widest} hops apart at the start, and announcements travel {hops}" if widest > hops else None
 
 
-def _who_hears_whom(scenario: "Scenario") -> "nx.DiGraph[int]":
+def _initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":
     """Return the directed graph of the links at the start of the run with the seed of the scenario."""
     network, start = scenario.network, scenario.team.start(scenario.seed)
     topology = Topology(

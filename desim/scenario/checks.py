@@ -22,14 +22,14 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     fastest = max(scenario.team.all_speeds())
     flights = [evader.speed for evader in scenario.evaders]
     if fastest <= max(flights):
-        yield "team.speeds", _out_of_reach(fastest, flights, scenario.prune != "none")
-    yield from _of_sensing(scenario)
-    yield from _of_network(scenario)
+        yield "team.speeds", _all_too_slow(fastest, flights, scenario.prune != "none")
+    yield from _sensing_warnings(scenario)
+    yield from _network_warnings(scenario)
     yield from broken(scenario)
     schedule: Any = getattr(scenario.protocol, "schedule", None)
     if hasattr(schedule, "warnings"):
         yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
-    yield from _of_times(scenario)
+    yield from _time_warnings(scenario)
     stride = scenario.motion.step * max(fastest, *flights)
     if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
         yield (
@@ -39,7 +39,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         )
 
 
-def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str:
+def _all_too_slow(fastest: float, flights: Sequence[float], pruned: bool) -> str:
     """Return the warning that no pursuer is faster than some evaders.
 
     Args:
@@ -59,7 +59,7 @@ def _out_of_reach(fastest: float, flights: Sequence[float], pruned: bool) -> str
     )
 
 
-def _of_times(scenario: Scenario) -> Iterator[tuple[str, str]]:
+def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the times that round to 0, and the periods that are longer than the run."""
     used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
     for key, time, markers in _numbers(scenario):
@@ -85,7 +85,7 @@ def _has_heartbeats(scenario: Scenario) -> bool:
     return scenario.speaks and scenario.announce.beats
 
 
-def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
+def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the keys of sensing that have no effect, and a sensing radius within the capture radius."""
     sensing = scenario.sensing
     if not sensing.limited:
@@ -100,7 +100,7 @@ def _of_sensing(scenario: Scenario) -> Iterator[tuple[str, str]]:
         )
 
 
-def _of_network(scenario: Scenario) -> Iterator[tuple[str, str]]:
+def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the keys of network, announcements and faults that have no effect, and an overloaded channel."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:

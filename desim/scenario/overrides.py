@@ -118,17 +118,17 @@ class Source:
         if not isinstance(node, dict) and not holds(node, key):
             raise ScenarioError(f"{name} is not a key of a table")
         if key == "kind" and node.get("kind") != value:
-            self._fit(place, value)
+            self._remove_misfits(place, value)
         node[key] = value
         self.origins.pop((*place, key), None)  # moves the key to the end: the last override counts
         self.origins[*place, key] = origin
 
-    def _fit(self, place: KeyPath, kind: Any) -> None:
+    def _remove_misfits(self, place: KeyPath, kind: Any) -> None:
         """Remove the keys of a table that a new kind does not have, except those that were overridden."""
         info = _field_at(self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
         for model in filter(None, models):
-            table = _at(self.tables, place)
+            table = _value_at(self.tables, place)
             for key in table.keys() - model.model_fields.keys():
                 if not any(set_since[: len(place) + 1] == (*place, key) for set_since in self.origins):
                     del table[key]
@@ -140,7 +140,7 @@ class Source:
         nested = [*within, *key.split(".")]
         if within != ["sweep", "grid"] or not parts[2:]:
             return parts
-        return nested if _has(self.tables, nested) else [*within, key]
+        return nested if _contains(self.tables, nested) else [*within, key]
 
 
 def model_of(info: FieldInfo, value: Any) -> type[BaseModel] | None:
@@ -157,16 +157,16 @@ def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
     for end, key in enumerate(place, start=1):
         if isinstance(key, str):
             info = fields_of(model).get(key) if model is not None else None
-        model = model_of(info, _at(tables, place[:end])) if info is not None else None
+        model = model_of(info, _value_at(tables, place[:end])) if info is not None else None
     return info
 
 
-def _at(tables: Any, place: KeyPath) -> Any:
+def _value_at(tables: Any, place: KeyPath) -> Any:
     """Return the value at a place in tables."""
     return reduce(getitem, place, tables)
 
 
-def _has(tables: Any, parts: list[str]) -> bool:
+def _contains(tables: Any, parts: list[str]) -> bool:
     """Return whether nested tables contain a dotted key."""
     for part in parts:
         if not isinstance(tables, dict) or part not in tables:

@@ -181,7 +181,7 @@ class Evader(Value):
         )
 
 
-def _some(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
+def _not_empty(evaders: tuple[Evader, ...]) -> tuple[Evader, ...]:
     if not evaders:  # `min_length` would count valid items only
         raise ValueError("should have at least one table")
     return evaders
@@ -244,7 +244,7 @@ class Scenario(Value):
     (phi = inf); infeasible: also those that would be late (phi >= r). It overrides `team.active_at_start`."""
     team: Team = Team()
     evader: Annotated[
-        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_some), Tag("list")],
+        Annotated[Evader, Tag("table")] | Annotated[tuple[Evader, ...], AfterValidator(_not_empty), Tag("list")],
         Discriminator(_form_of_evaders),
     ] = Evader()
     """The evaders: a table or, for evaders with different parameters, a list of tables."""
@@ -291,7 +291,7 @@ class Scenario(Value):
     def _misfits(self) -> Iterator[tuple[tuple[str | int, ...], str]]:
         """Yield the key and the text of each inconsistency between tables."""
         count = self.team.count
-        nobody = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
+        no_pursuer = f"there is no pursuer {{}}: they are 0 .. {count - 1}"
         graph = None
         try:
             made = self.network.graph(count)
@@ -303,12 +303,12 @@ class Scenario(Value):
             yield ("network", "graph"), str(error)
         seen: dict[tuple[int, int], int] = {}
         for k, link in enumerate(self.network.link):
-            strangers = [end for end in ("src", "dst") if getattr(link, end) >= count]
-            yield from ((("network", "link", k, end), nobody.format(getattr(link, end))) for end in strangers)
+            unknown = [end for end in ("src", "dst") if getattr(link, end) >= count]
+            yield from ((("network", "link", k, end), no_pursuer.format(getattr(link, end))) for end in unknown)
             twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
             for src, dst in twice[:1]:
                 yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
-            for src, dst in link.ways() if not strangers else ():
+            for src, dst in link.ways() if not unknown else ():
                 if graph is not None and not graph.has_edge(src, dst):
                     yield ("network", "link", k), f"there is no link from {src} to {dst} in the graph"
         if (needed := self.capture.captures_to_end) is not None and needed > (number := len(self.evaders)):
@@ -317,9 +317,9 @@ class Scenario(Value):
                 f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
             )
         if isinstance(host := getattr(self.protocol, "host", None), int) and host >= count:
-            yield ("protocol", "host"), nobody.format(host)
+            yield ("protocol", "host"), no_pursuer.format(host)
         for k, fault in enumerate(self.fault):
             if (node := getattr(fault, "node", None)) is not None and node >= count:
-                yield ("fault", k, "node"), nobody.format(node)
+                yield ("fault", k, "node"), no_pursuer.format(node)
             for node in (node for group in getattr(fault, "groups", ()) for node in group if node >= count):
-                yield ("fault", k, "groups"), nobody.format(node)
+                yield ("fault", k, "groups"), no_pursuer.format(node)

@@ -32,16 +32,18 @@ def _in_order(values: Any) -> Any:
     return values
 
 
-def _plain(value: Any) -> Any:
+def _from_numpy(value: Any) -> Any:
     """Return a value with numpy numbers and arrays converted to Python numbers and lists."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+        return {key: _from_numpy(each) for key, each in value.items()}
+    return [_from_numpy(each) for each in value] if isinstance(value, list | tuple) else value
 
 
-Values = Annotated[tuple[Annotated[Any, BeforeValidator(_plain)], ...], Field(min_length=1), BeforeValidator(_in_order)]
+Values = Annotated[
+    tuple[Annotated[Any, BeforeValidator(_from_numpy)], ...], Field(min_length=1), BeforeValidator(_in_order)
+]
 """The values of one key of a grid."""
 
 
@@ -69,8 +71,8 @@ class Sweep(Value):
         return grid
 
     @field_serializer("grid")
-    def _written(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
-        return {key: _named(values) for key, values in grid.items()}
+    def _serialized(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
+        return {key: _as_json(values) for key, values in grid.items()}
 
     def __hash__(self) -> int:  # the values of a key may be tables
         return hash((self.reps, self.seeds, tuple(self.grid)))
@@ -91,14 +93,14 @@ def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
         yield from ((key, kind) for kind in found)
 
 
-def _named(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     """Return a value that JSON can represent; a function or class of a script is represented by its import name."""
     if isinstance(value, Value):
         return value.model_dump()
     if isinstance(value, dict):
-        return {key: _named(each) for key, each in value.items()}
+        return {key: _as_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_named(each) for each in value]
+        return [_as_json(each) for each in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return {"kind": import_name(home_of(value))}

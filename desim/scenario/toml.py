@@ -42,7 +42,7 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
 def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
     """Return the source of a TOML file with overrides, before validation; see `load`."""
-    text = _text(Path(file))
+    text = _read_text(Path(file))
     if deep := DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
@@ -71,7 +71,7 @@ def dump(scenario: Scenario) -> str:
     return tomli_w.dumps(scenario.model_dump(exclude_none=True))
 
 
-def _text(file: Path) -> str:
+def _read_text(file: Path) -> str:
     content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # written by editors on Windows
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
@@ -98,16 +98,16 @@ def _explain(error: ErrorDetails, source: Source) -> Iterator[Problem]:
     """Yield the problems that a pydantic error describes."""
     if error["type"] == "misfits":
         for place, why in error["ctx"]["misfits"]:
-            yield _fault(source, place, why)
+            yield _problem(source, place, why)
         return
     place, owner, info = _locate(error, source.tables)
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] != "import_refused" else ""
     name = str(place[-1]) if place else ""
-    yield _fault(source, place, f"{_what_is_wrong(error, name, owner, info)}{note}{_got(error)}")
+    yield _problem(source, place, f"{_reason(error, name, owner, info)}{note}{_input_text(error)}")
 
 
-def _fault(source: Source, place: KeyPath, what: str) -> Problem:
+def _problem(source: Source, place: KeyPath, what: str) -> Problem:
     where = source.where(place)
     line = re.search(r":(\d+)$", where)
     name = ".".join(map(str, place)) or "the file"
@@ -150,7 +150,7 @@ def _one_of(info: FieldInfo) -> OneOf | None:
     return next(iter(choices_of(info)), None)
 
 
-def _what_is_wrong(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
+def _reason(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
     """Return the text of an error, with the allowed values."""
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
@@ -224,7 +224,7 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
     return f", did you mean {close[0]!r}?" if close else ""
 
 
-def _got(error: ErrorDetails) -> str:
+def _input_text(error: ErrorDetails) -> str:
     if error["type"] in {"extra_forbidden", "union_tag_invalid", "import_refused", "missing", "value_error"}:
         return ""
     got = str(error["input"]).lower() if isinstance(error["input"], bool) else repr(error["input"])
