@@ -67,7 +67,7 @@ class EvaderTrack:
         first = bisect_right(self._legs, t, key=itemgetter(0)) - 1
         last = bisect_left(self._legs, now, key=itemgetter(0))  # the evader may have been captured since
         ends = [leg.begun for leg in self._legs[first + 1 : last]] + [now]
-        for leg, end in zip(self._legs[first:], ends, strict=False):  # none yet at the start
+        for leg, end in zip(self._legs[first:], ends, strict=False):  # no segment yet at the start
             began, origin = t, place
             velocity = guided_velocity(self._law, leg.at(t) - place, leg.aim - place, leg.flight, speed)
             place += velocity * seconds(end - t)

@@ -92,7 +92,7 @@ class MaxMin(Fleeing):
         if not straight:
             return 0j
         turns = _turns(self.candidates)
-        headings = straight.real * turns + straight.imag * (1j * turns)  # numpy rounds a complex product by processor
+        headings = straight.real * turns + straight.imag * (1j * turns)  # numpy's complex product varies by processor
         return complex(headings[first_captures(fled_from, headings).argmax()])
 
 

@@ -43,7 +43,7 @@ DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \
 """Matches a key of so many parts that `tomllib`, which stores every prefix of a key, may run out of memory."""
 
 
-# Strings of four kinds and comments, which may contain brackets and ends of lines, and otherwise these themselves.
+# Tokens: strings of four kinds and comments, which may contain brackets and line ends; brackets; line ends.
 _TOKEN = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]',
     re.DOTALL,

@@ -78,7 +78,7 @@ def within(limit: float) -> Iterator[None]:
         finally:
             end()
     except BaseException as error:
-        end()  # again, if it was raised in the first call; now it propagates, and no other is raised
+        end()  # again, in case the exception was raised inside the first call; no other follows
         if not is_late or isinstance(error, KeyboardInterrupt | GeneratorExit):
             raise
         is_described = isinstance(error, TimedOut) and not isinstance(error, Raised)

@@ -153,7 +153,7 @@ class World:
         known = self._options.get(pursuer)
         if known is None:
             known = (0, *(evader for evader in self._uncaptured if self.may_chase(pursuer, evader)))
-            if self._prune != "infeasible":  # they change with captures only
+            if self._prune != "infeasible":  # options change with captures only
                 self._options[pursuer] = known
         return known
 
