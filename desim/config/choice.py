@@ -68,12 +68,12 @@ class OneOf:
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
         """Return all models by kind, those of this distribution first; imports every installed model."""
-        return MappingProxyType(self._own | {kind: point.load() for kind, point in self._installed.items()})
+        return MappingProxyType(self._builtin | {kind: point.load() for kind, point in self._installed.items()})
 
     def choice(self, kind: str) -> type[BaseModel] | None:
         """Return the model of a kind, or None."""
         if kind not in self._installed:
-            return self._own.get(kind)
+            return self._builtin.get(kind)
         model: type[BaseModel] = self._installed[kind].load()
         return model
 
@@ -83,7 +83,7 @@ class OneOf:
         return isinstance(kind, str) and type(value) is self.choice(kind)
 
     @cached_property
-    def _own(self) -> dict[str, type[BaseModel]]:
+    def _builtin(self) -> dict[str, type[BaseModel]]:
         return {kind_of(model): model for model in self.models}
 
     @cached_property
@@ -92,7 +92,7 @@ class OneOf:
         return {point.name: point for point in points}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        writes = core_schema.wrap_serializer_function_ser_schema(self._written, schema=core_schema.any_schema())
+        writes = core_schema.wrap_serializer_function_ser_schema(self._serialize, schema=core_schema.any_schema())
         return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -101,7 +101,7 @@ class OneOf:
             bare.append({"type": "number"})
         return {"anyOf": [handler(_union(self.choices())), *bare]}
 
-    def _written(self, value: Any, write: Callable[[Any], Any]) -> Any:
+    def _serialize(self, value: Any, write: Callable[[Any], Any]) -> Any:
         if self.holds(value):
             return write(value)
         parameters = {}
@@ -111,12 +111,12 @@ class OneOf:
             parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
         return parameters | {"kind": import_name(home_of(value))}
 
-    def _table(self, table: Any, info: ValidationInfo) -> Any:
+    def _from_table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes; raise ValidationError if the table is invalid."""
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
-        judge = SchemaValidator(_union(self.choices())) if model is None else _judge(kind, model)
-        return judge.validate_python(table, context=info.context)
+        validator = SchemaValidator(_union(self.choices())) if model is None else _validator(kind, model)
+        return validator.validate_python(table, context=info.context)
 
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
@@ -125,7 +125,7 @@ class OneOf:
         if isinstance(value, dict) and isinstance(kind := value.get("kind"), str) and ":" in kind:
             value = self._imported(value, info)
         if not callable(value):
-            return self._table(value, info)
+            return self._from_table(value, info)
         if missing := [name for name in self.needs if not hasattr(value, name)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
         self._check_called(value, value)
@@ -183,7 +183,7 @@ def _union(models: Mapping[Any, type[BaseModel]]) -> CoreSchema:
 
 
 @cache
-def _judge(kind: Any, model: type[BaseModel]) -> SchemaValidator:
+def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
     """Return the validator of the tables of one kind."""
     return SchemaValidator(_union({kind: model}))
 

@@ -109,7 +109,7 @@ class NodeClock:
 
     def __init__(self, env: Clock, offset: float = 0.0, rate: float = 1.0):
         self._env, self._offset, self._rate = env, offset, rate
-        self._right = offset == 0.0 and rate == 1.0
+        self._is_exact = offset == 0.0 and rate == 1.0
 
     @property
     def now(self) -> float:
@@ -119,7 +119,7 @@ class NodeClock:
     @property
     def stamp(self) -> int:
         """The local time, ns."""
-        return self._env.now if self._right else round(self.now * SECOND)
+        return self._env.now if self._is_exact else round(self.now * SECOND)
 
     @property
     def true(self) -> int:

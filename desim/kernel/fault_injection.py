@@ -38,13 +38,13 @@ def inject(
     """
     faults, size = list(faults), network.topology.size
     for fault in faults:
-        if strangers := [node for node in _named(fault) if node >= size]:
-            raise ValueError(f"{fault.kind}: there is no node {strangers[0]}: the nodes are 0 .. {size - 1}")
+        if unknown := [node for node in _nodes_of(fault) if node >= size]:
+            raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
 
     def begin(fault: Fault, _: simpy.Event) -> None:
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
-        end = _open(fault, network, crashed, recovered)
+        end = _start(fault, network, crashed, recovered)
         if fault.end <= MAX_TIME:  # no run is longer
             Instant(env, nanoseconds(fault.end), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
@@ -57,14 +57,14 @@ def inject(
         Instant(env, nanoseconds(fault.start), Phase.FAULT).callbacks.append(partial(begin, fault))
 
 
-def _named(fault: Fault) -> list[int]:
+def _nodes_of(fault: Fault) -> list[int]:
     """Return the nodes that a fault names."""
     if isinstance(fault, Partition):
         return [node for group in fault.groups for node in group]
     return [fault.node] if isinstance(fault, Crash) else []
 
 
-def _open(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
+def _start(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:
     """Start a fault; return a function that ends it."""
     fault_state = network.fault_state
     if isinstance(fault, Crash):

@@ -211,7 +211,7 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     """Convert a networkx graph to the fields of `Edges`."""
     size = len(graph)
     if set(graph) != set(range(size)):
-        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {_some(graph)}")
+        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {_node_names(graph)}")
     edges = [
         {"src": int(src), "dst": int(dst)}
         | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
@@ -220,7 +220,7 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     return {"edges": edges, "nodes": size, "directed": graph.is_directed()}
 
 
-def _some(graph: "nx.Graph[Any]") -> str:
+def _node_names(graph: "nx.Graph[Any]") -> str:
     """Return the first nodes of a graph as a short text of one line, with long names truncated."""
     names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"

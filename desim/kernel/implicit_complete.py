@@ -8,19 +8,19 @@ if TYPE_CHECKING:
     import networkx as nx
 
 
-class _Nothing(dict[str, Any]):
+class _NoAttributes(dict[str, Any]):
     """The empty, read-only attributes of a node or an edge of an implicit graph."""
 
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+    def _raise_read_only(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError("an implicit graph is read-only: copy the graph to set attributes")
 
-    __setitem__ = __ior__ = update = setdefault = _refuse
+    __setitem__ = __ior__ = update = setdefault = _raise_read_only
 
 
-_NOTHING = _Nothing()
+_NO_ATTRIBUTES = _NoAttributes()
 
 
-class _Range(Mapping[int, Any]):
+class _NodeRange(Mapping[int, Any]):
     """A mapping from the nodes 0 .. n - 1, possibly without one of them, to their attributes."""
 
     def __init__(self, size: int, without: int | None = None):
@@ -43,17 +43,17 @@ class _Range(Mapping[int, Any]):
     def __getitem__(self, node: int) -> Any:
         if node not in self:
             raise KeyError(node)
-        return self._of(node)
+        return self._value(node)
 
-    def _of(self, node: int) -> Any:
-        return _NOTHING
+    def _value(self, node: int) -> Any:
+        return _NO_ATTRIBUTES
 
 
-class _Everybody(_Range):
+class _CompleteAdjacency(_NodeRange):
     """The adjacency of a complete graph: a mapping from each node 0 .. n - 1 to all other nodes."""
 
-    def _of(self, node: int) -> _Range:
-        return _Range(self.size, int(node))
+    def _value(self, node: int) -> _NodeRange:
+        return _NodeRange(self.size, int(node))
 
 
 def complete_graph(size: int) -> "nx.Graph[int]":
@@ -61,7 +61,7 @@ def complete_graph(size: int) -> "nx.Graph[int]":
     import networkx as nx
 
     graph: nx.Graph[int] = nx.Graph()
-    _materialise(graph, size)
+    _make_implicit(graph, size)
     return graph
 
 
@@ -70,15 +70,15 @@ def complete_digraph(size: int) -> "nx.DiGraph[int]":
     import networkx as nx
 
     graph: nx.DiGraph[int] = nx.DiGraph()
-    _materialise(graph, size)
+    _make_implicit(graph, size)
     return graph
 
 
-def _materialise(graph: Any, size: int) -> None:
+def _make_implicit(graph: Any, size: int) -> None:
     """Replace the node and adjacency dictionaries of a graph by computed, read-only mappings."""
     import networkx as nx
 
-    graph._node, graph._adj = _Range(size), _Everybody(size)
+    graph._node, graph._adj = _NodeRange(size), _CompleteAdjacency(size)
     if graph.is_directed():
         graph._pred = graph._adj
     nx.freeze(graph)
@@ -86,7 +86,7 @@ def _materialise(graph: Any, size: int) -> None:
 
 def is_implicit(graph: "nx.Graph[int]") -> bool:
     """Return whether a graph is an implicit complete graph, whose edges have no attributes."""
-    return isinstance(getattr(graph, "_adj", None), _Everybody)
+    return isinstance(getattr(graph, "_adj", None), _CompleteAdjacency)
 
 
 def is_complete(graph: "nx.Graph[int]") -> bool:

@@ -31,18 +31,18 @@ class Inbox:
     (`arrival`) does not consume it, so a time-out cannot lose one.
     """
 
-    __slots__ = ("_alarm", "_bell", "_env", "_mail", "_sorted", "_turn")
+    __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
 
     def __init__(self, env: Clock, node: int):
         self._env = env
-        self._turn = int(Phase.DECISION) + node
-        self._mail: list[Letter] = []
+        self._priority = int(Phase.DECISION) + node
+        self._letters: list[Letter] = []
         """All messages, waiting and in flight."""
         self._sorted = 0
-        """Length of the sorted prefix of `_mail`."""
-        self._bell: simpy.Event | None = None
+        """Length of the sorted prefix of `_letters`."""
+        self._waited_for: simpy.Event | None = None
         """The event that processes wait for, if any."""
-        self._alarm: float = inf
+        self._wake_time: float = inf
         """Time of the next scheduled wake-up for a message in flight, ns."""
 
     def arrival(self, priority: int | None = None) -> simpy.Event:
@@ -52,56 +52,56 @@ class Inbox:
             priority: the SimPy priority of the event; that of a decision of the node if None.
         """
         if priority is not None:
-            self._turn = priority
-        bell = self._bell or self._env.event()
-        self._bell = bell
+            self._priority = priority
+        event = self._waited_for or self._env.event()
+        self._waited_for = event
         self._expect_first()
-        return bell
+        return event
 
     def drain(self) -> list[Message]:
         """Remove and return the waiting messages, oldest first."""
-        mail, now = self._in_order(), self._env.now
-        end = len(mail) if mail and mail[-1][0] <= now else bisect_left(mail, (now + 1,))
-        arrived = mail[:end]
-        del mail[:end]
-        self._sorted = len(mail)
+        letters, now = self._in_order(), self._env.now
+        end = len(letters) if letters and letters[-1][0] <= now else bisect_left(letters, (now + 1,))
+        arrived = letters[:end]
+        del letters[:end]
+        self._sorted = len(letters)
         return [message for _, _, message in arrived]
 
     def in_flight(self) -> int:
         """Return the number of messages in flight."""
-        return sum(arrival > self._env.now for arrival, _, _ in self._mail)
+        return sum(arrival > self._env.now for arrival, _, _ in self._letters)
 
     def _in_order(self) -> list[Letter]:
         """Return all messages in the order of arrival."""
-        if self._sorted < len(self._mail):
-            self._mail.sort()
-            self._sorted = len(self._mail)
-        return self._mail
+        if self._sorted < len(self._letters):
+            self._letters.sort()
+            self._sorted = len(self._letters)
+        return self._letters
 
     def _expect_first(self) -> None:
         """Schedule a wake-up at the first arrival."""
-        if self._mail:
+        if self._letters:
             self._expect(self._in_order()[0][0])
 
     def _expect(self, arrival: int) -> None:
         """Schedule a wake-up at an arrival time (ns), unless an earlier one is scheduled."""
         if arrival <= self._env.now:
-            self._ring()
-        elif arrival < self._alarm:
-            self._alarm = arrival
+            self._trigger()
+        elif arrival < self._wake_time:
+            self._wake_time = arrival
             Instant(self._env, arrival, Phase.DELIVERY).callbacks.append(self._wake)
 
     def _wake(self, _: simpy.Event) -> None:
-        self._alarm = inf
-        if self._bell is not None:
+        self._wake_time = inf
+        if self._waited_for is not None:
             self._expect_first()
 
-    def _ring(self) -> None:
-        """Trigger the event that processes wait for, if any, at the current time with the priority `_turn`."""
-        bell, self._bell = self._bell, None
-        if bell is not None:
-            bell._ok, bell._value = True, None
-            self._env.schedule(bell, EventPriority(self._turn))
+    def _trigger(self) -> None:
+        """Trigger the event that processes wait for, if any, at the current time with its priority."""
+        event, self._waited_for = self._waited_for, None
+        if event is not None:
+            event._ok, event._value = True, None
+            self._env.schedule(event, EventPriority(self._priority))
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
@@ -113,12 +113,12 @@ def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival:
         letter = arrival, number, message
         for node in receivers:
             box = boxes[node]
-            box._mail.append(letter)
-            if box._bell is not None:
+            box._letters.append(letter)
+            if box._waited_for is not None:
                 box._expect(arrival)
     else:
         for node, when in zip(receivers, arrival, strict=True):
             box = boxes[node]
-            box._mail.append((when, number, message))
-            if box._bell is not None:
+            box._letters.append((when, number, message))
+            if box._waited_for is not None:
                 box._expect(when)

@@ -183,7 +183,7 @@ class Empirical(_Drawn):
         return given | {"file": None, "values": _numbers(resolve_path(given["file"], info))}
 
     @model_validator(mode="after")
-    def _has_some(self) -> Self:
+    def _is_not_empty(self) -> Self:
         if not self.values:
             raise ValueError("should have values, or a file of values")
         return self
@@ -205,13 +205,13 @@ def _numbers(file: Path) -> list[float]:
         raise ValueError(f"{file} cannot be read: {getattr(error, 'strerror', None) or error}") from error
     numbers = []
     for line, text in enumerate(lines, 1):
-        for word in text.partition("#")[0].replace(",", " ").split():
+        for item in text.partition("#")[0].replace(",", " ").split():
             try:
-                numbers.append(float(word))
+                numbers.append(float(item))
             except ValueError as error:
-                raise ValueError(f"{file}, line {line}: {word!r} is not a number") from error
+                raise ValueError(f"{file}, line {line}: {item!r} is not a number") from error
             if not 0.0 <= numbers[-1] < float("inf"):
-                raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {word})")
+                raise ValueError(f"{file}, line {line}: a latency should be a time >= 0 s (got {item})")
     if not numbers:
         raise ValueError(f"{file} contains no numbers")
     return numbers

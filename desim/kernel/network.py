@@ -96,12 +96,12 @@ class Network:
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or fault_state is not None or links.medium.half_duplex
         self._medium = links.medium
-        self._air: Transmitter[Departure] | None = None
+        self._transmitter: Transmitter[Departure] | None = None
         if not isinstance(links.medium, Unlimited):
-            self._air = Transmitter(
+            self._transmitter = Transmitter(
                 env, links.medium, size, self._leave, self._wait, self._overflow, self._sampler.processing
             )
-        self._may_lose = fault_state is not None or not self._sampler.lossless or self._air is not None
+        self._may_lose = fault_state is not None or not self._sampler.lossless or self._transmitter is not None
         self._records = Records(env, size, predicate)
         self._ports: dict[str, list[Inbox]] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
@@ -215,7 +215,7 @@ class Network:
         """
         self.fault_state.crash(node)
         self._crashes.setdefault(node, []).append(self._env.now)
-        for flight in self._air.flush(node) if self._air is not None else ():
+        for flight in self._transmitter.flush(node) if self._transmitter is not None else ():
             self._lose(flight, flight.receivers, "crash")
 
     def recover(self, node: int, *, memory: bool = True) -> None:
@@ -243,9 +243,9 @@ class Network:
         in_flight = self._arriving + self._records.in_flight()
         in_flight += sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
         busy = 0.0
-        if self._air is not None:
-            in_flight += sum(len(flight.receivers) for flight in self._air.waiting())
-            busy = self._air.airtime() / (self._air.channels * now) if now else 0.0
+        if self._transmitter is not None:
+            in_flight += sum(len(flight.receivers) for flight in self._transmitter.waiting())
+            busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # without causes counted 0 times
         return MessageCounts(
@@ -265,17 +265,17 @@ class Network:
             receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
         else:
             receivers = [dst]
-            reachable = topology.are_linked(src, dst) and not self._is_too_far(src, dst, number)
+            reachable = topology.are_linked(src, dst) and not self._is_out_of_range(src, dst, number)
         if size is None:
             size = size_of(content.body)
         flight = _new(Departure, (number, src, self._env.now, size, receivers, content, port, reachable))
         self._sent += len(receivers)
-        if self._air is None:
+        if self._transmitter is None:
             self._leave(flight, 0)
         else:
-            self._air.enqueue(flight)
+            self._transmitter.enqueue(flight)
 
-    def _is_too_far(self, src: int, dst: int, number: int) -> bool:
+    def _is_out_of_range(self, src: int, dst: int, number: int) -> bool:
         """Return whether a range check at transmission fails for a receiver."""
         return self._checks_departure and not self.topology.reaches(src, dst, number)
 
@@ -306,7 +306,7 @@ class Network:
         for node, cause in causes.items():
             self._lose(flight, [node], cause)
         if self._settles_on_arrival:
-            self._let_land(flight, reached, arrival, airtime)
+            self._schedule_arrivals(flight, reached, arrival, airtime)
         elif isinstance(flight.content, Record):
             self._records.schedule(flight.content, reached, arrival)
         else:
@@ -321,28 +321,28 @@ class Network:
         if self._fault_state is not None:
             causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
         if flight.created < self._env.now:  # it waited, and its receivers may have moved out of range
-            causes |= {node: "reach" for node in receivers if self._is_too_far(src, node, flight.number)}
+            causes |= {node: "reach" for node in receivers if self._is_out_of_range(src, node, flight.number)}
         return causes if flight.reachable else dict.fromkeys(receivers, "reach")
 
-    def _let_land(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
+    def _schedule_arrivals(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
         self._arriving += len(reached)
-        landings: dict[int, list[int]] = {}
+        nodes_by_arrival: dict[int, list[int]] = {}
         if isinstance(arrival, int):
-            landings = {arrival: reached} if reached else {}
+            nodes_by_arrival = {arrival: reached} if reached else {}
         else:
             for node, when in zip(reached, arrival, strict=True):
-                landings.setdefault(when, []).append(node)
-        for when, nodes in landings.items():
+                nodes_by_arrival.setdefault(when, []).append(node)
+        for when, nodes in nodes_by_arrival.items():
             Instant(self._env, when, Phase.DELIVERY).callbacks.append(
                 partial(self._land, flight, nodes, (self._env.now, self._env.now + airtime))
             )
 
-    def _land(self, flight: Departure, nodes: list[int], spell: tuple[int, int], _: "simpy.Event") -> None:
-        """Deliver a transmission that was on the air from spell[0] to spell[1] (ns) to nodes, or lose it there."""
+    def _land(self, flight: Departure, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
+        """Deliver a transmission that was on the air for an interval (start, end), ns, to nodes, or lose it there."""
         self._arriving -= len(nodes)
         for node in nodes:
-            cause = self._obstacle(flight, node, spell)
+            cause = self._obstacle(flight, node, interval)
             if cause is not None:
                 self._lose(flight, [node], cause)
             elif isinstance(flight.content, Record):
@@ -350,21 +350,21 @@ class Network:
             else:
                 deliver(flight.content, self._boxes(flight.port), [node], self._env.now, flight.number)
 
-    def _obstacle(self, flight: Departure, node: int, spell: tuple[int, int]) -> Cause | None:
+    def _obstacle(self, flight: Departure, node: int, interval: tuple[int, int]) -> Cause | None:
         """Return the cause for which a message that arrives now is lost, or None."""
-        broken, (begin, end) = self._fault_state, spell
-        if broken is not None:
-            if broken.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
+        faults, (begin, end) = self._fault_state, interval
+        if faults is not None:
+            if faults.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
                 return "crash"
-            if broken.cut(flight.src, node):
+            if faults.cut(flight.src, node):
                 return "partition"
-            if broken.jammed(node):
+            if faults.jammed(node):
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
             return "reach"
         left = self._env.now - self._sampler.processing
-        deaf = self._air is not None and self._air.transmitted(node, left, end - begin)
-        return "half_duplex" if deaf else None
+        transmitting = self._transmitter is not None and self._transmitter.transmitted(node, left, end - begin)
+        return "half_duplex" if transmitting else None
 
     def _lose(self, flight: Departure, nodes: list[int], cause: Cause) -> None:
         self._lost[cause] += len(nodes)

@@ -35,19 +35,19 @@ class _PositionFunction:
 
     fastest = inf
 
-    def __init__(self, everybody: PositionSource):
-        self._everybody = everybody
+    def __init__(self, function: PositionSource):
+        self._function = function
 
     def __call__(self) -> Floats:
-        return np.asarray(self._everybody())
+        return np.asarray(self._function())
 
     def of(self, nodes: Nodes) -> Floats:
         return self().take(nodes, axis=0)
 
 
-def as_position_source(locator: PositionSource) -> Positions:
+def as_position_source(source: PositionSource) -> Positions:
     """Return a position source as `Positions`; a plain function is wrapped."""
-    return cast("Positions", locator) if hasattr(locator, "of") else _PositionFunction(locator)
+    return cast("Positions", source) if hasattr(source, "of") else _PositionFunction(source)
 
 
 def distances(at: Floats, here: int) -> Floats:

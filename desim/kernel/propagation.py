@@ -58,40 +58,41 @@ class LinkSampler:
         self._seed, self._positions = seed, positions
         self.processing = nanoseconds(links.processing.sender) + nanoseconds(links.processing.receiver)
         """Processing delay of a message at sender and receiver together, ns."""
-        self._latency, self._loss = _started(links.latency, size), _started(links.loss, size)
+        self._latency, self._loss = _model_of_run(links.latency, size), _model_of_run(links.loss, size)
         names = ("latency", "loss", "latency of own links", "loss of own links")
         streams = [stream(seed, purpose + name) for name in names]
-        self._latency_rng, self._loss_rng, self._own_latency_rng, self._own_loss_rng = streams
-        self._delays = _buffered(self._latency, self._latency_rng, _checked)
-        self._buffers = _buffered(self._loss, self._loss_rng, np.ndarray.tolist)
-        own = _overrides(links, graph)
-        self._own_latency, self._own_loss = own["latency"], own["loss"]
-        self._order, self._own_order = links.order, own["order"]
+        self._latency_rng, self._loss_rng, self._override_latency_rng, self._override_loss_rng = streams
+        self._latency_buffer = _buffered(self._latency, self._latency_rng, _as_nanoseconds)
+        self._loss_buffer = _buffered(self._loss, self._loss_rng, np.ndarray.tolist)
+        overrides = _overrides(links, graph)
+        self._latency_overrides, self._loss_overrides = overrides["latency"], overrides["loss"]
+        self._order, self._order_overrides = links.order, overrides["order"]
         self._last: dict[tuple[int, int], int] = {}  # latest arrival (ns) on each FIFO link
         self._lossless = _never_loses(links.loss)
-        own_models = (model for to in self._own_loss.values() for model in to.values())
-        self.lossless = self._lossless and all(map(_never_loses, own_models))
+        override_models = (model for to in self._loss_overrides.values() for model in to.values())
+        self.lossless = self._lossless and all(map(_never_loses, override_models))
         """Whether the link models never lose a message."""
         # With one constant latency no model needs to be sampled, and no message overtakes another.
         self._constant = None
-        if isinstance(links.latency, Constant) and not self._own_latency:
+        if isinstance(links.latency, Constant) and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
-        self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._own_order))
+        self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
         """Whether some link is FIFO, see `in_order`."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
         """Return for each receiver whether the message is lost; None if it is lost for none."""
-        own = self._own_loss.get(src, {})
+        overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
-        elif self._buffers is not None:
-            lost = self._buffers.take(len(dst))
+        elif self._loss_buffer is not None:
+            lost = self._loss_buffer.take(len(dst))
         else:
-            lost = _truths(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
-        for k, node in enumerate(dst if own else ()):
-            if node in own:
+            lost = _booleans(self._loss(self._context(src, dst, now, size), self._loss_rng), len(dst))
+        for k, node in enumerate(dst if overrides else ()):
+            if node in overrides:
                 lost = lost or [False] * len(dst)
-                (lost[k],) = _truths(own[node](self._context(src, [node], now, size), self._own_loss_rng), 1)
+                context = self._context(src, [node], now, size)
+                (lost[k],) = _booleans(overrides[node](context, self._override_loss_rng), 1)
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
@@ -103,17 +104,18 @@ class LinkSampler:
         start = now + airtime + self.processing
         if self._constant is not None:
             return start + self._constant
-        own = self._own_latency.get(src, {})
+        overrides = self._latency_overrides.get(src, {})
         delays: Arrival
-        if self._delays is not None:
-            delays = self._delays.take(len(dst))
+        if self._latency_buffer is not None:
+            delays = self._latency_buffer.take(len(dst))
         else:
             delays = _times(self._latency(self._context(src, dst, now, size), self._latency_rng), len(dst))
-        if own:
+        if overrides:
             delays = [delays] * len(dst) if isinstance(delays, int) else delays
             for k, node in enumerate(dst):
-                if node in own:
-                    delay = _times(own[node](self._context(src, [node], now, size), self._own_latency_rng), 1)
+                if node in overrides:
+                    context = self._context(src, [node], now, size)
+                    delay = _times(overrides[node](context, self._override_latency_rng), 1)
                     delays[k] = delay if isinstance(delay, int) else delay[0]
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
@@ -135,12 +137,12 @@ class LinkSampler:
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
         """Return the arrival times (ns) delayed such that no message overtakes an earlier one on a FIFO link."""
-        own = self._own_order.get(src)
-        if self._order == "overtaking" and not own:
+        overrides = self._order_overrides.get(src)
+        if self._order == "overtaking" and not overrides:
             return arrival
         last, arrivals = self._last, list(per_receiver(arrival, len(dst)))
         for k, node in enumerate(dst):
-            if (own.get(node, self._order) if own else self._order) == "fifo":
+            if (overrides.get(node, self._order) if overrides else self._order) == "fifo":
                 arrivals[k] = last[src, node] = max(arrivals[k], last.get((src, node), 0))
         return arrivals
 
@@ -151,8 +153,8 @@ class LinkSampler:
 class _Buffer(Generic[Each]):
     """A buffer of draws of a model whose draws are independent of the link."""
 
-    def __init__(self, model: Independent, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"):
-        self._model, self._rng, self._plain = model, rng, plain
+    def __init__(self, model: Independent, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
+        self._model, self._rng, self._convert = model, rng, convert
         self._block: list[Each] = []
         self._next = 0
 
@@ -160,7 +162,7 @@ class _Buffer(Generic[Each]):
         """Return the next `count` draws."""
         end = self._next + count
         if end > len(self._block):
-            fresh = self._plain(self._model.draw(max(BLOCK, count), self._rng))
+            fresh = self._convert(self._model.draw(max(BLOCK, count), self._rng))
             self._block = self._block[self._next :] + fresh
             self._next, end = 0, count
         taken = self._block[self._next : end]
@@ -169,12 +171,12 @@ class _Buffer(Generic[Each]):
 
 
 def _buffered(
-    model: object, rng: np.random.Generator, plain: "Callable[[NDArray[Any]], list[Each]]"
+    model: object, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"
 ) -> "_Buffer[Each] | None":
-    return _Buffer(model, rng, plain) if isinstance(model, Independent) else None
+    return _Buffer(model, rng, convert) if isinstance(model, Independent) else None
 
 
-def _started(model: Any, size: int) -> Any:
+def _model_of_run(model: Any, size: int) -> Any:
     """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
     return model.start_run(size) if hasattr(model, "start_run") else model
 
@@ -191,19 +193,19 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             value = attributes.get(name)
             if value is not None:
                 for way in [(src, dst)] if graph.is_directed() else [(src, dst), (dst, src)]:
-                    found[name].setdefault(way[0], {})[way[1]] = _started(as_model(name, value), len(graph))
+                    found[name].setdefault(way[0], {})[way[1]] = _model_of_run(as_model(name, value), len(graph))
     for link in links.link:
         for src, dst in link.ways():
             if not graph.has_edge(src, dst):
                 raise ValueError(f"there is no link from {src} to {dst} in the graph")
-            for name, own in found.items():
+            for name, overrides in found.items():
                 model = getattr(link, name)
                 if model is not None:
-                    own.setdefault(src, {})[dst] = _started(model, len(graph))
+                    overrides.setdefault(src, {})[dst] = _model_of_run(model, len(graph))
     return found
 
 
-def _checked(delays: Any) -> Any:
+def _as_nanoseconds(delays: Any) -> Any:
     """Return delays in s as whole ns, one number or a list, limited to `MAX_TIME`.
 
     Raises:
@@ -221,14 +223,14 @@ def _times(answer: Any, count: int) -> Arrival:
     if shape not in {(), (count,)}:
         got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
         raise ValueError(f"latencies should be one number or one for each of {count} links, got {got}")
-    times: Arrival = _checked(answer)
+    times: Arrival = _as_nanoseconds(answer)
     return times
 
 
-def _truths(answer: Any, count: int) -> list[bool]:
+def _booleans(answer: Any, count: int) -> list[bool]:
     """Return the answer of a loss model for `count` links as a list of booleans."""
-    truths = np.asarray(answer)
-    if truths.dtype != bool or truths.shape not in {(), (count,)}:
+    booleans = np.asarray(answer)
+    if booleans.dtype != bool or booleans.shape not in {(), (count,)}:
         raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")
-    lost: list[bool] = np.broadcast_to(truths, count).tolist()
+    lost: list[bool] = np.broadcast_to(booleans, count).tolist()
     return lost

@@ -54,30 +54,30 @@ class SharedTable:
         self.matching: Table = {}
         self.only_initial = True
 
-    def set_initial_belief(self, heard: ReceivedRecord) -> None:
+    def set_initial_belief(self, received: ReceivedRecord) -> None:
         """Insert an initial belief, unless the table has a record of its source."""
-        if heard[1].src not in self.table:
-            _store(heard, self.table, self.matching, self._predicate)
+        if received[1].src not in self.table:
+            _store(received, self.table, self.matching, self._predicate)
 
-    def schedule(self, heard: ReceivedRecord) -> None:
+    def schedule(self, received: ReceivedRecord) -> None:
         """Add a record that arrives at its arrival time."""
         self.only_initial = False
-        if self.waiting and heard < self.waiting[-1]:
-            insort(self.waiting, heard)
+        if self.waiting and received < self.waiting[-1]:
+            insort(self.waiting, received)
         else:
-            self.waiting.append(heard)
+            self.waiting.append(received)
 
     def apply_arrived(self, now: int) -> None:
         """Move the records that have arrived by `now` (ns) to the table."""
         arrived, table = 0, self.table
-        for heard in self.waiting:
-            arrival, record = heard
+        for received in self.waiting:
+            arrival, record = received
             if arrival > now:
                 break
             arrived += 1
             known = table.get(record[0])  # src and seq, by position for speed
             if known is None or known[1][1] < record[1]:
-                _store(heard, table, self.matching, self._predicate)
+                _store(received, table, self.matching, self._predicate)
         del self.waiting[:arrived]
 
 
@@ -134,32 +134,32 @@ class Records:
         """Insert a record into the table of a node now, unless it has the same or a newer record of the source."""
         self._apply_arrived(node)
         self._out_of_order.add(node)
-        heard, own = (self._env.now, record), self._tables[node]
-        if _is_newer(heard, own) and (node in self._forgetful or _is_newer(heard, self._shared.table)):
-            _store(heard, own, self._matching[node], self._predicate)
+        received, own = (self._env.now, record), self._tables[node]
+        if _is_newer(received, own) and (node in self._forgetful or _is_newer(received, self._shared.table)):
+            _store(received, own, self._matching[node], self._predicate)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
         self._apply_arrived(node)
-        own, common = self._tables[node], self._shared
-        if not common.table or node in self._forgetful:
+        own, shared = self._tables[node], self._shared
+        if not shared.table or node in self._forgetful:
             return own.copy()
-        known = common.table.copy()
+        known = shared.table.copy()
         known.pop(node, None)
         if own:
-            known |= own if common.only_initial else self._still_new(own)
+            known |= own if shared.only_initial else self._still_new(own)
         return known
 
     def matching(self, node: int) -> Table:
         """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
-        own, matching, common = self._tables[node], self._matching[node], self._shared
-        if not common.table or node in self._forgetful:
+        own, matching, shared = self._tables[node], self._matching[node], self._shared
+        if not shared.table or node in self._forgetful:
             return matching.copy()
-        known = common.matching.copy()
+        known = shared.matching.copy()
         known.pop(node, None)
         if own:
-            known = {src: heard for src, heard in known.items() if _is_newer(heard, own)}
+            known = {src: received for src, received in known.items() if _is_newer(received, own)}
             known |= self._still_new(matching)
         return known
 
@@ -193,8 +193,8 @@ class Records:
 
     def _still_new(self, own: Table) -> Table:
         """Return the records of a table that are not older than those of the shared table."""
-        common = self._shared.table
-        return {src: heard for src, heard in own.items() if src not in common or heard[1].seq >= common[src][1].seq}
+        shared = self._shared.table
+        return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
 
     def _merge(self, node: int) -> None:
         """Move the records that have arrived at a node to its table."""
@@ -210,10 +210,10 @@ class Records:
                 late.append(arrival)
                 late.append(record)
             else:  # the table has no newer record of the source
-                table[record[0]] = heard = (arrival, record)  # src and body, by position for speed
+                table[record[0]] = received = (arrival, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
-                        matching[record[0]] = heard
+                        matching[record[0]] = received
                     else:
                         matching.pop(record[0], None)
         self._waiting[node] = []
@@ -230,9 +230,9 @@ class Records:
                 late.append(arrival)
                 late.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
-                table[record[0]] = heard = (arrival, record)
+                table[record[0]] = received = (arrival, record)
                 if predicate is not None:
-                    _store(heard, table, matching, predicate)
+                    _store(received, table, matching, predicate)
         return late
 
     def _merge_unread(self) -> None:
@@ -242,21 +242,21 @@ class Records:
                 self._merge(node)
 
 
-def _store(heard: ReceivedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
+def _store(received: ReceivedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
     """Store a record in a table, and in the table of matching records if its body satisfies the predicate."""
-    src = heard[1].src
-    table[src] = heard
+    src = received[1].src
+    table[src] = received
     if predicate is not None:
-        if predicate(heard[1].body):
-            matching[src] = heard
+        if predicate(received[1].body):
+            matching[src] = received
         else:
             matching.pop(src, None)
 
 
-def _is_newer(heard: ReceivedRecord, table: Table) -> bool:
+def _is_newer(received: ReceivedRecord, table: Table) -> bool:
     """Return whether a record is newer than the record of its source in a table."""
-    known = table.get(heard[1].src)
-    return known is None or known[1].seq < heard[1].seq
+    known = table.get(received[1].src)
+    return known is None or known[1].seq < received[1].seq
 
 
 def per_receiver(arrival: Arrival, receivers: int) -> Iterable[int]:

@@ -34,7 +34,7 @@ class CellList:
         self._positions = positions
         self._now, self._fastest = (now, positions.fastest) if now is not None else (lambda: 0.0, inf)
         self._side = max(ROUNDING * (1.0 + VERLET_SKIN) * radius, FINEST)
-        self._slack = self._side / ROUNDING - radius
+        self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
         """The cached nodes in a cell and the eight around it, until a node enters or leaves one of them."""
@@ -48,7 +48,7 @@ class CellList:
 
         The result contains all nodes within the radius, and further ones.
         """
-        if 2.0 * self._drifted() > self._slack:
+        if 2.0 * self._drifted() > self._skin:
             self._hash()
         cell = tuple(self._cells[node].tolist())
         block = self._blocks.get(cell)
@@ -84,16 +84,16 @@ class CellList:
     def _enter(self, nodes: Iterable[int], cells: Nodes) -> None:
         for node, cell in zip(nodes, map(tuple, cells.tolist()), strict=True):
             self._members.setdefault(cell, []).append(node)
-            self._forget(cell)
+            self._invalidate(cell)
 
     def _leave(self, nodes: Iterable[int], cells: Nodes) -> None:
         for node, cell in zip(nodes, map(tuple, cells.tolist()), strict=True):
             self._members[cell].remove(node)
             if not self._members[cell]:
                 del self._members[cell]
-            self._forget(cell)
+            self._invalidate(cell)
 
-    def _forget(self, cell: CellIndex) -> None:
+    def _invalidate(self, cell: CellIndex) -> None:
         """Delete the cached results that contain a cell."""
         for near in _around(cell):
             self._blocks.pop(near, None)

@@ -61,17 +61,17 @@ class Topology:
         self._lists: list[list[int]] | _AllOthers = (
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
         )
-        self._range, self._reach = range, reach or Disk()
-        self._certain = isinstance(self._reach, Disk)
+        self._range, self._reception = range, reach or Disk()
+        self._certain = isinstance(self._reception, Disk)
         self._per_link, self._seed = per_link, seed
         self._uniform: dict[int, Floats] = {}  # by sender, the draws of its pairs with all nodes; up to `ROOM` numbers
         self._positions = as_position_source(positions) if positions is not None and range < inf else None
         self._cells: CellList | None = None
-        self._circles: list[Nodes] = []
+        self._candidate_lists: list[Nodes] = []
         if self._positions is not None and not self._complete:
-            self._circles = [_circle(node, self._lists[node]) for node in nodes.tolist()]
-        elif self._positions is not None and size > SMALL_NETWORK and bound(self._reach, range) < inf:
-            self._cells = CellList(self._positions, bound(self._reach, range), now)
+            self._candidate_lists = [_with_linked(node, self._lists[node]) for node in nodes.tolist()]
+        elif self._positions is not None and size > SMALL_NETWORK and bound(self._reception, range) < inf:
+            self._cells = CellList(self._positions, bound(self._reception, range), now)
 
     def linked(self, node: int) -> list[int]:
         """Return the nodes that the graph links `node` to, ascending, regardless of range; read-only."""
@@ -91,7 +91,7 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return self._lists[node]
-        near: list[int] = self._near(node, self._circle(node), message).tolist()
+        near: list[int] = self._near(node, self._candidates(node), message).tolist()
         return near
 
     def reaches(self, src: int, dst: int, message: int = 0) -> bool:
@@ -108,18 +108,18 @@ class Topology:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
             return np.array(self._lists[node], dtype=np.intp)
-        return self._near(node, self._circle(node))
+        return self._near(node, self._candidates(node))
 
     def audible(self, node: int) -> list[int]:
         """Return the nodes that `node` receives from now, ascending; see `neighbours`."""
-        heard: list[int]
+        senders: list[int]
         if not self._directed:
-            heard = self.neighbours(node).tolist()
+            senders = self.neighbours(node).tolist()
         elif self._positions is None:
-            heard = self._speakers[node]
+            senders = self._senders[node]
         else:  # reception is the same in both directions
-            heard = self._near(node, _circle(node, self._speakers[node])).tolist()
-        return heard
+            senders = self._near(node, _with_linked(node, self._senders[node])).tolist()
+        return senders
 
     @property
     def mean_degree(self) -> float:
@@ -139,7 +139,7 @@ class Topology:
         return now
 
     @cached_property
-    def _speakers(self) -> list[list[int]]:
+    def _senders(self) -> list[list[int]]:
         """The nodes that the graph links to each node, ascending."""
         speakers: list[list[int]] = [[] for _ in range(self.size)]
         for node in range(self.size):
@@ -147,27 +147,27 @@ class Topology:
                 speakers[other].append(node)
         return speakers
 
-    def _circle(self, node: int) -> Nodes:
+    def _candidates(self, node: int) -> Nodes:
         """Return the nodes that may receive from `node` now, and itself, ascending."""
         if self._cells is not None:
             return self._cells.around(node)
-        return self._all if self._complete else self._circles[node]
+        return self._all if self._complete else self._candidate_lists[node]
 
-    def _near(self, node: int, circle: Nodes, message: int | None = None) -> Nodes:
-        """Return those nodes of `circle`, the candidates and the node itself, that receive from a node."""
+    def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
+        """Return those of the candidates, which include the node itself, that receive from a node."""
         assert self._positions is not None
-        own = int(circle.searchsorted(node))
-        apart = distances(self._positions.of(circle), own)
+        own = int(candidates.searchsorted(node))
+        apart = distances(self._positions.of(candidates), own)
         apart[own] = self._range  # the distance to itself, 0, is not used
-        received = self._received(node, circle, apart, message)
+        received = self._received(node, candidates, apart, message)
         received[own] = False
-        return circle[received]
+        return candidates[received]
 
     def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
         """Return (k,) booleans: which nodes `dst` receive a message; if `message` is None, those with p >= 1/2."""
         if self._certain:
             return apart <= self._range
-        probability = self._reach(apart, self._range)
+        probability = self._reception(apart, self._range)
         received: Bools = self._uniforms(src, dst, message) <= probability
         return received
 
@@ -209,6 +209,6 @@ def _check(graph: "nx.Graph[int]") -> None:
         raise ValueError(f"no node should be linked to itself, got {loops}")
 
 
-def _circle(node: int, linked: list[int]) -> Nodes:
+def _with_linked(node: int, linked: list[int]) -> Nodes:
     """Return a node and its linked nodes, ascending."""
     return np.array(sorted([*linked, node]), dtype=np.intp)

@@ -54,7 +54,7 @@ def line_of(event: Event) -> str:
 
     A field with its default value is omitted.
     """
-    text, fields = _form(type(event))
+    text, fields = _line_layout(type(event))
     for value, (key, write, default) in zip(event, fields, strict=True):
         if default is _REQUIRED or value != default:
             text += key + write(value)
@@ -90,7 +90,7 @@ def events_of(
                 readers[name] = _reader(types[name], limits)
             event = readers[name](fields)
         except (ValueError, RecursionError) as error:
-            raise ValueError(f"line {number} is not an event: {_told(error)}") from error
+            raise ValueError(f"line {number} is not an event: {_reason(error)}") from error
         yield event
 
 
@@ -103,7 +103,7 @@ Written = tuple[str, Callable[[Any], str], Any]
 
 
 @cache
-def _form(kind: Any) -> tuple[str, tuple[Written, ...]]:
+def _line_layout(kind: Any) -> tuple[str, tuple[Written, ...]]:
     """Return the layout of the lines of an event type: the start of a line, and its fields."""
     defaults, hints = kind._field_defaults, get_type_hints(kind, include_extras=True)
     fields = ((f", {_json(name)}: ", _writer(hints[name]), defaults.get(name, _REQUIRED)) for name in kind._fields)
@@ -113,36 +113,36 @@ def _form(kind: Any) -> tuple[str, tuple[Written, ...]]:
 def _writer(hint: Any) -> Callable[[Any], str]:
     """Return the function that writes a field of a type."""
     is_time = any(each in {Nanoseconds, Arrival} for each in (hint, *get_args(hint)))
-    return _time if is_time else _body if hint is Body else _plain
+    return _time_json if is_time else _body_json if hint is Body else _as_json
 
 
-def _time(time: Any) -> str:
+def _time_json(time: Any) -> str:
     if isinstance(time, tuple):
         if LOST in time:
-            return f"[{', '.join(map(_time, time))}]"
+            return f"[{', '.join(map(_time_json, time))}]"
         return str([each / SECOND for each in time])  # the same text as JSON, twice as fast
     return "null" if time == LOST else _number(time / SECOND)
 
 
-def _plain(value: Any) -> str:
+def _as_json(value: Any) -> str:
     """Return a value as JSON; a value of a type that JSON lacks as its `repr`."""
     if type(value) is int:
         return repr(value)
     return _json(value.plain() if hasattr(value, "plain") else value)
 
 
-def _body(value: Any) -> str:
+def _body_json(value: Any) -> str:
     """Return a body as JSON."""
-    return _plain(value) if hasattr(value, "plain") else _said(value)
+    return _as_json(value) if hasattr(value, "plain") else _nested(value)
 
 
-def _said(value: Any) -> str:
+def _nested(value: Any) -> str:
     """Return a value as JSON, with named tuples as objects."""
     if isinstance(value, tuple | list):
         names = getattr(value, "_fields", None)
         if names is None:
-            return f"[{', '.join(map(_said, value))}]"
-        return f"{{{', '.join([f'{_json(name)}: {_said(each)}' for name, each in zip(names, value, strict=True)])}}}"
+            return f"[{', '.join(map(_nested, value))}]"
+        return f"{{{', '.join([f'{_json(name)}: {_nested(each)}' for name, each in zip(names, value, strict=True)])}}}"
     if value is True or value is False:
         return "true" if value else "false"
     return _number(value) if type(value) is float and isfinite(value) else _json(value)
@@ -173,7 +173,7 @@ def _as_read(hint: Any, limits: Limits) -> Any:
     return Union[parts] if get_origin(hint) in {Union, UnionType} else get_origin(hint)[parts]  # noqa: UP007
 
 
-def _told(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """Return an error message of one line."""
     if not isinstance(error, ValidationError):
         return str(error)
@@ -181,13 +181,13 @@ def _told(error: Exception) -> str:
     return f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
 
 
-def _named(value: Any) -> Any:
+def _with_named_tuples(value: Any) -> Any:
     """Return a JSON value with lists as tuples, and with objects whose keys can be names as named tuples."""
     if isinstance(value, list):
-        return tuple(map(_named, value))
+        return tuple(map(_with_named_tuples, value))
     if not isinstance(value, dict):
         return value
-    fields = {name: _named(each) for name, each in value.items()}
+    fields = {name: _with_named_tuples(each) for name, each in value.items()}
     if all(name.isidentifier() and not name.startswith("_") and not iskeyword(name) for name in fields):
         return _body_type(tuple(fields))(**fields)
     return fields
@@ -215,6 +215,6 @@ _MARKED: Mapping[str, Any] = {
     "arrival": Annotated[_SECONDS | None, AfterValidator(_arrival)],
     "node": Annotated[int, Field(strict=True, ge=0)],
     "count": Annotated[int, Field(strict=True, ge=0, le=1 << 48)],
-    "body": Annotated[Any, AfterValidator(_named)],
+    "body": Annotated[Any, AfterValidator(_with_named_tuples)],
 }
 """The types that read values by their mark."""

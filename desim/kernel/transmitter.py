@@ -62,7 +62,7 @@ class Transmitter(Generic[Item]):
         self._free_at = [0] * self.channels
         self._busy = 0
         # For half duplex: the recent intervals (start, end) in which each node transmitted, ns.
-        self._spells: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
+        self._intervals: list[deque[tuple[int, int]]] = [deque() for _ in range(size)]
         self._lag, self._longest = lag, 0
 
     def enqueue(self, item: Item) -> None:
@@ -76,10 +76,10 @@ class Transmitter(Generic[Item]):
         waiting.append(item)
         if len(waiting) == 1:
             self._await_turn(channel)
-        own = [each for each in waiting if each.src == item.src]
-        if len(own) > self._medium.queue_limit:
-            waiting.remove(own[0])
-            self._drop(own[0])
+        of_node = [each for each in waiting if each.src == item.src]
+        if len(of_node) > self._medium.queue_limit:
+            waiting.remove(of_node[0])
+            self._drop(of_node[0])
 
     def flush(self, src: int) -> list[Item]:
         """Remove and return all waiting transmissions of a node."""
@@ -101,7 +101,7 @@ class Transmitter(Generic[Item]):
 
         All times are those of the transmitters, without processing delays.
         """
-        return any(begin < received and end > received - airtime for begin, end in self._spells[node])
+        return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
 
     def _begin(self, channel: int, item: Item) -> None:
         now, airtime = self._env.now, nanoseconds(self._medium(item.size))
@@ -109,10 +109,10 @@ class Transmitter(Generic[Item]):
         self._busy += airtime
         if self._medium.half_duplex and not self._medium.shared:
             self._longest = max(self._longest, airtime)
-            spells = self._spells[item.src]
-            spells.append((now, now + airtime))
-            while spells[0][1] < now - self._longest - self._lag:
-                spells.popleft()
+            intervals = self._intervals[item.src]
+            intervals.append((now, now + airtime))
+            while intervals[0][1] < now - self._longest - self._lag:
+                intervals.popleft()
         self._leave(item, airtime)
 
     def _await_turn(self, channel: int) -> None:
