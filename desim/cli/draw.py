@@ -19,14 +19,14 @@ def draw() -> None:
     """Draw a run: a DIR written by `desim run -o DIR`, or a scenario FILE, which is run first."""
 
 
-def _of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
+def _load_run(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return the run in a folder or of a scenario file, with an index that speeds up repeated reads."""
     from desim.analysis.trace_index import trace_index
 
     return trace_index(result_of(source, seed, overrides))
 
 
-def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
+def _output_files(source: Path, out: Path | None, name: str, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
     """Return the files of a picture: those of `out`, by default in the folder of the run or the working directory.
 
     End the program if the suffix of `out` is wrong.
@@ -39,7 +39,7 @@ def _places(source: Path, out: Path | None, name: str, kinds: Sequence[str], usu
         fail(f"--out {error}")
 
 
-def _attempt(make: Callable[[], Any], *paths: Path) -> None:
+def _write_files(make: Callable[[], Any], *paths: Path) -> None:
     """Write the files of a picture and print their paths and sizes; end the program if that fails."""
     try:
         paths[0].parent.mkdir(parents=True, exist_ok=True)
@@ -107,17 +107,17 @@ def spacetime(
     overrides: tuple[str, ...],
 ) -> None:
     """Draw a line per pursuer and an arrow per message: SVG and PNG, or the format of --out (SVG, PNG or PDF)."""
-    paths = _places(source, out, "spacetime", PICTURES, PICTURES[:2])
+    paths = _output_files(source, out, "spacetime", PICTURES, PICTURES[:2])
 
     def make() -> None:
         from desim.analysis.plots import save
         from desim.view.spacetime import spacetime as drawn
 
-        figure = drawn(_of(source, seed, overrides), begin, end, pursuers, width)
+        figure = drawn(_load_run(source, seed, overrides), begin, end, pursuers, width)
         for path in paths:
             save(figure, path, dpi=200)
 
-    _attempt(make, *paths)
+    _write_files(make, *paths)
 
 
 @draw.command()
@@ -128,14 +128,14 @@ def spacetime(
 @SET
 def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[str, ...]) -> None:
     """Write a timeline for https://ui.perfetto.dev, which displays it without uploading it."""
-    (path,) = _places(source, out, "trace.perfetto", [".json"], [".json"])
+    (path,) = _output_files(source, out, "trace.perfetto", [".json"], [".json"])
 
     def make() -> None:
         from desim.view.perfetto import write
 
-        write(_of(source, seed, overrides), path)
+        write(_load_run(source, seed, overrides), path)
 
-    _attempt(make, path)
+    _write_files(make, path)
 
 
 @draw.command()
@@ -165,11 +165,11 @@ def gif(
     overrides: tuple[str, ...],
 ) -> None:
     """Animate the pursuit in plan view as a GIF, for slides."""
-    (path,) = _places(source, out, "pursuit", [".gif"], [".gif"])
+    (path,) = _output_files(source, out, "pursuit", [".gif"], [".gif"])
 
     def make() -> None:
         from desim.view.animation import animate
 
-        animate(_of(source, seed, overrides), path, begin=begin or 0.0, end=end, speed=speed, fps=fps)
+        animate(_load_run(source, seed, overrides), path, begin=begin or 0.0, end=end, speed=speed, fps=fps)
 
-    _attempt(make, path)
+    _write_files(make, path)

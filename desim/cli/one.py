@@ -64,18 +64,18 @@ def run(
 
     if timeout is not None and runs in {None, 1}:  # includes reading the file and writing results
         click.get_current_context().with_resource(within(timeout))
-    scenario, folder, recorded = _given(file, repeated, overrides)
+    scenario, folder, recorded = _scenario_to_run(file, repeated, overrides)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
     count = runs or recorded
-    into = None if out is None else _folder(out, scenario, count, folder)
+    into = None if out is None else _make_output(out, scenario, count, folder)
     start = time.perf_counter()
     try:
         if count == 1:
-            numbers, wall_time = _once(scenario, into)
+            numbers, wall_time = _run_once(scenario, into)
             results, table = [numbers], run_table(scenario, numbers, wall_time)
         else:
-            results = _often(scenario, count, jobs, into, timeout)
+            results = _run_several(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
@@ -86,7 +86,7 @@ def run(
         echo(f"wrote {out}", err=True)
 
 
-def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
+def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":
     """Create the output folder; return it and the provenance of the results."""
     from desim.results import provenance
 
@@ -94,7 +94,7 @@ def _folder(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple
     return out, provenance.document(provenance.RUN, scenario, seed=scenario.seed, runs=count, folder=folder)
 
 
-def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
+def _run_once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[Summary, float]":
     """Return the metrics of a run and its wall time, s; write the run if there is an output folder."""
     start = time.perf_counter()
     if into is None:
@@ -111,7 +111,7 @@ def _once(scenario: "Scenario", into: "tuple[Path, Document] | None") -> "tuple[
     return run_folder.write(result, out, made, simulated_there=True), wall_time
 
 
-def _often(
+def _run_several(
     scenario: "Scenario", count: int, jobs: int, into: "tuple[Path, Document] | None", timeout: float | None
 ) -> "list[Summary]":
     """Return the metrics of several runs; write the runs if there is an output folder."""
@@ -133,7 +133,9 @@ def _often(
     return results
 
 
-def _given(file: Path | None, repeated: Path | None, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
+def _scenario_to_run(
+    file: Path | None, repeated: Path | None, overrides: tuple[str, ...]
+) -> "tuple[Scenario, Path, int]":
     """Return the scenario, the folder of its file, and the default number of runs."""
     if file is not None and repeated is None:
         return source_of(file, overrides)[1], file.parent, 1

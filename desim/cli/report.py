@@ -32,6 +32,6 @@ def _check_merged(folder: Path) -> None:
     """End the program if a folder has shards of a sweep but no merged store."""
     parts = sorted(each.name for each in folder.glob("sweep.*-of-*.sqlite"))
     if parts and not (folder / STORE).exists():
-        told = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
+        names = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))
-        fail(f"{folder}: holds parts of a sweep ({told}); merge them first: desim merge {where} -o {where}")
+        fail(f"{folder}: holds parts of a sweep ({names}); merge them first: desim merge {where} -o {where}")

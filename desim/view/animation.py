@@ -216,7 +216,7 @@ class _Scene:
         self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
         self._dots.set_data(self._flown.under_way(t).T)
         self._crosses.set_data(self._flown.lost_between(before, t).T)
-        self._caption.set_text(f"{seconds(t):.2f} s: {self._in_words(t, chases)}")
+        self._caption.set_text(f"{seconds(t):.2f} s: {self._status_text(t, chases)}")
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
@@ -245,7 +245,7 @@ class _Scene:
     def _is_captured(self, evader: int, t: int) -> bool:
         return evader in self._captured and self._captured[evader].t <= t
 
-    def _in_words(self, t: int, chases: dict[int, int]) -> str:
+    def _status_text(self, t: int, chases: dict[int, int]) -> str:
         """Return the caption of a frame, without the time."""
         count, by = self._paths.count, ended(self._result).capturer
         captured = sum(self._is_captured(evader, t) for evader in self._captured)

@@ -49,12 +49,12 @@ def deliveries(result: Result) -> list[Delivery]:
     never = ended(result).t + 1
     for event in result.trace:
         if isinstance(event, Broadcast | Sent | Queued):
-            for passage in _begun(event, never):
-                found[passage.flight, passage.dst] = passage
+            for delivery in _begun(event, never):
+                found[delivery.flight, delivery.dst] = delivery
         elif isinstance(event, Lost):
-            passage = found[event.flight, event.dst]
-            left = min(passage.left, event.t)
-            found[event.flight, event.dst] = passage._replace(left=left, until=event.t, cause=event.cause)
+            delivery = found[event.flight, event.dst]
+            left = min(delivery.left, event.t)
+            found[event.flight, event.dst] = delivery._replace(left=left, until=event.t, cause=event.cause)
     return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
 
 
@@ -70,8 +70,8 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
 
 def news(body: Any) -> int | None:
     """Return the action that a message announces: the evader that its sender chases, or 0; None if it has none."""
-    said = getattr(body, "active", None)
-    return said if isinstance(said, int) else None
+    announced = getattr(body, "active", None)
+    return announced if isinstance(announced, int) else None
 
 
 class Interval(NamedTuple):

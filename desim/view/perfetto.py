@@ -41,15 +41,15 @@ def trace_events(result: Result) -> list[Entry]:
 
     Messages are included if they were recorded.
     """
-    told = list(_messages(result)) if messages_recorded(result) else []
-    timed = [*_slices(result), *_instants(result), *_counts(result), *told]
+    message_entries = list(_messages(result)) if messages_recorded(result) else []
+    timed = [*_slices(result), *_instants(result), *_counts(result), *message_entries]
     timed.sort(key=lambda entry: entry["ts"])  # stable, so that a slice of zero duration begins before it ends
-    return [*_names(len(started(result).active), bool(told)), *timed]
+    return [*_names(len(started(result).active), bool(message_entries)), *timed]
 
 
 def perfetto(result: Result) -> str:
     """Return the timeline of a run as JSON text, one event per line; see `trace_events`."""
-    entries = ",\n".join(json.dumps(_plain(entry), allow_nan=False) for entry in trace_events(result))
+    entries = ",\n".join(json.dumps(_as_json(entry), allow_nan=False) for entry in trace_events(result))
     about = {"scenario": result.scenario.name, "seed": result.seed}
     return f'{{"displayTimeUnit": "ms", "otherData": {json.dumps(about)}, "traceEvents": [\n{entries}\n]}}\n'
 
@@ -59,7 +59,7 @@ def write(result: Result, path: Path) -> None:
     fresh(path).write_text(perfetto(result), encoding="utf-8", newline="\n")
 
 
-def _names(size: int, told: bool) -> Iterator[Entry]:
+def _names(size: int, has_messages: bool) -> Iterator[Entry]:
     """Yield the names and the sort order of processes and threads."""
 
     def name(kind: str, pid: int, tid: int, text: str) -> Iterator[Entry]:
@@ -71,7 +71,7 @@ def _names(size: int, told: bool) -> Iterator[Entry]:
     yield from name("thread", PURSUERS, TEAM, "team")
     for pursuer in range(size):
         yield from name("thread", PURSUERS, FIRST + pursuer, f"pursuer {pursuer}")
-    for pursuer in range(size if told else 0):
+    for pursuer in range(size if has_messages else 0):
         # Perfetto identifies threads by tid alone, so the tid of a receiver must differ from those of pursuers.
         yield from name("process", FIRST + pursuer, FIRST + size + pursuer, f"messages to {pursuer}")
 
@@ -156,7 +156,7 @@ def _microseconds(t: int) -> float | int:
     return found if int(found * 1000.0) == t else nextafter(found, inf)
 
 
-def _plain(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     """Return a value in JSON types; a message body of unknown type becomes its `repr`."""
     if isinstance(value, float):
         return to_json(value)
@@ -167,5 +167,5 @@ def _plain(value: Any) -> Any:
     elif hasattr(value, "plain"):
         value = value.plain()
     if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else repr(value)
+        return {str(key): _as_json(each) for key, each in value.items()}
+    return [_as_json(each) for each in value] if isinstance(value, list | tuple) else repr(value)

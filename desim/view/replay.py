@@ -151,7 +151,7 @@ def _document(result: Result) -> ReplayData:
     """Return the data of the page."""
     start, end, scenario = started(result), ended(result), result.scenario
     ticks = _Ticks.fit(end.t)
-    told = not lacks_messages(result)
+    has_messages = not lacks_messages(result)
     return {
         "tick": ticks.length / SECOND,
         "end": ticks.last,
@@ -169,8 +169,8 @@ def _document(result: Result) -> ReplayData:
         "decisions": _decisions(result, ticks),
         "relays": _relays(result, ticks),
         "faults": _faults(result, ticks),
-        "messages": _messages(result, ticks) if told else None,
-        "beliefs": _beliefs(knowledge(result), result, ticks) if told else None,
+        "messages": _messages(result, ticks) if has_messages else None,
+        "beliefs": _beliefs(knowledge(result), result, ticks) if has_messages else None,
     }
 
 
@@ -189,18 +189,18 @@ def _reach(result: Result) -> ReplayData:
     `known` is false, and no distance given, if the probability does not decrease monotonically with distance.
     """
     links, size = result.scenario.network, len(started(result).active)
-    said: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
+    found: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
     if not isfinite(links.range):
-        return said
+        return found
     if isinstance(links.reception, Disk):
-        return said | {"radius": links.range}
+        return found | {"radius": links.range}
     if not _falls(links):
-        return said | {"known": False}
+        return found | {"known": False}
     places = _places(result)
     farthest = 2.0 * float(np.hypot(*np.ptp(places.reshape(-1, 2), axis=0))) + 1.0
     if links.fading == "message":
-        return said | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
-    return said | {"radii": _column(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
+        return found | {"chance": True, "radius": _radii(links, 2, result.seed, farthest)[0, 1]}
+    return found | {"radii": _column(_radii(links, size, result.seed, farthest)[np.triu_indices(size, 1)], "<f8")}
 
 
 def _falls(links: Links) -> bool:
@@ -305,14 +305,14 @@ def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
 
 def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
     """Return a fault that lasted from `begin` to `until`, ns."""
-    said: ReplayData
+    found: ReplayData
     if isinstance(fault, Crash):
-        said = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
+        found = {"node": fault.node, "scope": fault.scope, "memory": fault.memory}
     elif isinstance(fault, Partition):
-        said = {"groups": [list(group) for group in fault.groups]}
+        found = {"groups": [list(group) for group in fault.groups]}
     else:
-        said = {"centre": list(fault.centre), "radius": fault.radius}
-    return {"kind": fault.kind, "begin": ticks.nearest(begin), "end": ticks.nearest(until)} | said
+        found = {"centre": list(fault.centre), "radius": fault.radius}
+    return {"kind": fault.kind, "begin": ticks.nearest(begin), "end": ticks.nearest(until)} | found
 
 
 def _messages(result: Result, ticks: _Ticks) -> ReplayData:

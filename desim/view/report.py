@@ -59,7 +59,7 @@ class Study:
             ValueError: if the contents of a file are invalid (ProvenanceError, ...).
         """
         with Store(folder / STORE, read_only=True) as kept:
-            result, base = SweepResult.of(kept), kept.said("scenario", dict[str, Any])
+            result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or base
@@ -157,7 +157,7 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
 def _origin(made: provenance.Document) -> dict[str, str]:
     """Return the provenance as labels and texts."""
     state = "" if made["dirty"] is None else ", with uncommitted changes" if made["dirty"] else ", unchanged"
-    told = {
+    rows = {
         "first seed": str(made["seed"]),
         "commit": f"{made['commit']}{state}" if made["commit"] else "unknown",
         "hash of the source code": made["code"],
@@ -166,8 +166,8 @@ def _origin(made: provenance.Document) -> dict[str, str]:
         "folder of the scenario": made["folder"] or "none: built by a script",
     }
     if made["unrecorded"]:
-        told["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
-    return {name: str(each) for name, each in told.items()}
+        rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
+    return {name: str(each) for name, each in rows.items()}
 
 
 def _signs(cell: str) -> str:

@@ -221,12 +221,12 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
     """Draw messages that arrive as arrows, and lost messages as dotted lines to a cross."""
 
     def kind(each: Delivery) -> tuple[str, str]:
-        said = news(each.body)
-        if said is None:
+        announced = news(each.body)
+        if announced is None:
             return "#555555", "message"
-        if not said:
+        if not announced:
             return PALE, "message: inactive"
-        return _hue(said, evaders > 1), f"message: chases {said}" if evaders > 1 else "message: active"
+        return _hue(announced, evaders > 1), f"message: chases {announced}" if evaders > 1 else "message: active"
 
     arrived = sorted((each for each in own if each.cause is None), key=kind)
     for (colour, label), group in groupby(arrived, kind):

@@ -130,7 +130,7 @@ def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megab
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ({"begin": 1.0}, "from 1 s to 1 s: the run lasted 1 s"),
+        ({"begin": 1.0}, "from 1 s to 1 s is empty: the run lasted 1 s"),
         ({"begin": 0.5, "end": 0.2}, "window from 0.5 s to 0.2 s is empty"),
         ({"speed": 0.0}, "greater than 0"),
         ({"fps": 51}, "from 1 to 50"),

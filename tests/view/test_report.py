@@ -52,7 +52,7 @@ def swept(folder, grid=ONE, reps=1, failing=(), made=MADE):
     """Write a sweep in which the active time of configuration k is k + 0, 1, ... s; some runs of the first failed."""
     plan = SweepPlan.of(BASE, grid, reps, 7)
     with Store(folder / "sweep.sqlite") as store:
-        plan.enter(store)
+        plan.register(store)
         for (k, cell), r in product(enumerate(plan.configurations), range(reps)):
             row = Row(r, 7 + r, "ok", replace(RUN, active_time=float(k + r), capture_time=None))
             if k == 0 and r < len(failing):
@@ -79,7 +79,7 @@ def full(tmp_path_factory):
     (folder / "explain").mkdir()
     variants = Variants.of(BASE, 2, 7)
     with Store(folder / "explain" / "sweep.sqlite") as store, workers_for(1) as workers:
-        variants.plan.enter(store)
+        variants.plan.register(store)
         found = variants.carry_out(store, workers)
     (folder / "explain" / "explain.json").write_text(json.dumps(found.document()))
     provenance.write(folder / "explain", provenance.document("explain", BASE, seed=7, runs=2) | MADE)
