@@ -1,8 +1,8 @@
-"""Who was active when: metrics of the actions alone.
+"""Metrics of the actions alone: active times, changes of action, hand-overs.
 
-S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run. Of several
-evaders n_j(t) is the number of pursuers that chase evader j, n the sum of all n_j; a sum over j is one over the evaders
-that are at large, so that the integral of a n_j runs to the capture of j.
+S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run. With several
+evaders n_j(t) is the number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders
+at large, so the integral of an n_j ends at the capture of j.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,30 +19,30 @@ from desim.pursuit.events import BrokeDown, Captured, Decided
 from desim.simulation.run import Result
 
 Steps = tuple[Floats, Integers]
-"""A step function: it is counts[k] for durations[k] seconds, in order of time."""
+"""A step function of time as (durations, counts): the value is counts[k] for durations[k] seconds."""
 
 
 class Released(NamedTuple):
-    """The evader that a pursuer chased was captured, so that it stays."""
+    """A pursuer stays because the evader that it chased was captured."""
 
     t: int
     pursuer: int
 
 
 Change = Decided | BrokeDown | Released
-"""What changes an action."""
+"""The events that change an action."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvaderPursuit:
-    """Who chased an evader."""
+    """The pursuers of one evader over time."""
 
     start: tuple[bool, ...]
-    """(N,) who did at first."""
+    """(N,) whether each pursuer chased it at the start."""
     steps: list[tuple[int, int, int]]
-    """When somebody joined (1) or left (-1): time (ns), pursuer, which."""
+    """(time (ns), pursuer, 1 or -1) for each pursuer that joined or left."""
     end: int
-    """When it was captured or the run ended, ns."""
+    """Time of its capture or of the end of the run, ns."""
 
 
 @remembered
@@ -53,7 +53,7 @@ def decisions(result: Result) -> list[Decided]:
 
 @remembered
 def changes(result: Result) -> list[Change]:
-    """Return the decisions, breakdowns and captures by which a pursuer's action changed, one for each pursuer."""
+    """Return the decisions, breakdowns and captures that changed an action, one for each pursuer, in order."""
     actions = list(started(result).active)
     changed: list[Change] = []
     for event in result.trace:
@@ -69,17 +69,17 @@ def changes(result: Result) -> list[Change]:
 
 
 def action(event: Change) -> int:
-    """Return what a pursuer does from then on: the number of the evader that it chases, or 0."""
+    """Return the action of a pursuer after a change: the number of the evader that it chases, or 0."""
     return event.active if isinstance(event, Decided) else 0
 
 
 def chases(event: Change) -> bool:
-    """Return whether a pursuer is active from then on."""
+    """Return whether a pursuer is active after a change."""
     return bool(action(event))
 
 
 def moves(result: Result) -> Iterator[tuple[Change, int]]:
-    """Yield each change of an action, and the action before it."""
+    """Yield each change of action, and the action before it."""
     actions = list(started(result).active)
     for change in changes(result):
         yield change, actions[change.pursuer]
@@ -88,7 +88,7 @@ def moves(result: Result) -> Iterator[tuple[Change, int]]:
 
 @remembered
 def evader_pursuits(result: Result) -> list[EvaderPursuit]:
-    """Return who chased each evader."""
+    """Return the pursuers of each evader over time, (M,)."""
     start = started(result)
     ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
     ends |= {capture.evader: capture.t for capture in captures(result)}
@@ -103,21 +103,21 @@ def evader_pursuits(result: Result) -> list[EvaderPursuit]:
 
 @remembered
 def activity(result: Result) -> Steps:
-    """Return n(t)."""
+    """Return n(t), the number of active pursuers."""
     steps = ((change.t, chases(change) - bool(before)) for change, before in moves(result))
     return _counted(sum(map(bool, started(result).active)), steps, ended(result).t)
 
 
 @remembered
 def pressure(result: Result) -> list[Steps]:
-    """Return n_j(t) of each evader, up to its capture."""
+    """Return n_j(t), the number of pursuers of each evader, up to its capture."""
     return [
         _counted(sum(hunt.start), ((t, by) for t, _, by in hunt.steps), hunt.end) for hunt in evader_pursuits(result)
     ]
 
 
 def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
-    """Return how many there are, given how many at first, and when (ns) they become how many more."""
+    """Return the step function of a count, given its value at the start and (time (ns), increment) of each change."""
     times, counts = [0], [start]
     for t, by in steps:
         times.append(t)
@@ -126,41 +126,37 @@ def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
 
 
 def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
-    """Return the integral of a function of the counts over time, summed over the step functions, s, rounded once."""
+    """Return the integral over time of a function of the counts, summed over the step functions, s, rounded once."""
     return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
 
 
 def active_time(result: Result) -> float:
-    """Return the sum of the pursuers' active times, int n dt (Lee & Bakolas, Table I), s."""
+    """Return the active time summed over the pursuers, int n dt (Lee & Bakolas, Table I), s."""
     return _integral([activity(result)], lambda counts: counts)
 
 
 def idle_time(result: Result) -> float:
-    """Return how long nobody was active, int sum_j 1{n_j = 0} dt, s.
+    """Return the time without an active pursuer, int sum_j 1{n_j = 0} dt, s, summed over the evaders.
 
-    Of several evaders each that nobody chases counts, so that the active time less the excess time and with the idle
-    time is the time for which evaders were at large, summed over them: each needs one pursuer.
+    Each evader needs one pursuer, so active time - excess time + idle time is the time at large, summed over evaders.
     """
     return _integral(pressure(result), lambda counts: counts == 0)
 
 
 def crowded_time(result: Result) -> float:
-    """Return how long more than one pursuer was active, on the same evader if there are several, s.
-
-    int sum_j 1{n_j > 1} dt.
-    """
+    """Return the time with more than one active pursuer, int sum_j 1{n_j > 1} dt, s, summed over the evaders."""
     return _integral(pressure(result), lambda counts: counts > 1)
 
 
 def excess_time(result: Result) -> float:
-    """Return the active time in excess of one pursuer, for each evader, int sum_j (n_j - 1)+ dt, s."""
+    """Return the active time in excess of one pursuer per evader, int sum_j (n_j - 1)+ dt, s."""
     return _integral(pressure(result), lambda counts: np.maximum(counts - 1, 0))
 
 
 def energy(result: Result) -> float:
-    """Return what the chase costs, int sum_i v_i^2 a_i dt with a_i = 1{i is active}, m^2/s.
+    """Return the energy of the chase, int sum_i v_i^2 a_i dt with a_i = 1{i is active}, m^2/s.
 
-    In a frozen game, where nobody moves, it is what the same actions would cost.
+    In a static game it is the energy of the same actions if the pursuers moved.
     """
     end = ended(result).t
     own = [end * bool(active) for active in started(result).active]  # ns, whole numbers
@@ -170,14 +166,14 @@ def energy(result: Result) -> float:
 
 
 def switches(result: Result) -> int:
-    """Return how often a pursuer changed its action by a decision, be it from one evader to another."""
+    """Return the number of decisions that changed an action, also from one evader to another."""
     return sum(isinstance(change, Decided) for change in changes(result))
 
 
 def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
-    """Return who chased an evader alone from when on, (ns, pursuer), as often as it was another than the last such one.
+    """Return the successive single pursuers of an evader, each with its start: (ns, pursuer).
 
-    Who is alone for no time, between simultaneous changes, is not meant.
+    A pursuer counts if it chased the evader alone for a positive time and is not the last single pursuer again.
     """
     return _relays(result)[evader - 1]
 
@@ -200,14 +196,14 @@ def _relays_of(hunt: EvaderPursuit) -> list[tuple[int, int]]:
 
 
 def handovers(result: Result) -> int:
-    """Return how often the single pursuer on an evader (n_j = 1) was another than the last single one on it."""
+    """Return the number of hand-overs: changes of the single pursuer of an evader (n_j = 1), over all evaders."""
     return sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 
 def ping_pongs(result: Result, within: float = 1.0) -> int:
-    """Return how many hand-overs undo the one before, i -> j after j -> i, less than a time (s) after it.
+    """Return the number of hand-overs i -> j less than `within` s after the hand-over j -> i.
 
-    The term is that of cellular networks (3GPP TR 36.839, where that time of stay is 1 s).
+    The term is that of cellular networks (3GPP TR 36.839, where this minimum time of stay is 1 s).
     """
     return sum(
         before == after and back - there < nanoseconds(within)

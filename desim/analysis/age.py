@@ -1,10 +1,10 @@
-"""What the pursuers knew of each other: the age of their information, and how often it was wrong.
+"""Age of information and errors of beliefs.
 
-The age of information of a reader about a source is the time since the newest record that has reached the reader was
-announced: a sawtooth (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). The instants at
-which it falls, and what was heard then, are those of `desim.analysis.knowledge`.
+The age of information of a reader about a source is the time since the announcement of the newest record that has
+reached the reader: a sawtooth (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). Its
+drops and the records received are those of `desim.analysis.knowledge`.
 
-All this needs the messages of a run: `record.messages = true`.
+These metrics need the messages of a run: `record.messages = true`.
 """
 
 from collections.abc import Iterator
@@ -25,21 +25,21 @@ from desim.simulation.run import Result
 
 @dataclass(frozen=True, slots=True)
 class Ages:
-    """Ages of information, (N, N) s: row = reader, column = source; nan where there is none to measure."""
+    """Ages of information, (N, N) s: row = reader, column = source; nan for a pair without a measurement."""
 
     mean: Floats
     """Averaged over time, from the first reception on."""
     peak: Floats
-    """Averaged over the instants just before something newer came."""
+    """Averaged over the instants just before a newer record arrived."""
     at_decision: Floats
     """Averaged over the decisions of the reader, from the first reception on."""
 
 
 @remembered
 def ages(result: Result) -> Ages:
-    """Return how old what each pursuer had heard of each other was.
+    """Return the ages of information of all pairs.
 
-    A pair does not count before its first reception, nor while its reader has forgotten all.
+    A pair counts from its first reception on; after a reader has lost its memory, from the next reception on.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -49,7 +49,7 @@ def ages(result: Result) -> Ages:
     pair, created = heard["reader"] * size + heard["source"], heard["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
-        """Return total over weight of each pair."""
+        """Return total / weight summed by pair, (N, N)."""
         totals, weights = (np.bincount(pair, each, minlength=size * size) for each in (total, weight))
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
@@ -62,7 +62,7 @@ def ages(result: Result) -> Ages:
 
 
 def over_pairs(age: Floats) -> float:
-    """Return the mean over the pairs for which there is something to measure, nan if there are none."""
+    """Return the mean over the pairs with a measurement, or nan without any."""
     measured = age[~np.isnan(age)]
     return float(measured.mean()) if measured.size else nan
 
@@ -73,22 +73,22 @@ def age_mean(result: Result) -> float:
 
 
 def age_peak(result: Result) -> float:
-    """Return the age of information just before something newer came, averaged over updates, then over pairs, s."""
+    """Return the age of information just before a newer record arrived, averaged over updates, then over pairs, s."""
     return over_pairs(ages(result).peak)
 
 
 def age_at_decision(result: Result) -> float:
-    """Return the age of information at the decisions of its reader, averaged over these and then over pairs, s."""
+    """Return the age of information at the decisions of the reader, averaged over these and then over pairs, s."""
     return over_pairs(ages(result).at_decision)
 
 
 def belief_error(result: Result) -> float:
-    """Return the share of ordered pairs of pursuers of which one has last heard what the other is not doing.
+    """Return the share of ordered pairs in which the source's action differs from the last one the reader received.
 
-    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At first everyone knows what all
-    do or, after a cold start, takes nobody for active. Whether silence is taken for inactivity
-    (`announce.belief_timeout`) plays no part: this is about word, and not what is made of it. So it is with several
-    evaders, where word of another evader than the one that is chased is wrong, as is word of one captured since.
+    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start all actions are known
+    or, after a cold start, all pursuers are taken for inactive. The time-out of beliefs (`announce.belief_timeout`)
+    plays no part: the metric judges records received, not conclusions from them. With several evaders, a record that
+    names another evader than the one chased is wrong, as is one that names an evader captured since.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -101,10 +101,10 @@ def belief_error(result: Result) -> float:
 
 
 def believed_leaders(result: Result) -> float:
-    """Return how many pursuers are active and have last heard of all others that they are not, averaged over time.
+    """Return the number of active pursuers whose last records show no other active pursuer, averaged over time.
 
-    With several evaders: that they do not chase the same one. nan if no time passed; see `belief_error` for what is
-    believed at first.
+    With several evaders: no other pursuer of the same evader. nan if no time passed; see `belief_error` for the beliefs
+    at the start.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -122,7 +122,7 @@ def believed_leaders(result: Result) -> float:
 
 
 def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
-    """Yield the pieces of each reader, or about each source, in order of these."""
+    """Yield the pieces of each reader, or of each source, by id."""
     ordered = known[np.argsort(known[role], kind="stable")]
     edges = np.searchsorted(ordered[role], np.arange(size + 1))
     yield from (ordered[first:last] for first, last in pairwise(edges))
@@ -130,24 +130,24 @@ def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
 
 @dataclass(frozen=True, slots=True)
 class _TrueActions:
-    """What a pursuer did, and how long in all."""
+    """The successive actions of one pursuer, and the cumulative time of each action."""
 
     began: Integers
-    """(k,) when its actions began, ns; the first at 0."""
+    """(k,) start times of the actions, ns; the first is 0."""
     did: Integers
-    """(k,) which they were: the number of an evader, or 0."""
+    """(k,) the actions: the number of an evader, or 0."""
     total: Integers
-    """(M + 1, k) how long it had done each action by then, ns."""
+    """(M + 1, k) cumulative time of each action at the start times, ns."""
 
     def time(self, action: int | Integers, t: Integers) -> Integers:
-        """Return how long it had done an action, one or (n,), by (n,) times, ns."""
+        """Return the (n,) cumulative time of an action, one or (n,), at (n,) times, ns."""
         k = np.searchsorted(self.began, t, side="right") - 1
         found: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
         return found
 
 
 def _doings(result: Result) -> Iterator[_TrueActions]:
-    """Yield what each pursuer did."""
+    """Yield the true actions of each pursuer, by id."""
     actions = [[(0, active)] for active in started(result).active]
     for change in changes(result):
         actions[change.pursuer].append((change.t, action(change)))
@@ -159,7 +159,7 @@ def _doings(result: Result) -> Iterator[_TrueActions]:
 
 
 def _at_decisions(result: Result, heard: Pieces) -> tuple[Floats, Integers]:
-    """Return for each piece the sum of its ages at the decisions that its reader took by it, s, and their number."""
+    """Return for each piece the sum of the ages at the decisions of its reader during it, s, and their number."""
     decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):
@@ -178,6 +178,6 @@ def _at_decisions(result: Result, heard: Pieces) -> tuple[Floats, Integers]:
 
 
 def _earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
-    """Return how many events come before a time or, among those of the same time, before a place in the trace."""
+    """Return the number of events before a time or, among those at that time, before a position in the trace."""
     low, high = (np.searchsorted(times, t, side=side) for side in ("left", "right"))
     return np.clip(np.searchsorted(places, place), low, high)

@@ -1,21 +1,21 @@
-"""Hindsight: how the profile compares with what the game asked for, at the true times of capture.
+"""Hindsight: the profile compared with the optimum of the game, at the true times of capture.
 
 S(t) is the set of active pursuers, phi_i(t) the time of capture of pursuer i, r(t) the time that is left, and i*(t)
-the relay pursuer: that of least (phi, id) among those that are not broken; nobody ({i*} is empty) if its phi >= r.
-The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is greatest for S = {i*}. Integrals
+the relay pursuer: that of least (phi, id) among those that are not broken; none ({i*} is empty) if its phi >= r.
+The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is largest for S = {i*}. Integrals
 run from 0 to the end.
 
-With several evaders each that is at large is such a game, S_j is the set of those that chase it, and Phi the sum of
-their potentials (`desim.pursuit.assignment`). It is greatest for a profile that sends at most one pursuer to each: to
-each its own relay pursuer, if these are different; if not, those of `optimal_assignment`.
+With several evaders, each evader at large is such a game, S_j is the set of its pursuers, and Phi the sum of the
+potentials (`desim.pursuit.assignment`). It is largest for a profile with at most one pursuer on each evader: its relay
+pursuer, if these are different for all evaders; otherwise the one given by `optimal_assignment`.
 
-All this needs positions: `record.trajectory` > 0, or a frozen game. Between two samples everybody is taken to be on a
-straight line, and phi is taken in the middle of each piece (`desim.analysis.timeline`); in a frozen game that is exact.
+These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
+samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
 Sampled every 0.05 s and every 0.002 s, 12 seeds of scenarios/relay.toml have the same misassigned time and time to
 relay, and potential gaps and regrets that differ by 0.01 % and 0.02 %. There i* never changes. With all speeds 1.1 m/s
-it may change at every motion step, when the evader runs between two pursuers that are equally near: the misassigned
-time is then 1.244 s where it should be 1.234 s (in one run it is off by 0.16 s), and the time to relay, which such a
-change restarts, 1.25 s where it should be 1.34 s. If that matters, sample as often as the motion steps.
+it may change at every motion step, when the evader runs between two equally near pursuers. The misassigned time is then
+1.244 s instead of 1.234 s (in one run it is off by 0.16 s), and the time to relay, which each such change restarts,
+1.25 s instead of 1.34 s. If that matters, sample at every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,20 +35,20 @@ from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 ALIKE = 20
-"""Nodes of a complete graph whose links stand for those of all others."""
+"""Number of nodes of a complete graph over which the mean latency is taken instead of all nodes."""
 NO_PURSUER = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Hindsight:
-    """What each piece of the course looks like in hindsight."""
+    """The comparison with the optimum for each piece of the timeline."""
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
     relayed: Bools
-    """(k,) whether S = {i*}: the relay pursuer chases alone, or nobody does and nobody should; so on each evader."""
+    """(k,) whether S = {i*}, on each evader: the relay pursuer chases alone, or none chases if none should."""
     gap: Floats
-    """(k,) what the potential lacks to its maximum, Phi* - Phi(S), s."""
+    """(k,) difference of the potential from its maximum, Phi* - Phi(S), s."""
     regret: Floats
     """(N,) external regret of each pursuer over the whole run, s^2."""
 
@@ -60,7 +60,7 @@ class Hindsight:
 
 @remembered
 def hindsight(result: Result) -> Hindsight:
-    """Return what the course of a run looks like in hindsight.
+    """Return the comparison of a run with the optimum.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -84,10 +84,10 @@ def hindsight(result: Result) -> Hindsight:
 
 
 def gains(part: Timeline) -> Floats:
-    """Return what chasing the evader was worth to each pursuer in each piece, given what the others did, (k, N) s.
+    """Return the (k, N) gain of each pursuer from chasing the evader in each piece, given the others' actions, s.
 
     U_i(active) - U_i(inactive) for the wonderful-life utility, as `desim.pursuit.game.gain`; 0 for a pursuer that
-    cannot capture, which has no choice.
+    cannot capture and so has no choice.
     """
     able = np.isfinite(part.phi)
     phi = np.where(able, part.phi, 0.0)
@@ -99,7 +99,7 @@ def gains(part: Timeline) -> Floats:
 
 
 def _best(parts: Sequence[Timeline]) -> Integers:
-    """Return which pursuer each evader had best be chased by, (M, k), or `NO_PURSUER`; of one, the relay pursuer."""
+    """Return the (M, k) optimal pursuer of each evader, or `NO_PURSUER`; for one evader, the relay pursuer."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
     best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
@@ -112,20 +112,20 @@ def _best(parts: Sequence[Timeline]) -> Integers:
 
 
 def _worth(part: Timeline, chaser: Integers) -> Floats:
-    """Return the (k,) potential if one pursuer chased alone, s, given who in each piece; 0 if it would be late."""
+    """Return the (k,) potential if only the given (k,) pursuers chased the evader, s; 0 where it would be late."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
     return np.where(chaser == NO_PURSUER, 0.0, found)
 
 
 def _relayed(part: Timeline, best: Integers) -> Bools:
-    """Return (k,) whether the best pursuer chases alone, or nobody does and nobody should."""
+    """Return (k,) whether the optimal pursuer chases alone, or none chases if none should."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
     found: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
     return found
 
 
 def _potential(part: Timeline) -> Floats:
-    """Return the (k,) potential of who chases the evader, s; as `desim.pursuit.game.potential`."""
+    """Return the (k,) potential of the pursuers of the evader, s; as `desim.pursuit.game.potential`."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
     mean = np.where(counted, part.phi, 0.0).sum(axis=1) / np.maximum(n, 1)
@@ -133,9 +133,9 @@ def _potential(part: Timeline) -> Floats:
 
 
 def misassigned_time(result: Result) -> float:
-    """Return how long another set than the relay pursuer alone was active, int 1{S != {i*}} dt, s.
+    """Return the time for which not just the relay pursuer was active, int 1{S != {i*}} dt, s.
 
-    With several evaders: how long there was another profile than the best one, one set or another.
+    With several evaders: the time for which S_j differed from the optimum for any evader.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -145,9 +145,9 @@ def misassigned_time(result: Result) -> float:
 
 
 def potential_gap(result: Result) -> float:
-    """Return what the profile lacked to the best one, int (Phi* - Phi(S)) dt with Phi* = max(0, r - phi_min), s^2.
+    """Return the gap to the largest potential, int (Phi* - Phi(S)) dt with Phi* = max(0, r - phi_min), s^2.
 
-    With several evaders Phi* is the worth of an optimal assignment of pursuers to them.
+    With several evaders Phi* is the potential of an optimal assignment of pursuers to them.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -159,13 +159,13 @@ def potential_gap(result: Result) -> float:
 def regret(result: Result) -> float:
     """Return the external regret of the pursuers, averaged over them and over time, s; 0 if no time passed.
 
-    That of pursuer i is what its better fixed action would have brought beyond what it did, given what the others did:
+    That of pursuer i is the utility of its best fixed action minus that of its own actions, given the others' actions:
 
         max over a of int U_i(a, S_-i) dt - int U_i(S) dt
 
     with the wonderful-life utility U_i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play"), over the M + 1
-    actions that there are with M evaders. It is negative for one that did better than any action throughout. To chase
-    who cannot be captured by it, for now or any more, is worth nothing to a pursuer.
+    actions with M evaders. It is negative for a pursuer that did better than any fixed action. The utility of chasing
+    an evader that the pursuer cannot capture, or that has been captured, is 0.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -177,10 +177,10 @@ def regret(result: Result) -> float:
 def time_to_relay(result: Result, window: float | None = None) -> float | None:
     """Return the first time from which S = {i*} for a window, or to the end of the run, s; None if there is none.
 
-    With several evaders: from which the best profile is played so long.
+    With several evaders: from which an optimal profile is played for a window.
 
     Args:
-        result: of a run whose positions were recorded.
+        result: the result of a run whose positions were recorded.
         window: s; W = 2 (L + N delta) if None, see `settling_window`.
 
     Raises:
@@ -197,11 +197,11 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
 
 
 def settling_window(result: Result) -> float:
-    """Return the time after which a profile would have changed if it were going to, W = 2 (L + N delta), s.
+    """Return the time after which an unchanged profile is taken as settled, W = 2 (L + N delta), s.
 
-    L is the mean latency of the scenario's links, with the airtime of a message, but without what waits; N delta the
-    time between two decisions of one pursuer: the `slot` or `period` of its protocol or, of one with a schedule, the
-    mean in this run. inf if nobody decided.
+    L is the mean latency of the scenario's links, with the airtime of a message and without queueing. N delta is the
+    time between two decisions of one pursuer: the `slot` or `period` of the protocol, or the mean in this run for a
+    protocol with a schedule. inf if there were no decisions.
     """
     protocol = result.scenario.protocol
     between = getattr(protocol, "slot", getattr(protocol, "period", None))
@@ -221,13 +221,13 @@ def _latency(result: Result) -> float:
 
 
 def network_regret(result: Result, metric: Callable[[Result], float] = potential_gap) -> float:
-    """Return what a metric is beyond that of the same scenario and seed with an ideal network, which it runs.
+    """Return the excess of a metric over its value for the same scenario and seed with an ideal network.
 
-    Ideal: everybody hears everybody at once (the default `Links`), and nothing breaks.
+    It runs the scenario with the default `Links` (complete, without delay or loss) and without faults.
 
     Args:
-        result: of a run.
-        metric: which.
+        result: the result of a run.
+        metric: the metric.
     """
     ideal = result.scenario.model_copy(update={"network": Links(), "fault": ()})
     return metric(result) - metric(run(ideal, result.seed))

@@ -1,9 +1,9 @@
-"""What must hold in every pursuit: watchers of one run that raise AssertionError if it does not.
+"""Invariants of every pursuit: watchers of one run that raise AssertionError if an invariant is broken.
 
     result = watched(scenario, seed)
-    result = run(scenario, seed, Motion(scenario), Potential(scenario))
+    result = run(scenario, seed, MotionWatcher(scenario), PotentialWatcher(scenario))
 
-A finished trace may be shown to them as well, event by event. What must hold of messages is in
+A watcher can also be called with the events of a finished trace. The invariants of messages are in
 `desim.kernel.invariants`.
 """
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROUNDING = 1e-9
-"""What a length (m), a time (s), or a share of either may be off by rounding."""
+"""Tolerance of lengths (m), times (s), and relative errors of either for rounding."""
 
 
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
-    """Run a scenario as `run` does, under the eyes of all watchers of what holds in every run, and judge the result.
+    """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    They are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`.
+    They are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`. Use it in tests of a protocol or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
@@ -46,22 +46,22 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
 
 
 class ActiveTimeWatcher:
-    """A watcher with a stopwatch for each pursuer, which runs while that is active.
+    """A watcher with a stopwatch for each pursuer, which runs while the pursuer is active.
 
     `judge` compares the metrics of a run with the stopwatches.
 
     Attributes:
-        profile: (N,) what each pursuer does, as in `Decided`.
-        end: when the run ended, ns.
+        profile: (N,) actions of the pursuers, as in `Decided`.
+        end: time of the end of the run, ns.
     """
 
     def __init__(self) -> None:
         self.profile: list[int] = []
         self._speeds: tuple[float, ...] = ()
         self._stopped: list[int] = []
-        """(N,) how long each was active before its present action, ns."""
+        """(N,) active time of each pursuer before its present action, ns."""
         self._since: list[int] = []
-        """(N,) when that began, ns."""
+        """(N,) start of the present action, ns."""
         self.end = 0
         self._notices: dict[type, Callable[[Any], None]] = {
             Started: self._start,
@@ -72,18 +72,18 @@ class ActiveTimeWatcher:
         }
 
     def __call__(self, event: Event) -> None:
-        """Take notice of an event."""
+        """Process an event."""
         notice = self._notices.get(type(event))
         if notice is not None:
             notice(event)
 
     def until(self, t: int) -> NDArray[np.int64]:
-        """Return (N,) how long each pursuer has been active up to an instant that is not before the last event, ns."""
+        """Return the (N,) active times of the pursuers up to a time t not before the last event, ns."""
         running = np.array(self.profile) > 0
         return np.array(self._stopped) + np.where(running, t - np.array(self._since), 0)
 
     def judge(self, result: Result) -> None:
-        """Compare the active time and the energy of the run with the stopwatches."""
+        """Raise AssertionError if the active time or the energy of the run differs from the stopwatches."""
         own = self.until(self.end) / SECOND
         _require_same("active time", active_time(result), float(own.sum()))
         _require_same("energy", energy(result), fsum(np.square(self._speeds) * own))
@@ -107,25 +107,25 @@ class ActiveTimeWatcher:
 
 
 class MotionWatcher:
-    """A watcher of where everybody is, at every sample of the trajectory (`record.trajectory`).
+    """A watcher of the positions of all players, at every sample of the trajectory (`record.trajectory`).
 
-    Positions are continuous, and nobody is faster than its speed: since the last sample a pursuer has come no farther
-    than v_i times the time for which it was active meanwhile, and an evader than v_e times the time for which it was
-    at large. In a frozen game nobody moves.
+    Positions are continuous, and no player exceeds its speed: between two samples a pursuer moves at most v_i times the
+    time for which it was active, and an evader at most v_e times the time for which it was at large. In a static game
+    no player moves.
 
     Args:
-        scenario: of the run.
+        scenario: the scenario of the run.
     """
 
     def __init__(self, scenario: Scenario):
         self._evader_speeds = np.array([evader.speed for evader in scenario.evaders])
-        self._at_large = np.full(len(self._evader_speeds), np.inf)  # until when, ns
+        self._at_large = np.full(len(self._evader_speeds), np.inf)  # time of capture, ns
         self._moves = not scenario.motion.static
         self._active = ActiveTimeWatcher()
         self._last: tuple[int, Points, NDArray[np.int64]] | None = None
 
     def __call__(self, event: Event) -> None:
-        """Take notice of an event."""
+        """Process an event."""
         self._active(event)
         if isinstance(event, Started):
             self._speeds = np.array([*event.speeds, *self._evader_speeds])
@@ -146,34 +146,32 @@ class MotionWatcher:
             if len(fast):
                 who = fast[0]
                 raise AssertionError(
-                    f"nobody is faster than it can be: from {seconds(since)} to {seconds(event.t)} s player {who} (the"
-                    f" {len(event.pursuers)} pursuers come first) came {came[who]} m, not {bound[who]} m or less"
+                    f"no player exceeds its speed: from {seconds(since)} to {seconds(event.t)} s player {who} (the"
+                    f" {len(event.pursuers)} pursuers come first) moved {came[who]} m, not {bound[who]} m or less"
                 )
         self._last = event.t, places, moving
 
 
 class PotentialWatcher:
-    """A watcher of the potential, which no decision lowers if the game is played as the theorem has it.
+    """A watcher of the potential, which no decision lowers under the assumptions of the theorem.
 
-    The potential is the global utility Phi of the profile, with the times of capture and the time left of the instant
-    of the decision (`desim.pursuit.assignment.welfare`). A pursuer whose utility is `mean` gains by a change of its
-    action just what Phi gains by it. So no decision lowers Phi if
+    The potential is the global utility Phi of the profile, with the times of capture and the time left at the instant
+    of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, a change of action changes the
+    pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
 
     - it is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
-    - pursuers decide one at a time, not `together` nor in `rounds`;
-    - what the pursuer knows is true: on an ideal complete network, from a warm start, with every change announced and
-      nothing forgotten, nothing broken, clocks right, and everybody and all evaders in sight (payload "action" or,
-      in a frozen game, any).
+    - pursuers decide one at a time, under neither `synchronous` nor `rounds`;
+    - the beliefs of pursuers are true: an ideal complete network, a warm start, every change announced, no time-out of
+      beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any).
 
-    Motion does not matter, for positions do not change at an instant; what the profile is worth may fall between
-    decisions. Judged are decisions at whose instant positions are on record: all of a frozen game, else those at
-    samples of the trajectory.
+    Motion does not matter, because positions do not change at an instant; the potential may fall between decisions.
+    Decisions are judged at instants of known positions: all of a static game, else those at samples of the trajectory.
 
     Args:
-        scenario: of the run.
+        scenario: the scenario of the run.
 
     Attributes:
-        judged: how many decisions were.
+        judged: the number of decisions judged.
     """
 
     def __init__(self, scenario: Scenario):
@@ -182,11 +180,11 @@ class PotentialWatcher:
         self._horizon = nanoseconds(scenario.horizon)
         self._active = ActiveTimeWatcher()
         self._pending: list[tuple[Decided, list[int], list[int]]] = []
-        """What was decided since positions were last known, and the profiles before and after that."""
+        """(decision, profile before, profile after) of each decision since positions were last known."""
         self.judged = 0
 
     def __call__(self, event: Event) -> None:
-        """Take notice of an event."""
+        """Process an event."""
         if isinstance(event, Decided):
             before = self._active.profile.copy()
             self._active(event)
@@ -206,7 +204,7 @@ class PotentialWatcher:
             self._judge(event.t)
 
     def _judge(self, t: int) -> None:
-        """Judge what was decided at an instant, ns, at which positions are known, and nothing that was before."""
+        """Judge the decisions at an instant of known positions, ns, and drop the earlier ones."""
         left = seconds(self._horizon - (0 if self._static else t))
         for event, before, after in self._pending:
             if event.t == t:

@@ -1,7 +1,7 @@
-"""What each pursuer knew of each other, from when until when.
+"""The newest record that each pursuer had of each other, over time.
 
-A reader knows the newest record of a source that has reached it: from the source itself or through others, whatever
-the order in which records came.
+A reader knows the newest record of a source that has reached it, directly or over several hops, whatever the order of
+arrival.
 """
 
 from dataclasses import dataclass
@@ -25,26 +25,26 @@ PIECE = np.dtype(
     [
         ("reader", np.int64),
         ("source", np.int64),
-        ("created", np.int64),  # when the source announced it, ns
-        ("active", np.int32),  # what the reader has heard that the source does: which evader it chases, or 0
-        ("presumed", np.bool_),  # not heard, but known or presumed at first
-        ("begin", np.int64),  # when it arrived, ns
-        ("after", np.int64),  # the place in the trace after which it was known, among the events of `begin`
-        ("until", np.int64),  # when it was superseded or forgotten, or the run ended, ns
-        ("before", np.int64),  # the place in the trace up to which it was known, among the events of `until`
-        ("superseded", np.bool_),  # whether that was by something newer
+        ("created", np.int64),  # time of the announcement by the source, ns
+        ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
+        ("presumed", np.bool_),  # whether it is an initial belief, not a record received
+        ("begin", np.int64),  # time of arrival, ns
+        ("after", np.int64),  # position in the trace from which on it was known, among the events of `begin`
+        ("until", np.int64),  # time at which it was superseded or lost with the memory, or the run ended, ns
+        ("before", np.int64),  # position in the trace up to which it was known, among the events of `until`
+        ("superseded", np.bool_),  # whether it ended with a newer record
     ]
 )
 FIRST, LAST = -1, int(np.iinfo(np.int64).max)
-"""Places before and after all others."""
+"""Positions in the trace before and after all events."""
 
 
 @remembered
 def knowledge(result: Result) -> Pieces:
-    """Return what each pursuer knew of each other, from when until when; O(n log n) in the records received.
+    """Return the newest record that each pursuer had of each other over time; O(n log n) in the records received.
 
-    A record counts from its arrival on if it is newer than what is known of its source, until a newer one arrives or
-    its reader loses its memory. A body without an attribute `active` leaves what is heard of the action as it was.
+    A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
+    memory. A body without an attribute `active` leaves the known action as it is.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -58,7 +58,7 @@ def knowledge(result: Result) -> Pieces:
     for reader in range(len(profile)):
         mine = hops.between(edges[reader], edges[reader + 1])
         bounds = [0, *forgets.get(reader, []), end]
-        # Faults come first at an instant: what arrives just as a life is over belongs to the next one.
+        # Faults come first at an instant: a record that arrives at the end of a life belongs to the next one.
         arrived = [0, *np.searchsorted(mine.arrival, bounds[1:-1]), len(mine.arrival)]
         for k, ((begin, until), span) in enumerate(zip(pairwise(bounds), pairwise(arrived), strict=True)):
             warm = k == 0 and result.scenario.announce.warm_start
@@ -70,34 +70,34 @@ def knowledge(result: Result) -> Pieces:
 
 @dataclass(frozen=True, slots=True)
 class _Announcements:
-    """Every record that was told, each as often as it was; columns."""
+    """All records sent, one row per transmission; columns."""
 
     source: Integers
     seq: Integers
     created: Integers
     active: Integers
-    """Which evader the source chases, or 0; -1 if it is not told."""
+    """The evader that the source chases, or 0; -1 if the body does not carry it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Receptions:
-    """Transmissions to one receiver each, in order of receiver, arrival and place in the trace; columns."""
+    """Receptions of transmissions, in order of receiver, arrival and position in the trace; columns."""
 
     dst: Integers
     arrival: Integers
     place: Integers
     first: Integers
-    """The first record it carries, a row of `_Announcements`."""
+    """The first record carried, a row of `_Announcements`."""
     count: Integers
-    """How many it carries."""
+    """Number of records carried."""
 
     def between(self, first: int, last: int) -> "_Receptions":
-        """Return a part of them."""
+        """Return the rows from `first` to before `last`."""
         columns = (self.dst, self.arrival, self.place, self.first, self.count)
         return _Receptions(*(column[first:last] for column in columns))
 
     def unpacked(self) -> tuple[Integers, Integers]:
-        """Return the hop and the row of `_Announcements` of each record that is carried."""
+        """Return the reception and the row of `_Announcements` of each record carried."""
         hop = np.repeat(np.arange(len(self.dst)), self.count)
         start = np.cumsum(self.count) - self.count
         return hop, self.first[hop] + np.arange(len(hop)) - start[hop]
@@ -105,7 +105,7 @@ class _Receptions:
 
 @dataclass(frozen=True, slots=True)
 class _Life:
-    """The time in which a reader forgets nothing, and what it presumes as it begins."""
+    """A period in which a reader keeps its memory, with its initial beliefs."""
 
     reader: int
     begin: int
@@ -113,10 +113,10 @@ class _Life:
     before: int
     profile: Integers
     seq: int
-    """Number of the records that it presumes; older ones tell it nothing new."""
+    """Sequence number of the initial beliefs; older records are ignored."""
 
     def pieces(self, said: _Announcements, hops: _Receptions) -> Pieces:
-        """Return what the reader knew when, given what reached it."""
+        """Return the newest records of the reader over time, given its receptions in this period."""
         hop, record = hops.unpacked()
         foreign = said.source[record] != self.reader
         hop, record = hop[foreign], record[foreign]
@@ -149,7 +149,7 @@ class _Life:
 
 
 def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Receptions]:
-    """Return the records that were told, and the hops with which they arrived by the end, ns."""
+    """Return the records sent, and their receptions up to the end of the run, ns."""
     records: list[Record] = []
     fates: list[tuple[int, int]] = []
     carried: list[tuple[int, int, int, int, int]] = []  # receivers, flight, place, first record, records
@@ -173,14 +173,14 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
 
 
 class _Clocks:
-    """The clocks of the nodes: a record that is relayed bears the time of its source."""
+    """The clocks of the nodes: the time stamp of a forwarded record is by the clock of its source."""
 
     def __init__(self, result: Result, size: int):
         self._errors = clock_errors(result.scenario.fault, size, result.seed)
         self._right = not any(offset or drift for offset, drift in self._errors)
 
     def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
-        """Return the records that a transmission carries, those that it relays or its own, with their true times."""
+        """Return the records that a transmission carries, forwarded or its own, with their true time stamps."""
         relays = getattr(event.body, "records", None) is not None
         return tuple(map(self._set_right, records_in(event))) if relays and not self._right else records_in(event)
 
@@ -196,7 +196,7 @@ def _columns(records: list[Record]) -> _Announcements:
 
 
 def _forgets(result: Result) -> dict[int, list[int]]:
-    """Return when each pursuer forgot all it had heard, ns: as it recovered from a crash without its memory."""
+    """Return the times at which each pursuer lost its memory, ns: at its recovery from a crash without memory."""
     forgets: dict[int, list[int]] = {}
     for over in result.trace.of(FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:

@@ -1,8 +1,8 @@
-"""Metrics: functions from the result of a run to a number, computed from its trace alone; and the summary of them all.
+"""Metrics: functions from the result of a run to a number, computed from its trace alone; and their summary.
 
-A metric is a function in one of the modules imported here and an entry in `Summary`: its name, the function, its
-unit and what the table of a run says beside it. Tables, JSON and batches follow from the entry. `network_regret` alone
-has none: it compares with another run, which it runs.
+A metric is a function in one of the modules imported here and an entry in `Summary`: its name, the function, its unit
+and its note in the table of a run. Tables, JSON and batches follow from the entry. Only `network_regret` has no entry,
+because it executes another run for comparison.
 """
 
 from collections.abc import Callable, Mapping
@@ -74,61 +74,61 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured; of several all, or as many as end the run (`capture.captures_to_end`)."""
+    """Return whether the evader was captured; with several, whether all or `capture.captures_to_end` of them were."""
     return ended(result).reason == "captured"
 
 
 def capture_time(result: Result) -> float | None:
-    """Return when the evader was captured, or the last of several, s; None if it was not."""
+    """Return the time at which the evader, or the last of several, was captured, s; None if it was not."""
     return end_time(result) if captured(result) else None
 
 
 def end_time(result: Result) -> float:
-    """Return when the run ended, s: at the (last) capture, the horizon, or when a watcher asked for it."""
+    """Return the time at which the run ended, s: the (last) capture, the horizon, or the request of a watcher."""
     return seconds(ended(result).t)
 
 
 def mean_capture_time(result: Result) -> float:
-    """Return when evaders were captured, averaged over those that were, s; nan if none was."""
+    """Return the time of capture averaged over the captured evaders, s; nan if none was captured."""
     times = [seconds(each.t) for each in captures(result)]
     return sum(times) / len(times) if times else nan
 
 
 def capture_times(result: Result) -> dict[str, float]:
-    """Return when each evader was captured that was, s, in order of time."""
+    """Return the time of capture of each captured evader, s, in order of time."""
     return {str(each.evader): seconds(each.t) for each in captures(result)}
 
 
 def capturers(result: Result) -> dict[str, int]:
-    """Return who captured each evader that was captured, in order of time."""
+    """Return the pursuer that captured each captured evader, in order of time."""
     return {str(each.evader): each.capturer for each in captures(result)}
 
 
 @dataclass(frozen=True)
 class Metric:
-    """An entry of a summary: what it is and how tables show it."""
+    """An entry of a summary: the function that computes it, and its form in tables."""
 
     of: Callable[[Result], Any]
     unit: str = ""
     note: "str | Callable[[Summary], str] | None" = None
-    """What the table of one run says beside it; None if it has no row there."""
+    """The note beside it in the table of one run; None if it has no row there."""
     note_of_several: str | None = None
-    """What it says there if there were several evaders, if not the same."""
+    """The note for runs with several evaders, if different."""
     given: Callable[[Result], bool] | None = None
-    """Whether what it needs was recorded, if it needs more than actions; if not, the summary has None."""
+    """Whether the recordings that it needs exist; if not, the summary has None. None if it needs actions only."""
     label: str | None = None
-    """What its row in the table of one run is called, if not like the metric."""
+    """The label of its row in the table of one run, if different from its name."""
     in_tables: bool = True
     """Whether it has a row in the table of several runs."""
     silent_at_0: bool = False
     """Whether tables leave it out if it is 0."""
     of_several: bool = False
-    """Whether it is only there if there were several evaders."""
+    """Whether it exists only for runs with several evaders."""
     is_number: bool = True
-    """Whether its mean over several runs says something; that of a truth is a share."""
+    """Whether its mean over several runs is meaningful; the mean of truth values is a share."""
 
     def __call__(self, result: Result) -> Any:
-        """Return the number; None if there is nothing to measure or nothing was found."""
+        """Return the value for a run; None if it was not recorded or is not defined."""
         there = (self.given is None or self.given(result)) and (not self.of_several or has_several(result))
         value = self.of(result) if there else None
         return None if isinstance(value, float) and isnan(value) else value
@@ -143,18 +143,18 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """The numbers of one run, in the order of tables; None for what did not happen or was not measured.
+    """The metrics of one run, in the order of tables; None for an event that did not happen or a missing recording.
 
-    As text a line for each that is there, with its unit.
+    `str` returns a line with the unit for each metric that is not None.
     """
 
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     captured: bool = entry(captured, in_tables=False)
     capture_time: float | None = entry(capture_time, "s")
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
-    """Of several evaders, who captured the last."""
+    """The pursuer that captured the evader, or the last of several."""
     captures: int | None = entry(lambda result: len(captures(result)), of_several=True)
-    """How many evaders were captured; it tells whether there were several."""
+    """Number of captured evaders; None if and only if the run had one evader."""
     mean_capture_time: float | None = entry(mean_capture_time, "s", of_several=True)
     capture_times: Mapping[str, float] | None = entry(capture_times, in_tables=False, is_number=False, of_several=True)
     """By the number of the evader, s."""
@@ -163,37 +163,37 @@ class Summary:
     end_time: float = entry(end_time, "s")
     active_time: float = entry(active_time, "s", "summed over the pursuers")
     idle_time: float = entry(
-        idle_time, "s", "nobody active", note_of_several="nobody on an evader, summed over those at large"
+        idle_time, "s", "no pursuer active", note_of_several="no pursuer on an evader, summed over those at large"
     )
     crowded_time: float = entry(
-        crowded_time, "s", "more than one active", note_of_several="more than one on an evader, summed over these"
+        crowded_time, "s", "more than one active", note_of_several="more than one on an evader, summed over evaders"
     )
     excess_time: float = entry(excess_time, "s")
     misassigned_time: float | None = entry(
         misassigned_time,
         "s",
-        "not just the relay pursuer active",
-        note_of_several="not the best pursuer alone on each evader",
+        "active set is not the relay pursuer alone",
+        note_of_several="not the optimal pursuer alone on each evader",
         given=positions_known,
     )
     time_to_relay: float | None = entry(
         time_to_relay,
         "s",
-        "until just the relay pursuer was, for a while",
-        note_of_several="until just the best on each evader were, for a while",
+        "start of a window with the relay pursuer alone active",
+        note_of_several="start of a window with the optimal pursuer alone on each",
         given=positions_known,
     )
     potential_gap: float | None = entry(
-        potential_gap, "s^2", "below the greatest potential, over time", given=positions_known
+        potential_gap, "s^2", "below the largest potential, integrated over time", given=positions_known
     )
     regret: float | None = entry(
         regret,
         "s",
-        "against each one's better fixed action, averaged",
-        note_of_several="against each one's best fixed action, averaged",
+        "against the better fixed action, averaged over pursuers",
+        note_of_several="against the best fixed action, averaged over pursuers",
         given=positions_known,
     )
-    energy: float = entry(energy, "m^2/s", "v^2 summed over the active, over time")
+    energy: float = entry(energy, "m^2/s", "v^2 summed over active pursuers, integrated over time")
     decisions: int = entry(
         lambda result: len(decisions(result)), note=lambda run: f"{run.switches:,} of them changed an action"
     )
@@ -209,10 +209,10 @@ class Summary:
     )
     messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by, is_number=False)
     messages_in_flight: int = entry(
-        lambda result: messages(result).in_flight, note="when the run ended", label="  in flight"
+        lambda result: messages(result).in_flight, note="at the end of the run", label="  in flight"
     )
     transmissions: int = entry(lambda result: messages(result).transmissions)
-    """How many times something was put on the air, whatever the number of receivers."""
+    """Number of transmissions, whatever the number of receivers."""
     bytes_sent: int = entry(
         lambda result: messages(result).bytes_sent, note=lambda run: f"in {run.transmissions:,} transmissions"
     )
@@ -222,15 +222,17 @@ class Summary:
         silent_at_0=True,
     )
     age_mean: float | None = entry(age_mean, "s", "averaged over time and pairs", given=messages_recorded)
-    age_peak: float | None = entry(age_peak, "s", "just before newer word came, where it did", given=messages_recorded)
-    age_at_decision: float | None = entry(age_at_decision, "s", "when the reader decided", given=messages_recorded)
+    age_peak: float | None = entry(age_peak, "s", "just before a newer record arrived", given=messages_recorded)
+    age_at_decision: float | None = entry(
+        age_at_decision, "s", "at the decisions of the reader", given=messages_recorded
+    )
     belief_error: float | None = entry(
-        belief_error, note="share of pairs with wrong word of the action", given=messages_recorded
+        belief_error, note="share of pairs with a wrong record of the action", given=messages_recorded
     )
     believed_leaders: float | None = entry(
         believed_leaders,
-        note="active, and heard of nobody else who is",
-        note_of_several="active, and heard of nobody else on the same evader",
+        note="active pursuers that know of no other active one",
+        note_of_several="active pursuers that know of no other on the same evader",
         given=messages_recorded,
     )
 
@@ -242,28 +244,28 @@ class Summary:
 
 
 def _written(value: Any) -> str:
-    """Return a number of a summary as it is read: six digits of a fraction."""
+    """Return a value of a summary as text, fractions with six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 METRICS: Mapping[str, Metric] = MappingProxyType({each.name: each.metadata["metric"] for each in fields(Summary)})
 """The entries of a summary."""
 COMMON = tuple(name for name, metric in METRICS.items() if not metric.of_several)
-"""The names of those that every run has."""
+"""The names of the metrics that every run has."""
 
 
 def summary(result: Result) -> Summary:
-    """Return the numbers of one run."""
+    """Return all metrics of one run. Use the single functions of this module if you need only one or two."""
     read = trace_index(result)
     return Summary(**{name: metric(read) for name, metric in METRICS.items()})
 
 
 def plain(numbers: Summary) -> dict[str, Any]:
-    """Return the numbers of a run by name, as JSON has them; those of several evaders only if it has them."""
+    """Return the metrics of a run by name, as JSON values; those of several evaders only if the run had several."""
     names = METRICS if numbers.captures is not None else COMMON
     return {name: each for name, each in asdict(numbers).items() if name in names}
 
 
 def words(name: str) -> str:
-    """Return the name of a metric as it is read."""
+    """Return the name of a metric in words."""
     return name.replace("_", " ")

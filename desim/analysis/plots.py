@@ -1,4 +1,4 @@
-"""Pictures from results: matplotlib figures that are the same bytes every time."""
+"""Figures from results, drawn by matplotlib; files are reproducible byte by byte."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ __all__ = [
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, in."""
 STYLE: dict[Any, Any] = {
-    "text.usetex": False,  # a matplotlibrc of the folder that we are in may want it, and names would be programs
+    "text.usetex": False,  # a matplotlibrc in the working folder may set it; names would then run as TeX
     "svg.fonttype": "none",
     "svg.hashsalt": "desim",
     "pdf.fonttype": 42,  # TrueType; publishers refuse Type 3
@@ -51,14 +51,14 @@ EVADER: Mapping[str, Any] = {
     **{"color": VERMILION, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
     **{"marker": "s", "markevery": [0]},
 }
-"""The path of an evader: dashed, to be told from those of pursuers in grey, too, from a square on."""
+"""Style of an evader's path: starts at a square, and is dashed so that it differs from pursuers in greyscale, too."""
 UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
-"""What matplotlib is to leave out of each kind of picture."""
+"""The metadata to omit from each format."""
 
 
 @contextmanager
 def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
-    """Yield an empty figure to draw on in the style of the house; its layout is settled at the end.
+    """Yield an empty figure in the common style; its layout is computed at the end.
 
     Args:
         figsize: width and height, in.
@@ -69,19 +69,19 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
         figure = Figure(figsize=figsize, layout="constrained")
         yield figure
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # or it would be settled anew, a little differently, each time it is saved
+        figure.set_layout_engine("none")  # else each save would compute a slightly different layout
 
 
 def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
-    """Write a figure without a date and return what was written: one file, or SVG and PNG if no suffix is named.
+    """Write a figure without a date and return the files: one, or SVG and PNG if the path has no suffix.
 
     Args:
-        figure: of `styled`.
+        figure: a figure made by `styled`.
         path: with a suffix of `PICTURES`, or without.
         dpi: dots per inch of a PNG.
 
     Raises:
-        ValueError: if the suffix is of no such picture.
+        ValueError: if the suffix is not one of `PICTURES`.
     """
     paths = files(path, PICTURES, PICTURES[:2])
     with mpl.rc_context(STYLE):
@@ -92,7 +92,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
 
 
 def trajectory(result: Result) -> Figure:
-    """Draw where everyone went: the evader, who captured it, and who chased for a while.
+    """Return a figure of the paths of the evaders, their capturers, and all other pursuers that moved.
 
     Raises:
         ValueError: if the run recorded no positions.
@@ -106,14 +106,14 @@ def trajectory(result: Result) -> Figure:
 
 
 def place(axes: Axes) -> None:
-    """Let axes be those of the plane: one scale, metres, and ticks at the same distances on both."""
+    """Set axes to the plane: equal scales, labels in metres, and the same tick spacing on both."""
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
 
 
 def draw_trajectory(axes: Axes, result: Result) -> None:
-    """Draw where everyone went on given axes; see `trajectory`."""
+    """Draw the paths of all players on given axes; see `trajectory`."""
     samples = sampled(result)
     evaders = np.array([sample.evaders for sample in samples])  # (samples, M, 2)
     pursuers = np.array([sample.pursuers for sample in samples])  # (samples, N, 2)

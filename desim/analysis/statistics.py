@@ -1,16 +1,16 @@
-"""Means and their uncertainty, and how many runs a wanted precision takes.
+"""Means with their uncertainty, and the number of runs for a target precision.
 
-Intervals are of 95 %. How often they cover a known mean, in %, of 200,000 simulated samples each (s.e. at most 0.11),
-and where looks at a growing sequence end (40,000 sequences, s.e. at most 0.22), for the target that 20 runs would have:
+Intervals are of 95 %. Their coverage of a known mean in %, from 200,000 simulated samples each (s.e. at most 0.11) for
+fixed numbers of values, and from 40,000 sequences (s.e. at most 0.22) that stop at the half width that 20 runs have:
 
-    law                                        t of 2     of 5    of 30    looks from 3    from 30
+    distribution                               t of 2     of 5    of 30    looks from 3    from 30
     normal                                       94.9     95.0     95.0            91.6       95.2
     exponential                                  91.1     88.3     92.6            79.9       92.6
     lognormal, sigma = 1                         89.4     82.2     88.3            73.6       88.4
     0, but exponential in one of ten runs        18.6     36.8     75.4             25.7       75.6
     a probability (Wilson), all equally likely   95.7     95.5     95.2
 
-The skewer the law, the more runs it takes; the last but one is like a paired difference that most seeds do not show.
+Skewed distributions need more runs. The last but one resembles a paired difference that is 0 for most seeds.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ from typing import TypeGuard
 import numpy as np
 
 NORMAL_975 = 1.959963984540054
-"""The quantile of the normal law beyond which 2.5 % lie."""
+"""The 97.5 % quantile of the standard normal distribution."""
 FIRST_LOOK = 30
-"""How many values there are when `next_look` first judges their precision.
+"""Number of values at which `next_look` first judges their precision.
 
-Few values that lie close together by chance look precise: who looks from 3 on stops too early, and an interval of
-95 % covers the mean of normal values 92 times in 100, of exponential ones 80 times.
+A few values may lie close together by chance. Looks from 3 values on stop too early: an interval of 95 % then covers
+the mean of normal values 92 times in 100, of exponential ones 80 times.
 """
 
 
@@ -63,19 +63,19 @@ def estimate(values: Sequence[float]) -> Estimate:
 def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
     """Return the mean difference values - others of runs with common random numbers, pair by pair.
 
-    Its variance is (var + var' - 2 cov) / n, less than that of independent runs if what makes one run long makes
-    the other long too (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
+    Its variance is (var + var' - 2 cov) / n, less than that of independent runs if the two values of a pair are
+    positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
-    A pair of which one is missing (None or nan, such as the time of a capture that did not happen) is left out. What is
-    found then holds for the seeds with which both exist; beside it belongs how often each does. If no pair is left, the
-    count is 0 and the mean nan: that nobody was ever captured is an outcome, not a mistake.
+    A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
+    then holds for the seeds with both values; report it with the number of values of each. Without any pair the count
+    is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
 
-    Where few seeds make most of the difference, its law is far from normal and the t interval of few pairs is too
-    narrow. Active time of 8 pursuers with and without a latency of 0.2 s: 30 pairs cover the difference 82 times in
+    If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
+    too narrow. Active time of 8 pursuers with and without a latency of 0.2 s: 30 pairs cover the difference 82 times in
     100, 100 pairs 88, 300 pairs 93 (3000 seeds resampled).
 
     Raises:
-        ValueError: if one is longer than the other.
+        ValueError: if the lengths differ.
     """
     if len(values) != len(others):
         raise ValueError(f"should be pairs, got {len(values)} values and {len(others)} others")
@@ -85,14 +85,14 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval of a probability, given how many of so many independent trials were a success.
+    """Return the 95 % interval (low, high) of a probability, given the successes of a number of independent trials.
 
     The probabilities p with |p^ - p| <= z sqrt(p (1 - p) / n), where p^ is the share of successes and z the normal
     quantile (Wilson 1927, "Probable Inference, the Law of Succession, and Statistical Inference"): within [0, 1], and
-    of positive width even if all trials end alike.
+    of positive width even if all trials have the same outcome.
 
     Raises:
-        ValueError: if there are no trials, or not from 0 to `trials` successes.
+        ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
     """
     if not 0 <= successes <= trials or not trials:
         raise ValueError(f"should be 0 .. trials successes of at least one trial, got {successes} of {trials}")
@@ -104,11 +104,11 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return how many runs a half width of `target` takes: where the looks at a growing sequence of runs end.
+    """Return the number of runs at which the looks at a growing sequence of runs reach a half width of `target`.
 
-    If the values do not reach that far, the next look: as many runs there should be before anybody looks again. Looks
-    are at the same sizes however many runs are there already, so that a study that was interrupted ends where it
-    would have ended anyway. Arguments as of `next_look`.
+    If the values do not suffice, return the size of the next look: the number of runs to have before that. Looks are
+    taken at the same sizes however many runs exist already, so an interrupted study ends at the same number of runs.
+    Arguments as in `next_look`.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
@@ -120,24 +120,24 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 
 
 def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return how many runs there should be next, given the values of the first n; n if that is enough.
+    """Return the number of runs to have at the next look, given the values of the first n runs; n if they suffice.
 
     A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
-    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"), in lots as large as
-    the values so far predict, n (half width / target)^2, but from a tenth more to twice as many: a bad first guess of
-    the variance costs at most half of the runs, and there are few looks at which to stop too early.
+    1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The next look is at
+    the number predicted from the values, n (half width / target)^2, limited to between 1.1 n and 2 n. A bad first
+    estimate of the variance therefore costs at most half of the runs, and there are few looks that may stop too early.
 
-    The half width is that of the t interval; of truth values (captured or not), that of Wilson's. A missing value
-    (None or nan) is a run but says nothing about the mean: until there are `first_look` values, no look can end it.
-    Values that are all equal have an interval of no width, and stop.
+    The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
+    value (None or nan) counts as a run but not for the mean: no look stops with fewer than `first_look` values.
+    Values that are all equal have an interval of width 0, which stops.
 
     Assumes independent runs in the order of their seeds, not in the order in which they end, which would favour short
     ones. The coverage is nominal only in the limit of a small target.
 
     Args:
-        values: of the n runs so far.
+        values: the values of the n runs so far.
         target: the half width to reach, in the unit of the values.
-        at_most: the largest number of runs, however imprecise.
+        at_most: the largest number of runs, whatever the precision.
         first_look: the number of values at which precision is first judged, at least 2.
 
     Raises:
@@ -169,7 +169,7 @@ def _is_there(value: float | None) -> TypeGuard[float]:
 
 
 def _half_width(values: Sequence[float]) -> float:
-    """Return half the width of the 95 % interval of the mean: Wilson's of truth values, else the t interval."""
+    """Return half the width of the 95 % interval of the mean: Wilson for truth values, else the t interval."""
     if all(isinstance(value, bool | np.bool_) for value in values):
         low, high = wilson(int(sum(values)), len(values))
         return (high - low) / 2.0

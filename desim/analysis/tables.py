@@ -1,4 +1,4 @@
-"""Results as tables of plain text or HTML that a person reads, and their numbers as JSON has them."""
+"""Results as tables in plain text or HTML, and estimates as JSON."""
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,11 +11,11 @@ from desim.config.json_numbers import to_json
 from desim.scenario.scenario import Scenario
 
 SHOWN = 12
-"""How many evaders the table of a run names at most."""
+"""Most evaders listed in the table of a run."""
 
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
-    """Return rows as text with columns lined up, those from `right_from` on to the right."""
+    """Return rows as text with aligned columns; columns from `right_from` on are aligned to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(
@@ -27,14 +27,14 @@ def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
 
 
 def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text, of which the first is the head, as a table of HTML."""
+    """Return rows of text as an HTML table; the first row is its head."""
     head, *body = rows
     lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
     return f"<table><caption>{_html(title)}</caption>{lines}</table>"
 
 
 def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
-    """Return what one run came to; wall_time in s."""
+    """Return the table of one run; `wall_time` in s."""
     rate = run.messages_sent / wall_time
     rows = [
         *_captures(scenario, run),
@@ -45,7 +45,7 @@ def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
 
 
 def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -> str:
-    """Return the means of several runs with their 95 % intervals; wall_time in s."""
+    """Return the table of several runs: means with their 95 % intervals; `wall_time` in s."""
     captured = sum(run.captured for run in runs)
     low, high = wilson(captured, len(runs))
     rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(runs)]
@@ -63,12 +63,12 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number with thousands separators, or a dash if there is none."""
+    """Return a number as text with thousands separators, or a dash for nan."""
     return "-" if isnan(value) else f"{value:,.{digits}f}"
 
 
 def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
-    """Return a mean +- half its 95 % interval, with the number of values if they are not one per run."""
+    """Return "mean +- half width of the 95 % interval", with the number of values if it is not that of the runs."""
     if not found.count:
         return "-"
     digits = 3 if abs(found.mean) < 100.0 else 1
@@ -77,12 +77,12 @@ def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
 
 
 def as_json(found: Estimate) -> dict[str, Any]:
-    """Return an estimate as JSON has it."""
+    """Return an estimate as JSON values."""
     return {"mean": json_number(found.mean), "half_width": json_number(found.half_width), "runs": found.count}
 
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
-    """Return the estimate that `as_json` wrote, but for rounding."""
+    """Return the estimate from the values of `as_json`, up to rounding."""
     from scipy.special import stdtrit
 
     mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
@@ -91,14 +91,14 @@ def from_json(made: Mapping[str, Any]) -> Estimate:
 
 
 def json_number(value: Any) -> Any:
-    """Return what JSON has for a value: null for no number, "Infinity" for that."""
+    """Return a value as JSON: nan as null, infinity as "Infinity"."""
     if not isinstance(value, float):
         return value
     return None if isnan(value) else to_json(value)
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
-    """Yield whether the evader was captured; of several how many, and each by whom, in order of time."""
+    """Yield the row of the capture; with several evaders, their number and a row for each, in order of time."""
     outcome = (
         f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
         if run.captured
@@ -119,7 +119,7 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
 
 
 def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
-    """Yield what there is to tell of a run: name, value and unit, note."""
+    """Yield the rows of the metrics of a run: label, value with unit, note."""
     for name, metric in METRICS.items():
         value = getattr(run, name)
         if metric.note is None or value is None or (metric.silent_at_0 and not value):
@@ -130,7 +130,7 @@ def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
 
 
 def _rows_of_batch(runs: Sequence[Summary]) -> Iterator[Sequence[str]]:
-    """Yield the means of what was measured."""
+    """Yield the rows of the metrics of several runs that are not None in all of them."""
     for name, metric in METRICS.items():
         values = [value for run in runs if (value := getattr(run, name)) is not None]
         if not metric.in_tables or not values or (metric.silent_at_0 and not any(values)):

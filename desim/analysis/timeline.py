@@ -1,9 +1,9 @@
-"""The course of a run: who was active, and what everyone's time of capture was, piece by piece.
+"""The timeline of a run: the active pursuers and the times of capture, piece by piece.
 
-A piece is the time between two breakpoints: changes of action, samples of positions, breakdowns of robots, captures.
-Nobody changes its action in it, so that what a metric asks of the actions is exact. The times of capture phi are those
-of the middle of the piece, from positions interpolated between the samples: exact in a frozen game; otherwise see
-`desim.analysis.hindsight` for the error. Of several evaders each has a course of its own, of the same pieces.
+A piece is the time between two breakpoints: changes of action, samples of positions, crashes of robots, captures. No
+action changes within a piece, so metrics of the actions are exact. The times of capture phi are those at the middle of
+the piece, from positions interpolated between the samples: exact in a static game; for the error otherwise see
+`desim.analysis.hindsight`. Each evader has a timeline of its own, with the same pieces.
 """
 
 from collections.abc import Iterator
@@ -30,22 +30,21 @@ from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
 PART = 1 << 18
-"""How many times of capture are held in memory at once."""
+"""Number of times of capture held in memory at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Successive pieces of a run, each of positive length, as far as they are about one evader."""
+    """Successive pieces of a run, each of positive length, for one evader."""
 
     times: Integers
     """(k + 1,) breakpoints, ns."""
     active: Bools
-    """(k, N) who chases the evader."""
+    """(k, N) whether each pursuer chases the evader."""
     phi: Floats
-    """(k, N) times of capture in the middle of the piece, s; inf for a robot that is broken and so captures nobody, and
-    for all once the evader has been captured."""
+    """(k, N) times of capture at the middle of the piece, s; inf for a broken robot, and for all after the capture."""
     left: Floats
-    """(k,) time left r in the middle of the piece, s; that to the horizon throughout in a frozen game."""
+    """(k,) time left r at the middle of the piece, s; constant and equal to the horizon in a static game."""
 
     @property
     def durations(self) -> Floats:
@@ -54,11 +53,11 @@ class Timeline:
 
 
 def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
-    """Yield the course of a run in parts that follow each other; O(N) for each sample and change of action.
+    """Yield the timeline of a run in successive parts; O(N) for each sample and change of action.
 
     Args:
-        result: of a run whose positions were recorded.
-        evader: which, 1 .. M; the parts of all evaders are of the same pieces.
+        result: the result of a run whose positions were recorded.
+        evader: the number of the evader, 1 .. M; the parts for all evaders have the same pieces.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -86,7 +85,7 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
 
 
 def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
-    """Yield when a robot broke down (1) or was repaired (-1): time (ns), pursuer, which."""
+    """Yield (time (ns), pursuer, step) for each crash (1) and recovery (-1) of a robot."""
     for event in result.trace:
         if (
             isinstance(event, FaultStarted | FaultEnded)
@@ -97,24 +96,24 @@ def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
 
 
 class _Counts:
-    """A whole number for each pursuer, that changes by steps: (time (ns), pursuer, by how much), in order of time."""
+    """An integer for each pursuer that changes by steps (time (ns), pursuer, increment), in order of time."""
 
     def __init__(self, start: tuple[bool, ...], steps: list[tuple[int, int, int]]):
         self._start = np.array(start, np.int32)
         self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
 
     def during(self, times: Integers) -> Bools:
-        """Return (k, N) whether it is positive in each piece between (k + 1,) times, ns."""
+        """Return (k, N) whether the integers are positive in each piece between (k + 1,) times, ns."""
         piece = np.searchsorted(times, self.t)  # the first that begins then or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
         np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
-        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row is of what comes after
+        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row is after the end
         return found
 
 
 class _Path:
-    """How far everyone was from an evader: at the start and at each sample, and between them on straight lines."""
+    """The relative positions of an evader to all pursuers: at the start and the samples, linear in between."""
 
     def __init__(self, result: Result, evader: int):
         known = samples(result)
@@ -125,7 +124,7 @@ class _Path:
         self._gaps = gaps[..., 0] + 1j * gaps[..., 1]  # (samples, N) from each pursuer to the evader
 
     def distances(self, t: Floats) -> Floats:
-        """Return the (k, N) distances to the evader at (k,) times (ns), m; after the last sample nobody moves."""
+        """Return the (k, N) distances to the evader at (k,) times (ns), m; constant after the last sample."""
         before = np.searchsorted(self.t, t, side="right") - 1
         after = np.minimum(before + 1, len(self.t) - 1)
         share = (t - self.t[before]) / np.maximum(self.t[after] - self.t[before], 1)

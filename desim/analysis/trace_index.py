@@ -1,4 +1,4 @@
-"""Reading a finished run: how it began and ended, and what is derived from it for several metrics, each thing once."""
+"""Reading a finished run: its first and last events, and a cache of quantities that several metrics derive from it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,23 +17,23 @@ Integers = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Derived = TypeVar("Derived")
 NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
-"""What is said of a run of which nobody knows where everyone was."""
+"""The error message for a run without recorded positions."""
 
 
 @dataclass(frozen=True)
 class TraceIndex(Result):
-    """A result to whose trace nothing is added any more, with what has been derived from it."""
+    """A result whose trace is complete, with a cache of derived quantities."""
 
     derived: dict[Callable[[Result], Any], Any] = field(default_factory=dict, repr=False, compare=False)
 
 
 def trace_index(result: Result) -> TraceIndex:
-    """Return a result as one that remembers what is derived from it."""
+    """Return a result with an empty cache; use it to call several metrics on one result."""
     return TraceIndex(result.scenario, result.seed, result.trace)
 
 
 def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derived]:
-    """Let a function of a result be called once for each `TraceIndex`; what it returns must not be changed."""
+    """Cache the return value of a function for each `TraceIndex`; the value must not be changed."""
 
     @wraps(derive)
     def once(result: Result) -> Derived:
@@ -49,19 +49,19 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
 
 @remembered
 def started(result: Result) -> Started:
-    """Return how the run began."""
+    """Return the first event of the run."""
     return result.trace.of(Started)[0]
 
 
 @remembered
 def ended(result: Result) -> Ended:
-    """Return how the run ended."""
+    """Return the event of the end of the run."""
     return result.trace.of(Ended)[0]
 
 
 @remembered
 def captures(result: Result) -> list[Captured]:
-    """Return when which evader was captured, and by whom, in order; where there is one, that is the end."""
+    """Return the captures in order; with one evader, the capture at the end of the run if there was one."""
     if has_several(result):
         return result.trace.of(Captured)
     end = ended(result)
@@ -75,13 +75,13 @@ def has_several(result: Result) -> bool:
 
 @remembered
 def positions_known(result: Result) -> bool:
-    """Return whether it is on record where everyone was: positions were sampled, or nobody moved."""
+    """Return whether positions are known: they were sampled, or the game is static."""
     return result.scenario.motion.static or any(isinstance(event, Sampled) for event in result.trace)
 
 
 @remembered
 def samples(result: Result) -> list[Started | Sampled]:
-    """Return all that is known of where everyone was: at the start and, unless nobody moved, at each sample."""
+    """Return the events with positions: the start and, unless the game is static, the samples."""
     return [started(result), *(() if result.scenario.motion.static else result.trace.of(Sampled))]
 
 
@@ -104,12 +104,12 @@ def messages_recorded(result: Result) -> bool:
 
 
 def lacks_messages(result: Result) -> bool:
-    """Return whether messages were sent that the trace does not have."""
+    """Return whether messages were sent and not recorded in the trace."""
     return bool(messages(result).sent) and not messages_recorded(result)
 
 
 def require_messages(result: Result) -> None:
-    """Refuse a run whose messages are to be read, and cannot be.
+    """Check that the messages of a run can be read.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -120,5 +120,5 @@ def require_messages(result: Result) -> None:
 
 @remembered
 def messages(result: Result) -> MessageCounts:
-    """Return how many messages there were, each receiver of a broadcast counted as one."""
+    """Return the numbers of messages; each receiver of a broadcast counts as one."""
     return result.trace.of(MessageCounts)[0]

@@ -104,7 +104,7 @@ def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
         ("desim.analysis.invariants.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
         ("desim.analysis.invariants.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
         ("desim.kernel.network.Network.message_counts", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
-        ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "nobody is faster"),
+        ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "no player exceeds its speed"),
     ],
 )
 def test_a_run_that_is_watched_is_judged_by_all(name, wrong, words, monkeypatch):
@@ -180,7 +180,7 @@ def test_right_motion_passes(events):
 
 @pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
 def test_wrong_motion_is_noticed(words, events):
-    with pytest.raises(AssertionError, match=f"nobody is faster than it can be.*{words}"):
+    with pytest.raises(AssertionError, match=f"no player exceeds its speed.*{words}"):
         show(MotionWatcher(game_of(events)), *events)
 
 
@@ -224,7 +224,7 @@ def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, 
     """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""
     breakdown()
     monkeypatch.setattr(owner, method, break_it(getattr(owner, method)))
-    with pytest.raises(AssertionError, match="nobody is faster"):
+    with pytest.raises(AssertionError, match="no player exceeds its speed"):
         breakdown()
 
 
