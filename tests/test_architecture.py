@@ -43,7 +43,7 @@ FORBIDDEN = {
     "desim.kernel.topology": {"simpy"},
     "desim.pursuit.game": {"simpy", "networkx"},
     "desim.pursuit.state": {"simpy", "networkx"},
-    "desim.pursuit.kinematics": {"simpy", "networkx"},
+    "desim.pursuit.geometry": {"simpy", "networkx"},
     "desim.pursuit.evasion": {"simpy", "networkx"},
     "desim.pursuit.observation": {"simpy", "networkx"},
     "desim.pursuit.guidance": {"simpy", "networkx"},
@@ -195,7 +195,7 @@ def test_a_digit_that_depends_on_the_processor_would_be_noticed(line):
 @pytest.mark.slow
 def test_the_mathematics_loads_without_a_simulator():
     program = (
-        "import sys; import desim.pursuit.game, desim.pursuit.kinematics, desim.pursuit.evasion, desim.kernel.links;"
+        "import sys; import desim.pursuit.game, desim.pursuit.geometry, desim.pursuit.evasion, desim.kernel.links;"
         "sys.exit(bool({'simpy', 'networkx'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -71,7 +71,7 @@ class Agent:
         pursuer: int,
         env: Clock,
         world: PursuerView,
-        whole: GlobalState,
+        global_state: GlobalState,
         network: Network,
         seed: int,
         announcements: Announcements,
@@ -79,7 +79,7 @@ class Agent:
     ):
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
-        self.global_state = whole
+        self.global_state = global_state
         self._env, self._world, self._network, self._seed = env, world, network, seed
         self._announcements = announcements
         self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant

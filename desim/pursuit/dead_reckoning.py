@@ -9,8 +9,8 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from desim.kernel.clock import seconds
+from desim.pursuit.geometry import SMALLEST
 from desim.pursuit.guidance import Guidance, guided_velocity
-from desim.pursuit.kinematics import SMALLEST
 
 MAX_RETRACINGS = 10_000
 """Maximum number of retraced paths in the cache."""

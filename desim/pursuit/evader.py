@@ -17,7 +17,8 @@ from desim.pursuit.capture import RadialTime
 from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evasion import PureEvasion, Strategy, away
 from desim.pursuit.events import Started
-from desim.pursuit.kinematics import Kinematics, first_contact, within
+from desim.pursuit.geometry import first_contact, within
+from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import Floats, Points, State
 
@@ -43,14 +44,14 @@ class EvaderController:
         speed: float,
         speeds: Floats,
         radius: float,
-        sight: float = inf,
+        sensing_range: float = inf,
         reaction_delay: float = 0.0,
     ):
         self._strategy, self._rng = strategy, rng
-        self._speed, self._speeds, self._radius, self._sight = speed, speeds, radius, sight
+        self._speed, self._speeds, self._radius, self._sensing_range = speed, speeds, radius, sensing_range
         self._memory = DelayedState(nanoseconds(reaction_delay)) if nanoseconds(reaction_delay) else None
         flees_all = isinstance(strategy, PureEvasion) and strategy.flees_from == "all"
-        self._is_pure_evasion = flees_all and sight == inf and self._memory is None
+        self._is_pure_evasion = flees_all and sensing_range == inf and self._memory is None
         self._heading = 0j
         self._since: int | None = None
 
@@ -75,8 +76,8 @@ class EvaderController:
             0.0 if self._since is None else seconds(state.t - self._since),
             handover,
         )
-        if self._sight < inf:
-            observation = observation.only(observation.distances <= self._sight)
+        if self._sensing_range < inf:
+            observation = observation.only(observation.distances <= self._sensing_range)
         heading = self._strategy(observation, self._rng)
         if not abs(heading) <= 1.0 + 1e-9:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
@@ -168,7 +169,7 @@ class EvaderBody:
         self,
         number: int,
         speed: float,
-        mind: EvaderController,
+        controller: EvaderController,
         path: EvaderTrack,
         *,
         players: Kinematics,
@@ -178,7 +179,7 @@ class EvaderBody:
         self.number, self.speed, self.path = number, speed, path
         self._size, self._radius = len(speeds), radius
         self.player = self._size + number - 1
-        self._controller, self._players = mind, players
+        self._controller, self._players = controller, players
         self._radial_time = RadialTime(speeds, speed, radius)
         self.slow: list[bool] = self._radial_time.slow.tolist()
         self._closing_bound = max(float(speeds.max()) + speed, 1e-9)  # bound on the closing speed, m/s

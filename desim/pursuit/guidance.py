@@ -10,7 +10,7 @@ import numpy as np
 
 from desim.config.model import Value
 from desim.pursuit.capture import NO_SPEED
-from desim.pursuit.kinematics import SMALLEST, toward
+from desim.pursuit.geometry import SMALLEST, toward
 from desim.pursuit.state import Floats, Points, lengths
 
 EvaderVelocity = complex | Points

@@ -5,60 +5,12 @@ player has no cost for the others.
 """
 
 from collections.abc import Iterable, Sequence
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.clock import SECOND, Clock
-from desim.pursuit.state import Floats, Points, lengths
-
-SMALLEST = 1e-290
-"""Lower bound of divisors, so that a gap of 0 has a direction of 0, m."""
-
-
-def toward(gaps: Points, speeds: Floats) -> Points:
-    """Return the (N,) velocities that close each gap at its speed, m/s; 0 for a gap of 0.
-
-    Args:
-        gaps: (N,) from each pursuer to its target, m.
-        speeds: (N,) speeds, m/s, 0 for pursuers that stay.
-    """
-    return gaps * (speeds / np.maximum(lengths(gaps), SMALLEST))
-
-
-def first_contact(offsets: Points, velocities: Points, radius: float, duration: float) -> tuple[float, int] | None:
-    """Return the first time, and the row, at which a straight relative motion comes within a radius of the origin.
-
-    The smallest root of |p + s q| = eps over 0 <= s <= duration, 0 if |p| <= eps. Ties go to the lowest row.
-
-    Args:
-        offsets: (N,) relative positions p at s = 0, m.
-        velocities: (N,) relative velocities q, m/s.
-        radius: eps, m.
-        duration: length of the interval, s.
-
-    Returns:
-        (s, row), or None without a contact.
-    """
-    a = lengths(velocities) ** 2
-    b = offsets.real * velocities.real + offsets.imag * velocities.imag
-    c = lengths(offsets) ** 2 - radius**2
-    discriminant = b**2 - a * c
-    times = np.full(len(a), inf)
-    # Approaching and passing within the radius: the smaller root, in the form without cancellation.
-    meets = (b < 0.0) & (discriminant >= 0.0)
-    np.divide(c, np.sqrt(np.maximum(discriminant, 0.0)) - b, out=times, where=meets)
-    times[c <= 0.0] = 0.0
-    row = int(times.argmin())
-    return (float(times[row]), row) if times[row] <= duration else None
-
-
-def within(offsets: Points, radius: float) -> int | None:
-    """Return the row of the (N,) offsets (m) nearest to the origin, or None if it is outside a radius (m)."""
-    distances = lengths(offsets)
-    row = int(distances.argmin())
-    return row if distances[row] <= radius else None
+from desim.pursuit.state import Points
 
 
 class Kinematics:

@@ -176,7 +176,7 @@ class Evader(Value):
             speed=self.speed,
             speeds=speeds,
             radius=radius,
-            sight=self.sensing_range,
+            sensing_range=self.sensing_range,
             reaction_delay=self.reaction_delay,
         )
 

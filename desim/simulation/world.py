@@ -166,9 +166,9 @@ class World:
         """Return the capture time of a pursuer from a hypothetical position (m), s."""
         return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
 
-    def capture_times_at(self, place: complex, slack: float, evader: int) -> tuple[float, ...]:
+    def capture_times_at(self, place: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
         """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
-        return self._targets[evader - 1].capture_times_over(lengths(place - self.places()) + slack)
+        return self._targets[evader - 1].capture_times_over(lengths(place - self.places()) + uncertainty)
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
         """Return the capture time of a pursuer at a distance (m), s."""

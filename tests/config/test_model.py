@@ -306,13 +306,13 @@ def test_without_a_group_nothing_is_looked_up(monkeypatch):
             {"protocol": {"kind": "sap", "schedule": {"kind": "protocols.schedules:owned_slots"}}},
             "should have mean_slot",
         ),
-        ({"protocol": {"kind": "desim.pursuit.kinematics:within"}}, "called with (me)"),
+        ({"protocol": {"kind": "desim.pursuit.geometry:within"}}, "called with (me)"),
         (
-            {"team": {"guidance": {"kind": "desim.pursuit.kinematics:within"}}},
+            {"team": {"guidance": {"kind": "desim.pursuit.geometry:within"}}},
             "called with (gaps, aims, flight, speeds)",
         ),
-        ({"evader": {"strategy": {"kind": "desim.pursuit.kinematics:toward"}}}, None),
-        ({"evader": {"strategy": {"kind": "desim.pursuit.kinematics:first_contact"}}}, "called with (state, rng)"),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:toward"}}}, None),
+        ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:first_contact"}}}, "called with (state, rng)"),
     ],
 )
 def test_a_part_that_cannot_be_called_as_it_will_be_is_refused(table, says):

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, TrackSegment, nearer
+from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.kinematics import toward
 
 LAWS = [PurePursuit(), ConstantBearing()]
 STEP = nanoseconds(0.25)

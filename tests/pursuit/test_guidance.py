@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from desim import Scenario, run
 from desim.pursuit import guidance
 from desim.pursuit.events import Ended
+from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.kinematics import toward
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
