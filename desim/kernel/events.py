@@ -39,7 +39,7 @@ class Event(Protocol):
     def _field_defaults(self) -> dict[str, Any]: ...
 
 
-Cause = Literal["loss", "reach", "partition", "jamming", "crash", "queue", "half_duplex"]
+Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "half_duplex"]
 """Why a message was lost; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""
 
 

@@ -321,8 +321,8 @@ class Network:
         if self._fault_state is not None:
             causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
         if flight.created < self._env.now:  # it waited, and its receivers may have moved out of range
-            causes |= {node: "reach" for node in receivers if self._is_out_of_range(src, node, flight.number)}
-        return causes if flight.reachable else dict.fromkeys(receivers, "reach")
+            causes |= {node: "out_of_range" for node in receivers if self._is_out_of_range(src, node, flight.number)}
+        return causes if flight.reachable else dict.fromkeys(receivers, "out_of_range")
 
     def _schedule_arrivals(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
         """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
@@ -361,7 +361,7 @@ class Network:
             if faults.jammed(node):
                 return "jamming"
         if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
-            return "reach"
+            return "out_of_range"
         left = self._env.now - self._sampler.processing
         transmitting = self._transmitter is not None and self._transmitter.transmitted(node, left, end - begin)
         return "half_duplex" if transmitting else None

@@ -6,9 +6,10 @@ instant, then arrivals, then decisions: what begins as a message leaves or arriv
 | what happens                                                  | what becomes of the message                      |
 |---------------------------------------------------------------|--------------------------------------------------|
 | the receiver leaves the range while it flies                  | `range_check = "send"`: delivered;               |
-|                                                               | `"delivery"` and `"both"`: lost, "reach"         |
+|                                                               | `"delivery"` and `"both"`: lost, "out_of_range"  |
 | the receiver enters the range while it flies                  | `"send"` and `"both"`: a broadcast is not sent   |
-|                                                               | to it, a message to it alone is lost, "reach";   |
+|                                                               | to it, a message to it alone is lost,            |
+|                                                               | "out_of_range";                                  |
 |                                                               | `"delivery"`: delivered                          |
 | the receiver leaves the range and returns while it flies      | delivered                                        |
 | a partition is open as it leaves                              | lost as it leaves, "partition", even if it heals |
@@ -136,7 +137,7 @@ def case(expected, *faults, **story):
 
 
 NOT_SENT = ("not sent", (0, 0, 0, 0, {}), [])
-UNHEARD = {"publish": NOT_SENT, "send": lost("reach", SPOKEN), "send to all": NOT_SENT}
+UNHEARD = {"publish": NOT_SENT, "send": lost("out_of_range", SPOKEN), "send to all": NOT_SENT}
 CHECKS = ("send", "delivery", "both")
 MEMORY = ({"memory": True}, {"memory": False})
 AT_ONCE = {"latency": 0.0}
@@ -148,7 +149,7 @@ PASSED = Jamming(centre=(9.0, 0.0), radius=0.5, start=0.0)
 """A disc that node 1 is in while it is away."""
 STORIES = {
     "the receiver leaves the range while it flies": [
-        case("delivered" if check == "send" else "reach", away=[(since, inf)], check=check)
+        case("delivered" if check == "send" else "out_of_range", away=[(since, inf)], check=check)
         for check in CHECKS
         for since in (1.000000001, 1.2, ARRIVAL)
     ],
@@ -161,12 +162,12 @@ STORIES = {
         case("delivered", away=[(1.1, 1.4)], check=check) for check in CHECKS
     ],
     "the receiver is never within range": [
-        case("reach" if check == "delivery" else UNHEARD, away=[(0.0, inf)], check=check) for check in CHECKS
+        case("out_of_range" if check == "delivery" else UNHEARD, away=[(0.0, inf)], check=check) for check in CHECKS
     ],
     "the range of a word that takes no time is judged at one instant": [
         *(case("delivered", away=[(0.5, SPOKEN)], check=check, **AT_ONCE) for check in CHECKS),
         *(
-            case("reach" if check == "delivery" else UNHEARD, away=[(SPOKEN, 1.1)], check=check, **AT_ONCE)
+            case("out_of_range" if check == "delivery" else UNHEARD, away=[(SPOKEN, 1.1)], check=check, **AT_ONCE)
             for check in CHECKS
         ),
     ],
@@ -287,7 +288,7 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
         return tell("send", *faults, away=[(1.1, inf)], check="delivery").fate
 
     everything = [crash(1, 1.2), parted(1.2), Jamming(centre=(9.0, 0.0), radius=0.5, start=1.2)]
-    assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "reach"]
+    assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "out_of_range"]
 
 
 @pytest.mark.parametrize("fault_state", [None, FaultState()])

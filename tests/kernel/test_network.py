@@ -320,8 +320,8 @@ def test_a_message_to_a_node_out_of_reach_is_lost_and_counted():
     network.send(0, 2, "far")
     clock.run()
     assert trace.of(Sent) == [Sent(0, 0, 0, 2, LOST, 0, 19, "far")]
-    assert trace.of(Lost) == [Lost(0, 0, 0, 2, "reach")]
-    assert network.message_counts()[1:6] == (1, 0, 1, 0, {"reach": 1})
+    assert trace.of(Lost) == [Lost(0, 0, 0, 2, "out_of_range")]
+    assert network.message_counts()[1:6] == (1, 0, 1, 0, {"out_of_range": 1})
     assert network.inbox(2).drain() == []
 
 

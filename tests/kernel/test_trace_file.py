@@ -72,7 +72,7 @@ EVENTS = st.one_of(
     st.builds(Queued, TIMES, NODES, NODES, st.lists(NODES).map(tuple), NODES),
     st.builds(Broadcast, TIMES, NODES, NODES, NODES, st.lists(NODES).map(tuple), ARRIVALS, TIMES, NODES, BODIES),
     st.builds(Sent, TIMES, NODES, NODES, NODES, st.just(LOST) | TIMES, TIMES, NODES, BODIES),
-    st.builds(Lost, TIMES, NODES, NODES, NODES, st.sampled_from(["loss", "reach"])),
+    st.builds(Lost, TIMES, NODES, NODES, NODES, st.sampled_from(["loss", "out_of_range"])),
     st.builds(MessageCounts, TIMES, *[NODES] * 4, st.just({"loss": 3}), NODES, NODES, NUMBERS),
 )
 
@@ -272,7 +272,7 @@ BAD = {
     json.dumps(BROADCAST | {"dst": 1}): "dst: Input should be a valid tuple",
     json.dumps(BROADCAST | {"dst": [1, 3]}): "dst.1: Input should be less than 3",
     json.dumps(BROADCAST | {"arrival": [0.0, "x"]}): "arrival.1: Input should be a valid number",
-    json.dumps(TALLY | {"lost_by": {"cats": 1}}): "lost_by.cats.*: Input should be 'loss', 'reach'",
+    json.dumps(TALLY | {"lost_by": {"cats": 1}}): "lost_by.cats.*: Input should be 'loss', 'out_of_range'",
     json.dumps(TALLY | {"utilisation": nan}): "utilisation: Input should be",
 }
 

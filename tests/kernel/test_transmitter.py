@@ -379,7 +379,7 @@ def test_who_moves_away_while_a_message_waits_does_not_get_it():
         radio.send(0, None, body, size=2)
     run_until(clock, 5.0)
     assert [message.body for message in radio.inbox(1).drain()] == ["A"]
-    assert radio.message_counts().lost_by == {"reach": 1}
+    assert radio.message_counts().lost_by == {"out_of_range": 1}
 
 
 def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():

@@ -164,7 +164,7 @@ def test_two_that_hide_each_other_cost_nothing_each_and_interact():
 
 
 @pytest.fixture(scope="module")
-def global_state():
+def whole():
     """Return what three runs of BAD cost, from seed 11 on."""
     return explain(BAD, 3, seed=11)
 
