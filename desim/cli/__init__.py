@@ -1,6 +1,6 @@
 """The command line: one module for each group of commands.
 
-What takes time to import is imported by the command that needs it.
+Modules that are slow to import are imported by the command that needs them.
 """
 
 import io

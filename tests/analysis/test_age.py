@@ -118,7 +118,7 @@ def test_word_that_comes_after_the_end_is_not_heard_and_what_comes_at_the_end_is
 def test_a_message_is_lost_to_the_receiver_that_it_is_lost_to_and_to_nobody_else():
     """Lost as it leaves to 1; lost on arrival to 2, by flight and receiver; heard by 3."""
     word = told(0, 1, 0.0, {1: None, 2: 1.0, 3: 1.0}, flight=7)
-    losses = Lost(0, 7, 0, 1, "loss"), Lost(ns(1.0), 7, 0, 2, "reach"), Lost(ns(1.0), 6, 0, 3, "reach")
+    losses = Lost(0, 7, 0, 1, "loss"), Lost(ns(1.0), 7, 0, 2, "out_of_range"), Lost(ns(1.0), 6, 0, 3, "out_of_range")
     mean = ages(by_hand((True,) * 4, 3.0, word, *losses)).mean[:, 0]
     assert np.isnan(mean[:3]).all()
     assert mean[3] == 2.0
@@ -320,7 +320,7 @@ def histories(draw):
         elif kind == "captured" and len(large) > 1:
             events.append(Captured(t, large.pop(), node))
         if others and draw(truths):
-            events.append(Lost(t, flight, node, others[-1], "reach"))
+            events.append(Lost(t, flight, node, others[-1], "out_of_range"))
     profile = tuple(draw(actions) for _ in range(size))
     return by_hand(profile, 5.0, *events, warm=draw(truths), sent=0, evaders=evaders)
 

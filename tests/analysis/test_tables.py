@@ -27,7 +27,7 @@ CAUGHT = replace(
     summary(history()), seed=7, capture_time=3.9454, end_time=3.9454, active_time=12.7394, idle_time=0.0,
     crowded_time=1.23, excess_time=0.5, energy=16.25, decisions=1358, switches=19, handovers=3, ping_pongs=1,
     messages_sent=6802, messages_delivered=6610, messages_lost=116, messages_in_flight=76,
-    messages_lost_by={"reach": 16, "half_duplex": 100}, transmissions=3401, bytes_sent=81624, utilisation=0.0,
+    messages_lost_by={"out_of_range": 16, "half_duplex": 100}, transmissions=3401, bytes_sent=81624, utilisation=0.0,
     **SILENT, **UNSEEN,
 )  # fmt: skip
 SEEN = replace(CAUGHT, misassigned_time=1.5, time_to_relay=1.25, potential_gap=40.5, regret=-0.125)

@@ -12,8 +12,8 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Decided, Ended, Sampled, Started
+from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
-from desim.pursuit.kinematics import toward
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 
 
