@@ -1,4 +1,4 @@
-"""What results depend on beside scenario and seed: versions, platform, and the code of desim with its commit."""
+"""The environment of a run: versions, platform, and the code of desim with its commit."""
 
 import hashlib
 import os
@@ -11,26 +11,26 @@ from pathlib import Path
 from typing import Any
 
 NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
-"""What else a result depends on: distributions, whose versions pip knows."""
+"""The installed distributions that results depend on."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
-"""The packages in desim whose code decides what comes of a run."""
+"""The packages in desim whose code affects the result of a run."""
 GIT_TIMEOUT = 2.0
-"""How long git may take, s."""
+"""Time limit of a git command, s."""
 ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
-"""Variables that make git look into another repository than that of a folder; a hook has them."""
+"""Variables that direct git to another repository than that of a folder; they are set within a git hook."""
 
 
 def environment() -> dict[str, Any]:
-    """Return what results depend on beside scenario and seed, as JSON has it."""
+    """Return all that results depend on besides scenario and seed, as JSON values."""
     commit, dirty = _checkout()
     return {"versions": _versions(), "platform": _platform(), "commit": commit, "dirty": dirty, "code": code()}
 
 
 @cache
 def code() -> str:
-    """Return a hash of the source of all that a run depends on: the packages desim and protocols, installed or not.
+    """Return a hash of the source code that a run depends on: the packages of `COMPUTING` and protocols.
 
-    But for what shows and stores results: `desim/cli`, `desim/study`, `desim/view`.
+    Code that only stores or shows results (`desim/cli`, `desim/results`, `desim/study`, `desim/view`) is left out.
     """
     here = Path(__file__).parents[1]
     files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
@@ -44,7 +44,7 @@ def code() -> str:
 
 
 def _versions() -> dict[str, str | None]:
-    """Return the versions of python, of desim, of what it computes with, and of what adds models to it."""
+    """Return the versions of python, desim, the distributions of `NUMERICS`, and those that add models to desim."""
     plugged = {
         each.dist.name
         for group in entry_points().groups
@@ -59,12 +59,12 @@ def _versions() -> dict[str, str | None]:
 def _version(distribution: str) -> str | None:
     try:
         return version(distribution)
-    except PackageNotFoundError:  # it was put on the path, not installed
+    except PackageNotFoundError:  # on the path, but not installed
         return None
 
 
 def _platform() -> dict[str, str]:
-    """Return what the last digit of a number may depend on."""
+    """Return the platform, on which the last digits of results may depend."""
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -74,9 +74,9 @@ def _platform() -> dict[str, str]:
 
 
 def _checkout() -> tuple[str | None, bool | None]:
-    """Return the commit that desim is imported from, and whether its code was changed since; None if from no commit.
+    """Return the commit that desim is imported from, and whether its code has changes; (None, None) without a commit.
 
-    The repository must track the package: that of a project whose .venv holds desim does not.
+    The repository must track the package; that of a project with desim in its .venv does not.
     """
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")
@@ -92,7 +92,7 @@ def _checkout() -> tuple[str | None, bool | None]:
 
 
 def _git(folder: Path, *words: str) -> str | None:
-    """Return what git says of a folder; None if it says nothing: there is no git, or no repository, or no answer."""
+    """Return the output of a git command in a folder; None if it fails: no git, no repository, or a time-out."""
     found = {key: each for key, each in os.environ.items() if key not in ELSEWHERE}
     try:
         done = subprocess.run(

@@ -1,6 +1,6 @@
-"""Where results come from: `run.json`, which says what was done with which code, and from which it can be done again.
+"""The provenance of results: `run.json` records the command, scenario, seed and code, so that a run can be repeated.
 
-There is no date in it: the same run gives the same bytes, except for the command line and the commit.
+It has no date: the same run gives the same bytes, except for the command line and the commit.
 """
 
 import json
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario
 
 Document = dict[str, Any]
-"""What a run.json says, as JSON has it."""
+"""The content of a run.json, as JSON values."""
 FILE = "run.json"
 RUN = "run"
-"""What `desim run` does; everything else cannot be repeated by it."""
+"""The value of `what` in documents that `desim run` writes and can repeat."""
 SHAPE: Mapping[str, tuple[type, ...]] = {
     "what": (str,),
     "seed": (int,),
@@ -39,7 +39,7 @@ SHAPE: Mapping[str, tuple[type, ...]] = {
     "code": (str,),
     "argv": (list,),
 }
-"""The keys that every run.json has, and what they may hold."""
+"""The keys of every run.json, and the types of their values."""
 WORDS: Mapping[type, str] = {
     str: "a text",
     int: "an integer",
@@ -51,7 +51,7 @@ WORDS: Mapping[type, str] = {
 
 
 class ProvenanceError(ValueError):
-    """A file is no run.json, or of nothing that can be repeated; the text has one line per fault."""
+    """A file is not a run.json, or cannot be repeated; the message has one line per fault."""
 
 
 def document(
@@ -63,15 +63,15 @@ def document(
     folder: Path | None = None,
     **more: Any,
 ) -> Document:
-    """Return where results come from, as a JSON document.
+    """Return the provenance of results as a JSON document.
 
     Args:
         what: "run", "sweep", or the name of a study.
-        scenario: what was simulated, if it was one.
-        seed: of the first run; the recorded scenario has it, too.
-        runs: their number, with seeds s, s + 1, ...
-        folder: of the scenario file, where a module that it names may lie.
-        more: what else there is to say; infinity becomes the string "Infinity", as in the scenario.
+        scenario: the scenario of the runs, if there is only one.
+        seed: seed of the first run; the recorded scenario has it, too.
+        runs: number of runs, with seeds s, s + 1, ...
+        folder: folder of the scenario file, in which modules named by the scenario are looked up.
+        more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
     return {
         "what": what,
@@ -92,7 +92,7 @@ def of_one(made: Document, seed: int) -> Document:
 
 
 def write(folder: Path, made: Document, name: str = FILE) -> None:
-    """Write a document to a folder, which is made if need be; it is there as a whole or not at all."""
+    """Write a document to a folder, which is created if missing; the file is replaced atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
     part = fresh(folder / f"{name}.part")
@@ -105,10 +105,10 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
 
 
 def read(path: Path) -> Document:
-    """Return what a run.json says, of whatever it is.
+    """Return the document in a run.json, of runs, a sweep or a study.
 
     Raises:
-        ProvenanceError: if it is none; with all that is missing or wrong.
+        ProvenanceError: if it is not a run.json; the message names all missing keys or wrong values.
         OSError: if it cannot be read.
     """
     content = regular(path).read_bytes()
@@ -119,28 +119,28 @@ def read(path: Path) -> Document:
     except (ValueError, RecursionError) as error:
         raise ProvenanceError(f"{path}: not JSON: {error}") from error
     if not isinstance(made, dict):
-        raise ProvenanceError(f"{path}: is no {FILE}: should be a table")
+        raise ProvenanceError(f"{path}: is not a {FILE}: should be a table")
     if missing := [key for key in SHAPE if key not in made]:
-        raise ProvenanceError(f"{path}: is no {FILE}: lacks {', '.join(missing)}")
+        raise ProvenanceError(f"{path}: is not a {FILE}: missing keys {', '.join(missing)}")
     if faults := list(_faults(made)):
         raise ProvenanceError("\n".join(f"{path}: {each}" for each in faults))
     return made
 
 
 def home(path: Path, made: Document) -> Path:
-    """Return the folder of the scenario file that a run.json recorded; if that is gone, the folder of the run.json."""
+    """Return the recorded folder of the scenario file or, if it no longer exists, the folder of the run.json."""
     folder = None if made["folder"] is None else Path(made["folder"])
     return folder if folder is not None and folder.is_dir() else path.parent
 
 
 def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_import: bool = False) -> "Source":
-    """Return what a run.json recorded as its scenario, with overrides, not yet validated.
+    """Return the recorded scenario of a run.json with overrides, not yet validated.
 
-    What it names lies in its `home` if it may name code to be run, and in the folder of the run.json if not: a stranger
-    may have written any folder into it.
+    Files and modules that it names are looked up in its `home` with `allow_import`; otherwise in the folder of the
+    run.json, because the recorded folder of an untrusted file may be any.
 
     Raises:
-        ProvenanceError: if it is not of runs, or names a model that nobody can import.
+        ProvenanceError: if it does not record runs, or names a model that cannot be imported.
         ScenarioError: if an override is wrong.
     """
     from desim.scenario.overrides import Source
@@ -148,7 +148,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     if made["what"] != RUN or made["scenario"] is None:
         done = "a sweep" if made["what"] == "sweep" else f"the study {made['what']!r}"
         by = shlex.join(map(str, made["argv"]))
-        raise ProvenanceError(f"{path}: is of {done}, which is not repeated by desim run; it was made by: {by}")
+        raise ProvenanceError(f"{path}: records {done}, which desim run cannot repeat; it was made by: {by}")
     folder = home(path, made) if allow_import else path.parent
     recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
     for override in overrides:
@@ -159,7 +159,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
 
 
 def differences(then: Document, now: Document) -> list[str]:
-    """Return why results may differ from the recorded ones: which versions, platform or code did; [] if nothing."""
+    """Return the reasons why results may differ from the recorded ones: changed versions, platform or code."""
     found = [
         f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
@@ -176,7 +176,7 @@ def _commit(made: Document) -> str:
 
 
 def _faults(made: Document) -> Iterator[str]:
-    """Yield what is wrong with the values of a document that has all keys."""
+    """Yield the faults in the values of a document that has all keys."""
     for key, kinds in SHAPE.items():
         if type(made[key]) not in kinds:
             yield f"{key}: should be {' or '.join(WORDS[kind] for kind in kinds)} (got {json.dumps(made[key])})"
@@ -188,10 +188,10 @@ def _faults(made: Document) -> Iterator[str]:
 
 
 def _given(scenario: Document) -> Document:
-    """Return the tables of a recorded scenario such that each key can be overridden as in a file.
+    """Return the tables of a recorded scenario in a form in which each key can be overridden as in a file.
 
-    Infinity is a number again, and a network says nothing of what its preset stands for, or it would hold against
-    another preset.
+    Infinity becomes a number again. The values of the network's preset are removed, because they would otherwise
+    override those of another preset.
     """
     from desim.kernel.links import Links
     from desim.kernel.presets import PRESETS
@@ -205,7 +205,7 @@ def _given(scenario: Document) -> Document:
 
 
 def _homeless(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield the place of each model that was made where nobody can import it from, and what is wrong with it."""
+    """Yield the key path of each model that was defined where it cannot be imported from, and the fault."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, each in inner:
         if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):
@@ -215,7 +215,7 @@ def _homeless(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tu
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted key of each model whose parameters nobody but itself knows: an object of one's own class."""
+    """Yield the dotted key of each object of a user's class that has parameters but is not a model or dataclass."""
     from pydantic import BaseModel
 
     if isinstance(node, BaseModel):

@@ -1,4 +1,4 @@
-"""The folder of a run: its trace, its numbers, its scenario, its picture, and where all that comes from."""
+"""The folder of a run: its trace, summary, scenario, figure and provenance."""
 
 import json
 from collections.abc import Container, Iterable, Iterator, Sequence
@@ -23,40 +23,43 @@ from desim.scenario.toml import dump, validate
 from desim.simulation.run import Result, run
 
 EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, MessageCounts, FaultStarted, FaultEnded)
-"""What may be in a trace."""
+"""The types of events in a trace."""
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
-    """Return a run; if its messages are to go to a file, its trace is in a folder, which is made, as it happens."""
+    """Run a scenario and return the result; with `record.messages = "file"` the trace is streamed to a folder.
+
+    The folder is created if missing.
+    """
     if scenario.record.messages != "file":
         return run(scenario, seed)
     folder.mkdir(parents=True, exist_ok=True)
     fresh(folder / f"{TRACE}.part")
     with TraceFile(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
-        clear(folder)  # before the trace has its name, or it might be read with the run.json of another run
+        clear(folder)  # before the trace gets its name, else it could be read with another run's run.json
         return result
 
 
 def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
-    """Return a run, whose trace may be in the folder `seed-S` below another; see `simulate`."""
+    """Run a scenario with the folder `seed-S` below another for its trace; see `simulate`."""
     return simulate(_below(parent, seed), scenario, seed)
 
 
 def write(
     result: Result, folder: Path, made: provenance.Document | None = None, *, simulated_there: bool = False
 ) -> Summary:
-    """Write a run to a folder and return its numbers.
+    """Write a run to a folder and return its summary; `read` reads it back.
 
-    trace.jsonl, summary.json, scenario.toml and run.json; trajectory.svg and .png if positions were recorded and
-    matplotlib (the extra `plot`) is installed. What is there of another run is removed: see `clear`. run.json comes
-    last: where it is, all is, also if the program was killed.
+    The files are trace.jsonl, summary.json, scenario.toml and run.json; trajectory.svg and .png if positions were
+    recorded and matplotlib (the extra `plot`) is installed. Files of another run are removed: see `clear`. run.json is
+    written last: a folder with it is complete, even if the program was killed.
 
     Args:
-        result: of the run.
-        folder: is made, with all above it.
-        made: where the run comes from, or the batch that it is of; if None, from the scenario and this program.
-        simulated_there: whether it was made by `simulate` with this folder, so that its trace may be there.
+        result: the result of the run.
+        folder: the folder; it is created, with its parents.
+        made: the provenance of the run or of its batch; if None, it is made from the scenario and this program.
+        simulated_there: whether `simulate` was called with this folder, so that the trace may already be in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     numbers = summary(result)
@@ -80,10 +83,10 @@ def write(
 
 
 def clear(folder: Path, kept: Container[str] = ()) -> None:
-    """Remove all of a run from its folder, its pictures too, but for some names; what is below stays, it is of others.
+    """Remove all files of a run from its folder, except for some names; other files and subfolders stay.
 
     Raises:
-        OSError: if it cannot be removed.
+        OSError: if a file cannot be removed.
     """
     for name in OF_A_RUN:
         if name not in kept:
@@ -102,36 +105,36 @@ def _below(parent: Path, seed: int) -> Path:
 
 
 def read(folder: str | Path, *, allow_import: bool = False) -> Result:
-    """Return the run that was written to a folder, from its run.json and its trace; see `events_of` for bodies.
+    """Return the result of a run from the run.json and the trace in its folder; see `events_of` for message bodies.
 
     Args:
-        folder: of the run.
-        allow_import: whether it may name code to be run; see `desim.load`.
+        folder: the folder of the run.
+        allow_import: whether run.json may name code to be imported; see `desim.load`.
 
     Raises:
-        ValueError: if one of the two is not what `write` wrote, or names a model that nobody can import, or if the two
-            are of different runs.
-        OSError: if it cannot be read.
+        ValueError: if a file does not have the form that `write` gives it or names a model that cannot be imported, or
+            if the files are of different runs.
+        OSError: if a file cannot be read.
     """
     folder, trace = Path(folder), Trace()
     trace.events += events(folder)
     if [type(event) for event in trace.events[-2:]] != [MessageCounts, Ended]:
-        raise ValueError(f"{folder / TRACE}: is not of a whole run: its last events should be Tally and Ended")
+        raise ValueError(f"{folder / TRACE}: is not complete: its last events should be MessageCounts and Ended")
     for number, why in _misfits(trace.events):
         raise ValueError(f"{folder / TRACE}: line {number} {why}")
     path = folder / provenance.FILE
     made = provenance.read(path)
     source = provenance.source(path, made, allow_import=allow_import)
     if made["runs"] != 1:
-        raise ValueError(f"{path}: is of {made['runs']} runs, and not of that in {TRACE}")
+        raise ValueError(f"{path}: records {made['runs']} runs, not the one in {TRACE}")
     result = Result(validate(source), made["seed"], trace)
     if not _begins(result):
-        raise ValueError(f"{path}: is not of the run in {TRACE}: pursuers or evaders begin elsewhere, or are others")
+        raise ValueError(f"{path}: does not match {TRACE}: number, speeds or starting positions of players differ")
     return result
 
 
 def _begins(result: Result) -> bool:
-    """Return whether a trace begins as its scenario does with its seed; to 1e-6 m, for platforms may differ."""
+    """Return whether a trace starts with the players of its scenario and seed; positions to 1e-6 m across platforms."""
     team, evaders, starts = result.scenario.team, result.scenario.evaders, result.trace.of(Started)
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
         return False
@@ -141,11 +144,11 @@ def _begins(result: Result) -> bool:
 
 
 def events(folder: str | Path) -> Iterator[Event]:
-    """Yield the events of the run in a folder, one by one, so that a long trace need not fit in memory; see `read`.
+    """Yield the events of the run in a folder one by one; use it instead of `read` for a trace larger than the memory.
 
     Raises:
-        ValueError: if a line of its trace is not what `write` wrote.
-        OSError: if it cannot be read.
+        ValueError: if a line of the trace is not a valid event.
+        OSError: if the trace cannot be read.
     """
     file = Path(folder) / TRACE
     with regular(file).open(encoding="utf-8") as lines:
@@ -158,7 +161,7 @@ def events(folder: str | Path) -> Iterator[Event]:
 
 
 def _limits(start: Any) -> Limits:
-    """Return what holds of the numbers in a trace that begins so."""
+    """Return the limits of the numbers in a trace, given its first event."""
     size, evaders = len(start.pursuers), len(start.evaders)
     return {
         "node": Field(lt=size),
@@ -171,10 +174,10 @@ def _limits(start: Any) -> Limits:
 
 
 def _readable(body: Any, size: int, evaders: int) -> Any:
-    """Return the body of a message, as JSON has it, if what it says of actions can be read.
+    """Return the body of a message, a JSON value, after a check of its actions and records.
 
     Raises:
-        ValueError: if it names no evader, or relays what is no record.
+        ValueError: if `active` is not an action, or `records` are not records.
     """
     if not isinstance(body, dict):
         return body
@@ -191,12 +194,12 @@ def _readable(body: Any, size: int, evaders: int) -> Any:
 
 
 def _is_number(value: Any, end: int) -> bool:
-    """Return whether it is one of 0 .. end - 1."""
+    """Return whether a value is an integer in 0 .. end - 1."""
     return isinstance(value, int) and 0 <= value < end
 
 
 def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
-    """Yield which lines of a trace do not fit those before, and why."""
+    """Yield (line, fault) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[Fault]()
     for number, event in enumerate(found, start=1):
@@ -215,10 +218,10 @@ def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
             receivers[event.flight] = (*receivers.get(event.flight, ()), event.dst)
         elif isinstance(event, Lost):
             if event.dst not in receivers.get(event.flight, ()):
-                yield number, f"is of a message that was not sent: {event.flight} to {event.dst}"
+                yield number, f"loses a message that was not sent: {event.flight} to {event.dst}"
         elif isinstance(event, FaultStarted):
             if any(node >= size for node in _nodes(event.fault)):
-                yield number, f"is of a node that is not one of 0 to {size - 1}"
+                yield number, f"names a node that is not one of 0 to {size - 1}"
             broken.append(event.fault)
         elif isinstance(event, FaultEnded):
             if event.fault not in broken:

@@ -211,13 +211,13 @@ def test_what_is_no_text_or_too_deep_or_too_long_is_no_json(kept, content):
 @pytest.mark.parametrize("content", [3, [], "run", None])
 def test_json_that_is_no_table_is_refused(kept, content):
     path = kept(content)
-    assert faults(path) == [f"{path}: is no run.json: should be a table"]
+    assert faults(path) == [f"{path}: is not a run.json: should be a table"]
 
 
 def test_json_that_is_something_else_is_refused_with_all_that_is_missing(kept):
     path = kept({"scenario": {}})
     missing = ", ".join(key for key in KEYS if key != "scenario")
-    assert faults(path) == [f"{path}: is no run.json: lacks {missing}"]
+    assert faults(path) == [f"{path}: is not a run.json: missing keys {missing}"]
 
 
 WRONG = {
@@ -371,12 +371,12 @@ def test_what_is_not_of_runs_is_refused_with_how_it_was_made(kept, made, what, w
     path = kept(made | {"what": what, "argv": ["desim", what, "a b.toml"]})
     with pytest.raises(ProvenanceError) as refused:
         recorded(path)
-    done = f"which is not repeated by desim run; it was made by: desim {what} 'a b.toml'"
-    assert str(refused.value) == f"{path}: is of {words}, {done}"
+    done = f"which desim run cannot repeat; it was made by: desim {what} 'a b.toml'"
+    assert str(refused.value) == f"{path}: records {words}, {done}"
 
 
 def test_a_run_without_a_scenario_is_refused(kept, made):
-    with pytest.raises(ProvenanceError, match="not repeated"):
+    with pytest.raises(ProvenanceError, match="cannot repeat"):
         recorded(kept(made | {"scenario": None}))
 
 
@@ -763,4 +763,4 @@ def test_a_study_writes_where_it_comes_from_beside_its_numbers(tmp_path, monkeyp
     assert read(tmp_path / "a.run.json") == document("a", seed=3, runs=4)
     assert read(tmp_path / "b.run.json")["runs"] == 5
     said = refused("run", "--from", tmp_path / "a.run.json")
-    assert said.startswith(f"{tmp_path / 'a.run.json'}: is of the study 'a', which is not repeated by desim run")
+    assert said.startswith(f"{tmp_path / 'a.run.json'}: records the study 'a', which desim run cannot repeat")

@@ -176,7 +176,7 @@ def test_half_a_trace_is_not_read(result, tmp_path):
     write(result, tmp_path)
     trace = (tmp_path / "trace.jsonl").read_text()
     (tmp_path / "trace.jsonl").write_text(trace[: trace.rindex("{")])
-    with pytest.raises(ValueError, match=r"trace.jsonl: is not of a whole run"):
+    with pytest.raises(ValueError, match=r"trace.jsonl: is not complete: .* MessageCounts and Ended"):
         read(tmp_path)
 
 
@@ -197,9 +197,9 @@ def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_fil
 
 
 OF_ANOTHER = {
-    "several runs": (lambda made: made | {"runs": 2}, "is of 2 runs, and not of that in trace.jsonl"),
-    "another seed": (lambda made: provenance.of_one(made, 6), "is not of the run in trace.jsonl"),
-    "a sweep": (lambda made: made | {"what": "sweep"}, "is of a sweep, which is not repeated"),
+    "several runs": (lambda made: made | {"runs": 2}, "records 2 runs, not the one in trace.jsonl"),
+    "another seed": (lambda made: provenance.of_one(made, 6), "does not match trace.jsonl"),
+    "a sweep": (lambda made: made | {"what": "sweep"}, "records a sweep, which desim run cannot repeat"),
 }
 
 
@@ -225,7 +225,7 @@ def test_a_trace_is_not_read_under_another_scenario(result, changes, tmp_path):
     write(result, tmp_path)
     other = Scenario(**{"seed": 1, "horizon": 0.2, "team": Team(count=3)} | changes)
     provenance.write(tmp_path, provenance.document("run", other, seed=5))
-    with pytest.raises(ValueError, match=r"run.json: is not of the run in trace.jsonl: pursuers or evaders begin else"):
+    with pytest.raises(ValueError, match=r"run.json: does not match trace.jsonl: number, speeds or starting"):
         read(tmp_path)
 
 
@@ -296,13 +296,13 @@ MISFITS = {
         "body: Value error, a record should have a src of 0 to",
     ),
     "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
-    "flight": (with_field("Lost", flight=1 << 40), f"is of a message that was not sent: {1 << 40} to "),
+    "flight": (with_field("Lost", flight=1 << 40), f"loses a message that was not sent: {1 << 40} to "),
     "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
     "start": (twice("Started"), "is a second Started"),
     "end": (twice("MessageCounts"), "is a second MessageCounts"),
     "broken": (
         with_field("FaultStarted", fault={"kind": "crash", "start": 0.0, "node": 99}),
-        "is of a node that is not one of",
+        "names a node that is not one of",
     ),
     "repaired": (
         with_field("FaultEnded", fault={"kind": "crash", "start": 0.9, "node": 1}),

@@ -522,7 +522,7 @@ def test_what_cannot_be_shown_is_said_on_stderr(tmp_path):
         (lambda folder: (folder / "trace.jsonl").unlink(), "trace.jsonl: cannot be read: No such file"),
         (lambda folder: (folder / "run.json").unlink(), "run.json: cannot be read: No such file"),
         (lambda folder: (folder / "trace.jsonl").write_text('{"event": "Eaten", "t": 0}\n'), "line 1 is not an event"),
-        (lambda folder: (folder / "trace.jsonl").write_text(""), "is not of a whole run"),
+        (lambda folder: (folder / "trace.jsonl").write_text(""), "is not complete"),
     ],
     ids=["no trace", "no run.json", "no event", "empty"],
 )
