@@ -409,7 +409,7 @@ def test_its_assumptions():
     assert why(protocol=Server()) == why(protocol=Server(host=5)) == []
     assert why(protocol=Server(), network=Links(graph=Star())) == []
     assert why(protocol=Server(host=2), network=Links(graph=Star())) == [
-        "as it begins 4 of 5 are out of reach of pursuer 2"
+        "4 of 5 are out of reach of pursuer 2 at the start"
     ]
     assert why(protocol=Server(), network=Links(graph=Ring())) == ["as it begins 3 of 5 are out of reach of pursuer 0"]
     assert why(protocol=Server(), fault=(Crash(node=1, start=1.0),)) == ["pursuers break down"]
