@@ -55,21 +55,21 @@ class CBAA(Auction):
             claims = {each.src: bids_of(each.body) for each in unread(me, read, Claim)}
             for k, best in enumerate(bids):
                 up_to_date = current(me, k + 1)
-                said = {j: up_to_date(claim[k]) for j, claim in claims.items()}
-                bids[k] = greatest(up_to_date(best), said | {me.id: NO_BID})
+                claimed = {j: up_to_date(claim[k]) for j, claim in claims.items()}
+                bids[k] = greatest(up_to_date(best), claimed | {me.id: NO_BID})
             action, bids = chosen(me, one_each(bids))
             me.set_payload(Claim(*claim_fields(action, bids)))
             yield action
 
 
-def greatest(best: Bid, said: Mapping[int, Bid]) -> Bid:
+def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
     """Return the highest of the best bid so far and the bids that each pursuer claims now.
 
-    The bid of a pursuer in `said` counts only as it claims it itself: it may have released its claim or bid anew.
+    The bid of a pursuer in `claimed` counts only as it claims it itself: it may have released its claim or bid anew.
     """
-    own_words = [bid for j, bid in said.items() if bid.winner == j]
-    hearsay = [bid for bid in (best, *said.values()) if bid.winner not in said]
-    return max(own_words + hearsay, key=lambda bid: bid.rank, default=NO_BID)
+    own_claims = [bid for j, bid in claimed.items() if bid.winner == j]
+    reported = [bid for bid in (best, *claimed.values()) if bid.winner not in claimed]
+    return max(own_claims + reported, key=lambda bid: bid.rank, default=NO_BID)
 
 
 def one_each(bids: Sequence[Bid]) -> list[Bid]:

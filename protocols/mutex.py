@@ -109,7 +109,7 @@ class CriticalSection:
         self._me, self._attempts = me, attempts
         self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), min_timeout)
         self._highest = 0  # Lamport time of the requests so far
-        self._wanted: Stamp | None = None  # its own request
+        self._own_request: Stamp | None = None  # stamp of its own request
         self._missing: dict[int, int] = {}  # neighbours whose reply is missing: requests without an answer
         self._deferred: dict[int, Stamp] = {}  # neighbours that wait for a reply: their request
         self._silent: set[int] = set()  # neighbours that did not answer in time
@@ -134,7 +134,7 @@ class CriticalSection:
 
     def leave(self) -> None:
         """Reply to all deferred requests."""
-        self._wanted = None
+        self._own_request = None
         for j, stamp in self._deferred.items():
             self._reply(j, stamp)
         self._deferred.clear()
@@ -144,19 +144,19 @@ class CriticalSection:
         self.leave()
         me = self._me
         self._highest = max(self._highest + 1, nanoseconds(me.now))  # by the clock: a crash may have cleared the memory
-        self._wanted = (self._highest, me.id)
+        self._own_request = (self._highest, me.id)
         neighbours = me.neighbours()
         self._missing = {j: 1 for j in neighbours if j not in self._silent}
         for j in neighbours:
-            me.send(j, Request(self._wanted), PORT)
+            me.send(j, Request(self._own_request), PORT)
 
     def _ask_again(self) -> None:
         """Retransmit the request to neighbours that have not replied, and leave out those without an attempt left."""
-        assert self._wanted is not None
+        assert self._own_request is not None
         for j, asked in list(self._missing.items()):
             if asked < self._attempts:
                 self._missing[j] += 1
-                self._me.send(j, Request(self._wanted), PORT)
+                self._me.send(j, Request(self._own_request), PORT)
             else:
                 del self._missing[j]
                 self._silent.add(j)
@@ -165,27 +165,27 @@ class CriticalSection:
         """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
         due = yield from wait_for_mail(self._me, PORT, until)
         for message in self._me.mail(PORT):
-            self._hear(message.src, message.body)
+            self._process(message.src, message.body)
         return due
 
-    def _hear(self, src: int, body: Request | Reply | Deferred) -> None:
+    def _process(self, src: int, body: Request | Reply | Deferred) -> None:
         """Process a message."""
         if isinstance(body, Request):
-            self._consider(src, body.stamp)
+            self._process_request(src, body.stamp)
             return
         self._silent.discard(src)
         if isinstance(body, Reply):
             self._me.merge_records(body.records)
-        if body.stamp == self._wanted and src in self._missing:
+        if body.stamp == self._own_request and src in self._missing:
             if isinstance(body, Reply):
                 del self._missing[src]
             else:
                 self._missing[src] = 0
 
-    def _consider(self, src: int, stamp: Stamp) -> None:
+    def _process_request(self, src: int, stamp: Stamp) -> None:
         """Reply to a request, or defer the reply if the own request is older."""
         self._highest = max(self._highest, stamp[0])
-        if self._wanted is None or stamp < self._wanted:
+        if self._own_request is None or stamp < self._own_request:
             self._reply(src, stamp)
             return
         if src in self._deferred:

@@ -48,9 +48,9 @@ class SpatialAdaptivePlay(LogLinear):
 
 def categorical(chances: list[float], rng: np.random.Generator) -> int:
     """Return an index drawn with the given probabilities, from one random number of `rng`."""
-    luck = rng.random()
+    uniform = rng.random()
     for which in range(len(chances) - 1, 0, -1):
-        if luck < chances[which]:
+        if uniform < chances[which]:
             return which
-        luck -= chances[which]
+        uniform -= chances[which]
     return 0

@@ -91,11 +91,11 @@ class Server(Value):
 
     def _lead(self, me: Agent) -> Process:
         """Decide when reports have arrived, obey the decision, and send it to the others."""
-        told = Order(-1, None)
+        current = Order(-1, None)
         orders: dict[int, list[tuple[int, int]]] = {}
         flight = me.latency + me.airtime(me.located())
-        silence = 3.0 * self.period + 2.0 * flight if me.team_size > 1 else 0.0
-        last_word = me.now
+        report_timeout = 3.0 * self.period + 2.0 * flight if me.team_size > 1 else 0.0
+        last_report = me.now
         for tick in self._ticks(me):
             alarm = me.at(tick)
             due = False
@@ -108,19 +108,19 @@ class Server(Value):
                 for src, _, sent, _ in reports:
                     orders[src] = since(sent, orders.get(src, []))
                 if reports:
-                    last_word = me.now
+                    last_report = me.now
                 changed = False
-                if reports or me.now >= last_word + silence:
+                if reports or me.now >= last_report + report_timeout:
                     chaser = self._chaser(me, orders, flight)
-                    changed = told.number < 0 or chaser != told.chaser
+                    changed = current.number < 0 or chaser != current.chaser
                     # Numbered by the clock, so that they also increase after a loss of memory.
-                    told = Order(max(nanoseconds(me.now), told.number + 1, 0), chaser) if changed else told
-                    apply_order(me, told)
-                if changed or (due and told.number >= 0):
-                    me.send(None, told, PORT)
+                    current = Order(max(nanoseconds(me.now), current.number + 1, 0), chaser) if changed else current
+                    apply_order(me, current)
+                if changed or (due and current.number >= 0):
+                    me.send(None, current, PORT)
                     for j, ordered in orders.items():
-                        if not ordered or ordered[-1][1] != told.action(j):
-                            ordered.append((nanoseconds(me.now + flight), told.action(j)))
+                        if not ordered or ordered[-1][1] != current.action(j):
+                            ordered.append((nanoseconds(me.now + flight), current.action(j)))
 
     def _ticks(self, me: Agent) -> Iterator[float]:
         """Yield the times to report or to repeat the order, s: now, and then every period with a random phase."""

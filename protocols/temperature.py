@@ -114,8 +114,8 @@ class AdaptiveTau(Value):
 
 def _first(me: Agent, evader: int) -> int:
     """Return the pursuer of least time of capture of an evader, among the agent and teammates of known time."""
-    told = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
-    return min([*told, (me.capture_time(evader), me.id)])[1]
+    known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
+    return min([*known, (me.capture_time(evader), me.id)])[1]
 
 
 TEMPERATURES = OneOf(

@@ -87,16 +87,16 @@ Choice = Callable[[Agent, Token], int | None]
 
 def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int, choose: Choice) -> Process:
     """Revise whenever the pursuer has held the token for `hold` s, and forward it; regenerate it if it is lost."""
-    station = TokenNode(me, hold, attempts)
+    node = TokenNode(me, hold, attempts)
     if me.id == 0:
-        station.set_payload()
+        node.set_payload()
     while True:
-        if station.token is None:
-            yield from station.watch()
-        elif (yield from station.keep(station.token)):
+        if node.token is None:
+            yield from node.watch()
+        elif (yield from node.keep(node.token)):
             revise()
             me.announce()
-            yield from station.forward(station.token, choose)
+            yield from node.forward(node.token, choose)
 
 
 def full_token(me: Agent) -> Token:
@@ -126,15 +126,15 @@ class TokenNode:
         self._next: int | None = None  # the pursuer whose receipt is awaited
         self._newest: Age = (UNHEARD, 0)  # of the newest message about a token
         self._taken: Age = (UNHEARD, 0)  # of the last token held
-        self._seen = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
+        self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
         self._answered: set[int] = set()  # pursuers that answered since the last token left or a new epoch began
-        self._forgot = me.restarts > 0  # a crash may have cleared the memory of tokens held
+        self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
         self._hop_time = hop_time(me)
         # A round trip, with the messages that may be queued in front of the token and its receipt.
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), hold
         )
-        self._greeting = 0.0  # earliest time of the next probe on the own clock, s
+        self._next_probe = 0.0  # earliest time of the next probe on the own clock, s
         self._deadline = me.now + self.patience
 
     @property
@@ -157,7 +157,7 @@ class TokenNode:
 
     def set_payload(self) -> None:
         """Make a new token from the last one that the pursuer held."""
-        self._renew(self._seen)
+        self._renew(self._last_token)
 
     def keep(self, token: Token) -> Waiting:
         """Hold the token for `hold` s; return whether it is still valid then."""
@@ -174,7 +174,7 @@ class TokenNode:
             yield from self._deliver(token, dst)
             if self.token is not token:
                 return
-            token = self._suspect(token, dst)
+            token = self._without(token, dst)
 
     def _deliver(self, token: Token, dst: int) -> Process:
         """Transmit the token until it is confirmed or superseded, or no attempt is left."""
@@ -192,26 +192,26 @@ class TokenNode:
         """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
         me = self._me
         due = yield from wait_for_mail(me, PORT, until)
-        overslept = me.now > until + self._hold
-        if overslept:  # it had crashed: others may have regenerated the token
+        crashed = me.now > until + self._hold
+        if crashed:  # it had crashed: others may have regenerated the token
             self.token = None
             self._reassured()
         for message in me.mail(PORT):
             self._hear(message.src, message.body)
-        return due and not overslept
+        return due and not crashed
 
     # Messages.
 
     def _hear(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
         """Process a message; a newer epoch discards the token held here."""
         age = (body.epoch, body.hop)
-        news = age > self._newest
+        newer = age > self._newest
         if isinstance(body, Token):
             self._me.merge_records(body.records)
         if body.epoch < self._newest[0]:
             self._answer(src, self._newest)
             return
-        if news:
+        if newer:
             self._notice(age)
         if isinstance(body, Token):
             self._receive(src, body)
@@ -220,8 +220,8 @@ class TokenNode:
         else:
             if body.asks:
                 self._answer(src, age)
-            if news:
-                self._pass_on(src, body._replace(asks=False))
+            if newer:
+                self._forward_notice(src, body._replace(asks=False))
 
     def _notice(self, age: Age) -> None:
         """Record the age of a newer message about the token."""
@@ -237,7 +237,7 @@ class TokenNode:
         self._answer(src, age)
         if age > self._taken:
             self._take(token)
-            if self._forgot:
+            if self._memory_lost:
                 self._renew(token)
 
     def _release(self, src: int, age: Age) -> None:
@@ -250,12 +250,12 @@ class TokenNode:
     def _answer(self, dst: int, age: Age) -> None:
         self._me.send(dst, TokenReceipt(*age), PORT)
 
-    def _pass_on(self, src: int, sign: TokenNotice) -> None:
+    def _forward_notice(self, src: int, notice: TokenNotice) -> None:
         """Forward a notice to the neighbours that its sender does not reach."""
-        heard = {src, *self._me.neighbours(src)}
+        reached = {src, *self._me.neighbours(src)}
         for j in self._me.neighbours():
-            if j not in heard:
-                self._me.send(j, sign, PORT)
+            if j not in reached:
+                self._me.send(j, notice, PORT)
 
     def _reassured(self) -> None:
         self._deadline = self._me.now + self.patience
@@ -264,13 +264,13 @@ class TokenNode:
 
     def _take(self, token: Token) -> None:
         """Hold a token."""
-        self.token = self._seen = token
+        self.token = self._last_token = token
         self._taken = (token.epoch, token.hop)
         self._newest = max(self._newest, self._taken)
 
     def _renew(self, token: Token) -> None:
         """Hold a token in a newer epoch than all known ones, and notify the neighbours."""
-        self._forgot = False
+        self._memory_lost = False
         self._answered.clear()
         self._take(token._replace(epoch=self._epoch()))
         self._me.send(None, TokenNotice(*self._taken), PORT)
@@ -279,7 +279,7 @@ class TokenNode:
         """Return a unique epoch, newer than all known ones."""
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
-    def _suspect(self, token: Token, dst: int) -> Token:
+    def _without(self, token: Token, dst: int) -> Token:
         """Return the token with a silent pursuer recorded as absent; a new epoch invalidates the copy it may have."""
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
@@ -290,7 +290,7 @@ class TokenNode:
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
-        token = self._greeted(token._replace(visits=visited(token, me.id)))
+        token = self._probed(token._replace(visits=visited(token, me.id)))
         known = (record for _, record in me.latest_records().values())
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
@@ -298,11 +298,11 @@ class TokenNode:
             me.send(None, TokenNotice(*self._taken), PORT)
         return token
 
-    def _greeted(self, token: Token) -> Token:
+    def _probed(self, token: Token) -> Token:
         """Probe the absent neighbour that is due, each at most once in N hops; return the token with that recorded."""
         dst = longest_absent(token, self._me.neighbours())
-        if dst is None or self._me.now < self._greeting:
+        if dst is None or self._me.now < self._next_probe:
             return token
-        self._greeting = self._me.now + self._time_out()
+        self._next_probe = self._me.now + self._time_out()
         self._me.send(dst, TokenNotice(token.epoch, token.hop, asks=True), PORT)
         return token._replace(visits=visited(token, dst))

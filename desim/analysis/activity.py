@@ -105,18 +105,19 @@ def evader_pursuits(result: Result) -> list[EvaderPursuit]:
 def activity(result: Result) -> Steps:
     """Return n(t), the number of active pursuers."""
     steps = ((change.t, chases(change) - bool(before)) for change, before in moves(result))
-    return _counted(sum(map(bool, started(result).active)), steps, ended(result).t)
+    return _step_function(sum(map(bool, started(result).active)), steps, ended(result).t)
 
 
 @remembered
 def pressure(result: Result) -> list[Steps]:
     """Return n_j(t), the number of pursuers of each evader, up to its capture."""
     return [
-        _counted(sum(hunt.start), ((t, by) for t, _, by in hunt.steps), hunt.end) for hunt in evader_pursuits(result)
+        _step_function(sum(pursuit.start), ((t, by) for t, _, by in pursuit.steps), pursuit.end)
+        for pursuit in evader_pursuits(result)
     ]
 
 
-def _counted(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
+def _step_function(start: int, steps: Iterable[tuple[int, int]], end: int) -> Steps:
     """Return the step function of a count, given its value at the start and (time (ns), increment) of each change."""
     times, counts = [0], [start]
     for t, by in steps:
@@ -180,14 +181,14 @@ def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
 
 @remembered
 def _relays(result: Result) -> list[list[tuple[int, int]]]:
-    return [_relays_of(hunt) for hunt in evader_pursuits(result)]
+    return [_relays_of(pursuit) for pursuit in evader_pursuits(result)]
 
 
-def _relays_of(hunt: EvaderPursuit) -> list[tuple[int, int]]:
-    active = {pursuer for pursuer, chasing in enumerate(hunt.start) if chasing}
-    times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
+def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
+    active = {pursuer for pursuer, chasing in enumerate(pursuit.start) if chasing}
+    times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
     found: list[tuple[int, int]] = []
-    for step, (begin, end) in zip([None, *hunt.steps], pairwise(times), strict=True):
+    for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
             active ^= {step[1]}
         if len(active) == 1 and begin < end and (not found or found[-1][1] not in active):

@@ -45,8 +45,8 @@ def ages(result: Result) -> Ages:
         ValueError: if messages were sent and not recorded.
     """
     known = knowledge(result)
-    heard, size = known[~known["presumed"]], len(started(result).active)
-    pair, created = heard["reader"] * size + heard["source"], heard["created"]
+    pieces, size = known[~known["presumed"]], len(started(result).active)
+    pair, created = pieces["reader"] * size + pieces["source"], pieces["created"]
 
     def averaged(total: Floats, weight: NDArray[np.generic]) -> Floats:
         """Return total / weight summed by pair, (N, N)."""
@@ -54,11 +54,11 @@ def ages(result: Result) -> Ages:
         averages: Floats = np.divide(totals, weights, out=np.full(size * size, nan), where=weights > 0)
         return averages.reshape(size, size)
 
-    duration = (heard["until"] - heard["begin"]) / SECOND
-    middle = (heard["begin"] + heard["until"] - 2 * created) / (2 * SECOND)
-    last = (heard["until"] - created) / SECOND * heard["superseded"]
-    total, count = _at_decisions(result, heard)
-    return Ages(averaged(duration * middle, duration), averaged(last, heard["superseded"]), averaged(total, count))
+    duration = (pieces["until"] - pieces["begin"]) / SECOND
+    middle = (pieces["begin"] + pieces["until"] - 2 * created) / (2 * SECOND)
+    last = (pieces["until"] - created) / SECOND * pieces["superseded"]
+    total, count = _at_decisions(result, pieces)
+    return Ages(averaged(duration * middle, duration), averaged(last, pieces["superseded"]), averaged(total, count))
 
 
 def over_pairs(age: Floats) -> float:
@@ -94,8 +94,8 @@ def belief_error(result: Result) -> float:
         ValueError: if messages were sent and not recorded.
     """
     wrong, size, end = 0, len(started(result).active), ended(result).t
-    for doing, about in zip(_doings(result), _split(knowledge(result), "source", size), strict=True):
-        right = doing.time(about["active"], about["until"]) - doing.time(about["active"], about["begin"])
+    for actual, about in zip(_true_actions(result), _split(knowledge(result), "source", size), strict=True):
+        right = actual.time(about["active"], about["until"]) - actual.time(about["active"], about["begin"])
         wrong += int((about["until"] - about["begin"] - right).sum())
     return wrong / (size * (size - 1) * end) if size > 1 and end else nan
 
@@ -110,14 +110,14 @@ def believed_leaders(result: Result) -> float:
         ValueError: if messages were sent and not recorded.
     """
     alone, size, end = 0, len(started(result).active), ended(result).t
-    for doing, heard in zip(_doings(result), _split(knowledge(result), "reader", size), strict=True):
-        for evader in set(doing.did.tolist()) - {0}:
-            others = heard[heard["active"] == evader]
+    for actual, pieces in zip(_true_actions(result), _split(knowledge(result), "reader", size), strict=True):
+        for evader in set(actual.did.tolist()) - {0}:
+            others = pieces[pieces["active"] == evader]
             times = np.concatenate([[0], others["begin"], others["until"], [end]])
             steps = np.repeat([0, 1, -1, 0], [1, len(others), len(others), 1])
             order = np.argsort(times, kind="stable")
-            nobody = np.cumsum(steps[order])[:-1] == 0
-            alone += int(np.diff(doing.time(evader, times[order]))[nobody].sum())
+            no_other = np.cumsum(steps[order])[:-1] == 0
+            alone += int(np.diff(actual.time(evader, times[order]))[no_other].sum())
     return alone / end if end else nan
 
 
@@ -146,29 +146,29 @@ class _TrueActions:
         return found
 
 
-def _doings(result: Result) -> Iterator[_TrueActions]:
+def _true_actions(result: Result) -> Iterator[_TrueActions]:
     """Yield the true actions of each pursuer, by id."""
     actions = [[(0, active)] for active in started(result).active]
     for change in changes(result):
         actions[change.pursuer].append((change.t, action(change)))
     options = np.arange(len(started(result).evaders) + 1)[:, None]
-    for own in actions:
-        began, did = np.array(own, np.int64).T
+    for timed in actions:
+        began, did = np.array(timed, np.int64).T
         spent = np.cumsum(np.diff(began) * (did[:-1] == options), axis=1)
         yield _TrueActions(began, did, np.pad(spent, ((0, 0), (1, 0))))
 
 
-def _at_decisions(result: Result, heard: Pieces) -> tuple[Floats, Integers]:
+def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
     """Return for each piece the sum of the ages at the decisions of its reader during it, s, and their number."""
     decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):
             decisions[event.pursuer].append((event.t, place))
-    total, count = np.zeros(len(heard)), np.zeros(len(heard), np.int64)
-    edges = np.searchsorted(heard["reader"], np.arange(len(decisions) + 1))
-    for own, first, last in zip(decisions, edges[:-1], edges[1:], strict=True):
-        times, places = np.array(own, np.int64).reshape(-1, 2).T
-        mine = heard[first:last]
+    total, count = np.zeros(len(pieces)), np.zeros(len(pieces), np.int64)
+    edges = np.searchsorted(pieces["reader"], np.arange(len(decisions) + 1))
+    for timed, first, last in zip(decisions, edges[:-1], edges[1:], strict=True):
+        times, places = np.array(timed, np.int64).reshape(-1, 2).T
+        mine = pieces[first:last]
         since = _earlier(times, places, mine["begin"], mine["after"])
         until = _earlier(times, places, mine["until"], mine["before"])
         sums = np.append(0, np.cumsum(times))

@@ -69,10 +69,10 @@ def hindsight(result: Result) -> Hindsight:
     times, relayed, gap = [np.zeros(1, np.int64)], [np.zeros(0, bool)], [np.zeros(0)]
     fixed, played = np.zeros((evaders, size)), np.zeros(size)
     for parts in zip(*(timeline(result, j + 1) for j in range(evaders)), strict=True):
-        best = _best(parts)
+        best = _optimal_pursuers(parts)
         times.append(parts[0].times[1:])
         relayed.append(np.all([_relayed(part, own) for part, own in zip(parts, best, strict=True)], axis=0))
-        most = np.sum([_worth(part, own) for part, own in zip(parts, best, strict=True)], axis=0)
+        most = np.sum([_single_potential(part, own) for part, own in zip(parts, best, strict=True)], axis=0)
         gap.append(most - np.sum([_potential(part) for part in parts], axis=0))
         for part, worth in zip(parts, fixed, strict=True):
             gain = gains(part)
@@ -98,10 +98,10 @@ def gains(part: Timeline) -> Floats:
     return np.where(able, np.where(n > 0, (others - phi) / (n + 1), part.left[:, None] - phi), 0.0)
 
 
-def _best(parts: Sequence[Timeline]) -> Integers:
+def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
     """Return the (M, k) optimal pursuer of each evader, or `NO_PURSUER`; for one evader, the relay pursuer."""
     best = np.array([part.phi.argmin(axis=1) for part in parts])
-    best[np.array([_worth(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
+    best[np.array([_single_potential(part, own) for part, own in zip(parts, best, strict=True)]) == 0.0] = NO_PURSUER
     ordered = np.sort(best, axis=0)
     for k in np.flatnonzero(((ordered[1:] == ordered[:-1]) & (ordered[1:] != NO_PURSUER)).any(axis=0)):
         chosen = optimal_assignment(np.transpose([part.phi[k] for part in parts]), parts[0].left[k])
@@ -111,7 +111,7 @@ def _best(parts: Sequence[Timeline]) -> Integers:
     return best
 
 
-def _worth(part: Timeline, chaser: Integers) -> Floats:
+def _single_potential(part: Timeline, chaser: Integers) -> Floats:
     """Return the (k,) potential if only the given (k,) pursuers chased the evader, s; 0 where it would be late."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
     return np.where(chaser == NO_PURSUER, 0.0, found)

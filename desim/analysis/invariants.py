@@ -129,25 +129,26 @@ class MotionWatcher:
         self._active(event)
         if isinstance(event, Started):
             self._speeds = np.array([*event.speeds, *self._evader_speeds])
-            self._look(event)
+            self._check_positions(event)
         elif isinstance(event, Sampled):
-            self._look(event)
+            self._check_positions(event)
         elif isinstance(event, Captured):
             self._at_large[event.evader - 1] = event.t
 
-    def _look(self, event: Started | Sampled) -> None:
+    def _check_positions(self, event: Started | Sampled) -> None:
         places = complex_points([*event.pursuers, *event.evaders])
         moving = np.concatenate([self._active.until(event.t), np.minimum(event.t, self._at_large)])
         if self._last is not None:
             since, before, moved = self._last
             bound = self._moves * self._speeds * (moving - moved) / SECOND
-            came, slack = lengths(places - before), ROUNDING * (1.0 + bound) + 1e-12 * lengths(places)
-            fast = np.flatnonzero(~(came <= bound + slack))
+            distance, slack = lengths(places - before), ROUNDING * (1.0 + bound) + 1e-12 * lengths(places)
+            fast = np.flatnonzero(~(distance <= bound + slack))
             if len(fast):
-                who = fast[0]
+                player = fast[0]
                 raise AssertionError(
-                    f"no player exceeds its speed: from {seconds(since)} to {seconds(event.t)} s player {who} (the"
-                    f" {len(event.pursuers)} pursuers come first) moved {came[who]} m, not {bound[who]} m or less"
+                    f"no player exceeds its speed: from {seconds(since)} to {seconds(event.t)} s player {player} (the"
+                    f" {len(event.pursuers)} pursuers come first) moved {distance[player]} m, not {bound[player]} m or"
+                    " less"
                 )
         self._last = event.t, places, moving
 

@@ -51,20 +51,20 @@ def knowledge(result: Result) -> Pieces:
     """
     require_messages(result)
     profile, end = np.array(started(result).active, np.int64), ended(result).t
-    said, hops = _messages(result, len(profile), end)
-    edges = np.searchsorted(hops.dst, np.arange(len(profile) + 1))
-    forgets = _forgets(result)
+    announced, receptions = _messages(result, len(profile), end)
+    edges = np.searchsorted(receptions.dst, np.arange(len(profile) + 1))
+    memory_losses = _memory_losses(result)
     lives = []
     for reader in range(len(profile)):
-        mine = hops.between(edges[reader], edges[reader + 1])
-        bounds = [0, *forgets.get(reader, []), end]
+        mine = receptions.between(edges[reader], edges[reader + 1])
+        bounds = [0, *memory_losses.get(reader, []), end]
         # Faults come first at an instant: a record that arrives at the end of a life belongs to the next one.
         arrived = [0, *np.searchsorted(mine.arrival, bounds[1:-1]), len(mine.arrival)]
         for k, ((begin, until), span) in enumerate(zip(pairwise(bounds), pairwise(arrived), strict=True)):
             warm = k == 0 and result.scenario.announce.warm_start
             before = LAST if k == len(bounds) - 2 else FIRST
             life = _Life(reader, begin, until, before, profile if warm else np.zeros_like(profile), 0 if warm else -1)
-            lives.append(life.pieces(said, mine.between(*span)))
+            lives.append(life.pieces(announced, mine.between(*span)))
     return np.concatenate(lives)
 
 
@@ -98,9 +98,9 @@ class _Receptions:
 
     def unpacked(self) -> tuple[Integers, Integers]:
         """Return the reception and the row of `_Announcements` of each record carried."""
-        hop = np.repeat(np.arange(len(self.dst)), self.count)
+        reception = np.repeat(np.arange(len(self.dst)), self.count)
         start = np.cumsum(self.count) - self.count
-        return hop, self.first[hop] + np.arange(len(hop)) - start[hop]
+        return reception, self.first[reception] + np.arange(len(reception)) - start[reception]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,31 +115,31 @@ class _Life:
     seq: int
     """Sequence number of the initial beliefs; older records are ignored."""
 
-    def pieces(self, said: _Announcements, hops: _Receptions) -> Pieces:
+    def pieces(self, announced: _Announcements, receptions: _Receptions) -> Pieces:
         """Return the newest records of the reader over time, given its receptions in this period."""
-        hop, record = hops.unpacked()
-        foreign = said.source[record] != self.reader
-        hop, record = hop[foreign], record[foreign]
+        reception, record = receptions.unpacked()
+        foreign = announced.source[record] != self.reader
+        reception, record = reception[foreign], record[foreign]
         others = np.delete(np.arange(len(self.profile)), self.reader)
 
         def column(presumed: int | NDArray[np.generic], heard: Integers) -> Integers:
             return np.concatenate([np.broadcast_to(presumed, len(others)), heard])
 
-        source, seq = column(others, said.source[record]), column(self.seq, said.seq[record]) + 1
+        source, seq = column(others, announced.source[record]), column(self.seq, announced.seq[record]) + 1
         # In order of source, then arrival, the running maximum of this key is the newest record so far.
         order = np.argsort(source.astype(np.int32), kind="stable")
         key = (source * (seq.max(initial=0) + 1) + seq)[order]
         newer = np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]
         order = order[newer]
-        active = column(self.profile[others], said.active[record])[order]
+        active = column(self.profile[others], announced.active[record])[order]
         telling = np.maximum.accumulate(np.where(active >= 0, np.arange(len(order)), 0))
 
         pieces = np.empty(len(order), PIECE)
         pieces["reader"], pieces["source"] = self.reader, source[order]
-        pieces["created"] = column(self.begin, said.created[record])[order]
+        pieces["created"] = column(self.begin, announced.created[record])[order]
         pieces["active"], pieces["presumed"] = active[telling], order < len(others)
-        pieces["begin"] = column(self.begin, hops.arrival[hop])[order]
-        pieces["after"] = column(FIRST, hops.place[hop])[order]
+        pieces["begin"] = column(self.begin, receptions.arrival[reception])[order]
+        pieces["after"] = column(FIRST, receptions.place[reception])[order]
         pieces["until"], pieces["before"], pieces["superseded"] = self.until, self.before, False
         earlier = np.flatnonzero(pieces["source"][1:] == pieces["source"][:-1])
         pieces["until"][earlier] = pieces["begin"][earlier + 1]
@@ -157,10 +157,10 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
     clocks = _Clocks(result, size)
     for place, event in enumerate(result.trace):
         if isinstance(event, Broadcast | Sent):
-            said, reached = clocks.true_records(event), list(event.fates())
-            if said and reached:
-                carried.append((len(reached), event.flight, place, len(records), len(said)))
-                records += said
+            announced, reached = clocks.true_records(event), list(event.fates())
+            if announced and reached:
+                carried.append((len(reached), event.flight, place, len(records), len(announced)))
+                records += announced
                 fates += reached
         elif isinstance(event, Lost):
             lost.append(event.flight * size + event.dst)
@@ -182,9 +182,9 @@ class _Clocks:
     def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
         """Return the records that a transmission carries, forwarded or its own, with their true time stamps."""
         relays = getattr(event.body, "records", None) is not None
-        return tuple(map(self._set_right, records_in(event))) if relays and not self._right else records_in(event)
+        return tuple(map(self._corrected, records_in(event))) if relays and not self._right else records_in(event)
 
-    def _set_right(self, record: Record) -> Record:
+    def _corrected(self, record: Record) -> Record:
         offset, drift = self._errors[record.src]
         return record._replace(sent=round((record.sent - offset * SECOND) / (1.0 + drift)))
 
@@ -195,10 +195,10 @@ def _columns(records: list[Record]) -> _Announcements:
     return _Announcements(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 
 
-def _forgets(result: Result) -> dict[int, list[int]]:
+def _memory_losses(result: Result) -> dict[int, list[int]]:
     """Return the times at which each pursuer lost its memory, ns: at its recovery from a crash without memory."""
-    forgets: dict[int, list[int]] = {}
+    memory_losses: dict[int, list[int]] = {}
     for over in result.trace.of(FaultEnded):
         if isinstance(over.fault, Crash) and not over.fault.memory:
-            forgets.setdefault(over.fault.node, []).append(over.t)
-    return forgets
+            memory_losses.setdefault(over.fault.node, []).append(over.t)
+    return memory_losses

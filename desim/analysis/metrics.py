@@ -239,11 +239,11 @@ class Summary:
     def __str__(self) -> str:
         there = {name: getattr(self, name) for name in METRICS if getattr(self, name) is not None}
         return "\n".join(
-            f"{words(name)}: {_written(value)} {METRICS[name].unit}".rstrip() for name, value in there.items()
+            f"{words(name)}: {_formatted(value)} {METRICS[name].unit}".rstrip() for name, value in there.items()
         )
 
 
-def _written(value: Any) -> str:
+def _formatted(value: Any) -> str:
     """Return a value of a summary as text, fractions with six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 

@@ -80,7 +80,7 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
     if len(values) != len(others):
         raise ValueError(f"should be pairs, got {len(values)} values and {len(others)} others")
     pairs = zip(values, others, strict=True)
-    differences = [float(one) - float(other) for one, other in pairs if _is_there(one) and _is_there(other)]
+    differences = [float(one) - float(other) for one, other in pairs if _is_present(one) and _is_present(other)]
     return estimate(differences) if differences else Estimate(nan, nan, 0)
 
 
@@ -147,7 +147,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
         raise ValueError(f"the half width to reach should be positive, got {target}")
     if at_most < 1 or first_look < 2:
         raise ValueError(f"should be at most 1 run or more, a first look at 2 or more, got {at_most} and {first_look}")
-    count, present = len(values), [each for each in values if _is_there(each)]
+    count, present = len(values), [each for each in values if _is_present(each)]
     if count >= at_most:
         return count
     if count < first_look:
@@ -164,7 +164,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     return min(max(least, ceil(min(most, predicted))), at_most)
 
 
-def _is_there(value: float | None) -> TypeGuard[float]:
+def _is_present(value: float | None) -> TypeGuard[float]:
     return value is not None and not isnan(value)
 
 

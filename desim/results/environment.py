@@ -81,10 +81,10 @@ def _checkout() -> tuple[str | None, bool | None]:
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")
     paths = (package.name, "protocols", "scenarios", "pyproject.toml")
-    told = _git(package.parent, "status", "--porcelain=v2", "--branch", "--untracked-files=normal", "--", *paths)
-    if tracked is None or told is None:
+    status = _git(package.parent, "status", "--porcelain=v2", "--branch", "--untracked-files=normal", "--", *paths)
+    if tracked is None or status is None:
         return None, None
-    lines = told.splitlines()
+    lines = status.splitlines()
     commit = next((line.split()[-1] for line in lines if line.startswith("# branch.oid ")), None)
     if commit in (None, "(initial)"):
         return None, None

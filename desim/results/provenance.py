@@ -153,8 +153,8 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
     for override in overrides:
         recorded.override(override)
-    if homeless := list(_homeless(recorded.tables)):
-        raise ProvenanceError("\n".join(f"{recorded.where(place)}: {text}" for place, text in homeless))
+    if not_importable := list(_not_importable(recorded.tables)):
+        raise ProvenanceError("\n".join(f"{recorded.where(place)}: {text}" for place, text in not_importable))
     return recorded
 
 
@@ -204,14 +204,14 @@ def _given(scenario: Document) -> Document:
     return tables
 
 
-def _homeless(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Yield the key path of each model that was defined where it cannot be imported from, and the fault."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, each in inner:
         if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):
             text = f"{each!r} was defined in a script or in a function and cannot be imported; move it to a module"
             yield place, f"{'.'.join(map(str, place))}: {text}"
-        yield from _homeless(each, (*place, key))
+        yield from _not_importable(each, (*place, key))
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:

@@ -120,7 +120,7 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     trace.events += events(folder)
     if [type(event) for event in trace.events[-2:]] != [MessageCounts, Ended]:
         raise ValueError(f"{folder / TRACE}: is not complete: its last events should be MessageCounts and Ended")
-    for number, why in _misfits(trace.events):
+    for number, why in _inconsistencies(trace.events):
         raise ValueError(f"{folder / TRACE}: line {number} {why}")
     path = folder / provenance.FILE
     made = provenance.read(path)
@@ -128,12 +128,12 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
     if made["runs"] != 1:
         raise ValueError(f"{path}: records {made['runs']} runs, not the one in {TRACE}")
     result = Result(validate(source), made["seed"], trace)
-    if not _begins(result):
+    if not _matches_start(result):
         raise ValueError(f"{path}: does not match {TRACE}: number, speeds or starting positions of players differ")
     return result
 
 
-def _begins(result: Result) -> bool:
+def _matches_start(result: Result) -> bool:
     """Return whether a trace starts with the players of its scenario and seed; positions to 1e-6 m across platforms."""
     team, evaders, starts = result.scenario.team, result.scenario.evaders, result.trace.of(Started)
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
@@ -169,11 +169,11 @@ def _limits(start: Any) -> Limits:
         "evader": Field(ge=1, le=evaders),
         "action": Field(ge=0, le=evaders),
         "others": Field(min_length=evaders - 1, max_length=evaders - 1),
-        "body": BeforeValidator(lambda body: _readable(body, size, evaders)),
+        "body": BeforeValidator(lambda body: _checked_body(body, size, evaders)),
     }
 
 
-def _readable(body: Any, size: int, evaders: int) -> Any:
+def _checked_body(body: Any, size: int, evaders: int) -> Any:
     """Return the body of a message, a JSON value, after a check of its actions and records.
 
     Raises:
@@ -189,7 +189,7 @@ def _readable(body: Any, size: int, evaders: int) -> Any:
                 raise ValueError(f"records should be tables of {', '.join(Record._fields)}")
             if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "sent"))):
                 raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and sent of at least 0")
-            _readable(each["body"], size, evaders)
+            _checked_body(each["body"], size, evaders)
     return body
 
 
@@ -198,7 +198,7 @@ def _is_number(value: Any, end: int) -> bool:
     return isinstance(value, int) and 0 <= value < end
 
 
-def _misfits(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
+def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
     """Yield (line, fault) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[Fault]()
