@@ -13,9 +13,8 @@ from desim.cli.draw import draw
 from desim.cli.explain import explain
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
+from desim.cli.pages import replay, report
 from desim.cli.program import Program
-from desim.cli.replay import replay
-from desim.cli.report import report
 from desim.config.trust import sheltered
 
 

@@ -20,7 +20,7 @@ from click.testing import CliRunner
 from desim import Scenario
 from desim.analysis.metrics import summary
 from desim.cli.many import merge
-from desim.cli.report import report as command
+from desim.cli.pages import report as command
 from desim.results import provenance
 from desim.scenario.scenario import Team
 from desim.study.explain import Variants
