@@ -411,7 +411,7 @@ def test_its_assumptions():
     assert why(protocol=Server(host=2), network=Links(graph=Star())) == [
         "4 of 5 are out of reach of pursuer 2 at the start"
     ]
-    assert why(protocol=Server(), network=Links(graph=Ring())) == ["as it begins 3 of 5 are out of reach of pursuer 0"]
+    assert why(protocol=Server(), network=Links(graph=Ring())) == ["3 of 5 are out of reach of pursuer 0 at the start"]
     assert why(protocol=Server(), fault=(Crash(node=1, start=1.0),)) == ["pursuers break down"]
     parted = (Partition(start=1.0, end=2.0, groups=((0,),)),)
-    assert why(protocol=Server(), fault=parted) == ["a partition cuts the team in parts"]
+    assert why(protocol=Server(), fault=parted) == ["a partition splits the team"]
