@@ -3,7 +3,8 @@
 Paper: a regenerated token has an epoch of its own, and a node discards any token older than the newest epoch it has
     seen; Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring.
 Parameters: hold (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
-Assumes: nothing for a single token in the end; 3 N (L + hold) longer than a round for no needless regeneration.
+Assumes: nothing, for a single token in the end. A token is not regenerated needlessly if a round takes less than
+    3 N (L + hold).
 Messages: two per hop, the token and its receipt. Notices of a new token, and of a token in use for pursuers that it has
     not visited for long, are broadcast to all neighbours and forwarded to pursuers out of their range.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
