@@ -90,7 +90,7 @@ def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int,
     """Revise whenever the pursuer has held the token for `hold` s, and forward it; regenerate it if it is lost."""
     node = TokenNode(me, hold, attempts)
     if me.id == 0:
-        node.set_payload()
+        node.regenerate()
     while True:
         if node.token is None:
             yield from node.watch()
@@ -114,8 +114,8 @@ def hop_time(me: Agent) -> float:
 class TokenNode:
     """The circulation of the token as run by one pursuer.
 
-    It is watching (no token; regenerates it after `patience` without a sign of it), holding (has the token until the
-    end of `hold`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
+    It is watching (no token; regenerates it after `loss_timeout` without a sign of it), holding (has the token for
+    `hold`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
 
     Attributes:
         token: the token while holding or forwarding, else None.
@@ -136,10 +136,10 @@ class TokenNode:
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), hold
         )
         self._next_probe = 0.0  # earliest time of the next probe on the own clock, s
-        self._deadline = me.now + self.patience
+        self._deadline = me.now + self.loss_timeout
 
     @property
-    def patience(self) -> float:
+    def loss_timeout(self) -> float:
         """The time without a sign of the token after which this pursuer regenerates it, s.
 
         Three rounds and the time to give up a neighbour; two hops more for each lower id, so that the notice of one new
@@ -154,9 +154,9 @@ class TokenNode:
         """Wait for messages; regenerate the token if there is no sign of it until the deadline."""
         deadline = self._deadline
         if (yield from self._wait(deadline)) and self._deadline == deadline:
-            self.set_payload()
+            self.regenerate()
 
-    def set_payload(self) -> None:
+    def regenerate(self) -> None:
         """Make a new token from the last one that the pursuer held."""
         self._renew(self._last_token)
 
@@ -259,7 +259,7 @@ class TokenNode:
                 self._me.send(j, notice, PORT)
 
     def _reassured(self) -> None:
-        self._deadline = self._me.now + self.patience
+        self._deadline = self._me.now + self.loss_timeout
 
     # The token.
 

@@ -187,11 +187,11 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
             errors += stream(seed, "clocks", k).standard_normal((size, 2)) * (abs(skew.offset), abs(skew.drift))
         else:
             errors[skew.node] += skew.offset, skew.drift
-    errors[:, 1] = np.maximum(errors[:, 1], MIN_CLOCK_RATE)
+    errors[:, 1] = np.maximum(errors[:, 1], MIN_DRIFT)
     return [(offset, drift) for offset, drift in errors.tolist()]
 
 
-MIN_CLOCK_RATE = -0.99
+MIN_DRIFT = -0.99
 """Smallest drift of a clock, so that no clock stands still or runs backwards."""
 
 

@@ -465,7 +465,7 @@ def test_one_token_is_left_in_each_component_after_every_storm(block):
 @pytest.mark.slow
 def test_the_watcher_notices_a_token_that_is_never_replaced(monkeypatch):
     """A negative control: with endless patience some of 20 storms leave a component without a token."""
-    monkeypatch.setattr(TokenNode, "patience", property(lambda self: 1e6))
+    monkeypatch.setattr(TokenNode, "loss_timeout", property(lambda self: 1e6))
     assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 
