@@ -1,13 +1,13 @@
-"""Measure how fast desim is: deliveries per second beside other ways and other simulators, and what else costs time.
+"""Measure the speed of desim: deliveries per second of desim, of other implementations and simulators, and other costs.
 
-Nodes take turns, one a millisecond: a node reads what it has heard and broadcasts the number of the turn. `publish` and
-`send` are desim's. `heapq` is a bare loop over a heap with an entry per broadcast; simpy-broadcast an event per
-broadcast in SimPy; simpy-message a Timeout per delivery, simpy-drawn-at-once the same with the latencies of a broadcast
-drawn at once; simpy-documented a store per node and a process per message. They all must end with the same tables. The
-other simulators are installed or built in a folder that is thrown away: ns-3 and SimGrid in C++ (Debian's packages;
-nothing is installed, no root needed), Mesa, GrADyS-SIM and mango; they must make as many deliveries. The ways take
-turns, lap after lap; what counts is the time of a core, median of the laps. Then come the other costs, each beside what
-it may be at most.
+Nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the number of the turn.
+`publish` and `send` are the two ways of desim. `heapq` is a bare loop over a heap with one entry per broadcast.
+simpy-broadcast uses one SimPy event per broadcast, simpy-message one Timeout per delivery, simpy-drawn-at-once the same
+with all latencies of a broadcast drawn at once, simpy-documented a store per node and a process per message. All of
+these must end with the same tables. The other simulators are installed or built in a temporary folder: ns-3 and SimGrid
+in C++ (from Debian packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. They must
+make the same number of deliveries. The ways run in rotation, lap after lap; each rate is the median over the laps, per
+second of CPU time. The other costs follow, each with its limit.
 """
 
 import gc
@@ -39,25 +39,25 @@ OURS = ("publish", "send")
 BROADCASTS = "broadcasts"
 """The part of the study that is not one of `costs.PARTS`."""
 LONG = 5.0
-"""A lap that takes longer is not repeated, s."""
+"""CPU time of a first lap beyond which the lap is not repeated, s."""
 Commands = Mapping[str, Sequence[str]]
-"""What runs the programs of other simulators, by name."""
+"""The command that runs the program of each other simulator, by name."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How fast one way delivers one workload."""
+    """The delivery rate of one way on one workload."""
 
     workload: str
     way: str
     deliveries: int
-    """Of a lap."""
+    """Number of deliveries in a lap."""
     per_second: float
-    """Deliveries in a second of a core, median of the laps."""
+    """Deliveries per second of CPU time, median of the laps, 1/s."""
 
 
 class Laps:
-    """The laps of one workload by all ways; a simulator that fails is left out from then on, and why is noted."""
+    """The laps of all ways on one workload; a simulator that fails is skipped from then on, and the reason is kept."""
 
     def __init__(self, work: Workload, commands: Commands, missing: dict[str, str]):
         self._work, self._commands, self._missing = work, commands, missing
@@ -66,10 +66,10 @@ class Laps:
         self._seconds: dict[str, list[float]] = {}
 
     def lap(self, name: str) -> None:
-        """Do one lap by a way, unless its first took long.
+        """Run one lap of a way, unless its first lap was longer than `LONG`.
 
         Raises:
-            RuntimeError: if it does not end with the tables of the ways before it.
+            RuntimeError: if its final tables differ from those of the ways before it.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > LONG:
             return
@@ -83,7 +83,7 @@ class Laps:
         self._seconds.setdefault(name, []).append(seconds)
 
     def rates(self) -> list[Rate]:
-        """Return what the laps came to."""
+        """Return the rate of each way that has not failed."""
         return [
             Rate(self._work.name, name, self._deliveries[name], self._deliveries[name] / median(laps))
             for name, laps in self._seconds.items()
@@ -97,7 +97,7 @@ class Laps:
         seconds = time.process_time() - begin
         outcome = way.outcome()
         if outcome != (self._expected or outcome):
-            raise RuntimeError(f"{self._work.name}: {name} does not end with the tables of the others")
+            raise RuntimeError(f"{self._work.name}: the final tables of {name} differ from those of the others")
         self._expected = outcome
         return outcome.delivered, seconds
 
@@ -107,7 +107,7 @@ class Laps:
 
 @contextmanager
 def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Commands]:
-    """Make the environments of other simulators, and throw them away; note of those that cannot be had why."""
+    """Make temporary environments of other simulators; put the reason into `missing` for each that is unavailable."""
     with TemporaryDirectory(prefix="peers-") as folder:
         commands = {}
         for name in tqdm(names, desc="environments", unit="", disable=None):
@@ -120,7 +120,7 @@ def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Comm
 
 
 def measure(options: Options, works: Sequence[Workload], ways: Sequence[str]) -> tuple[list[Rate], dict[str, str]]:
-    """Return how fast each way delivers each workload, and why some do not."""
+    """Return the rate of each way on each workload, and the reason for each simulator that is missing."""
     missing: dict[str, str] = {}
     rates: list[Rate] = []
     bar: tqdm[Any]
@@ -145,7 +145,7 @@ def short(workload: str) -> str:
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
-    """Return what was measured, how many times as fast desim is, and what is missing."""
+    """Return the rates, the ratios of the rates of desim to the others, and the missing simulators as text."""
     works, ways = list(dict.fromkeys(each.workload for each in rates)), list(dict.fromkeys(each.way for each in rates))
     found = {(each.workload, each.way): each.per_second for each in rates}
     heads = [short(work) for work in works]
@@ -157,10 +157,10 @@ def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
             ratios.append([way, *(_told(own, other, 2) if other else "-" for own, other in line)])
     return "\n".join(
         [
-            f"Thousand deliveries per second of a core, medians of {laps} laps",
+            f"Thousand deliveries per second of CPU time, medians of {laps} laps",
             *works,
             aligned(speeds),
-            "\nHow many times as fast desim is as",
+            "\nRate of desim / rate of",
             aligned(ratios),
             *(f"without {name}: {reason}" for name, reason in missing.items()),
         ]
@@ -172,7 +172,7 @@ def _told(value: float | None, unit: float, digits: int) -> str:
 
 
 def picture(rates: Sequence[Rate]) -> "Figure":
-    """Draw a panel per workload with a bar per way, the fastest on top."""
+    """Draw a panel per workload with a bar per way, the fastest at the top."""
     from desim.analysis import plots
 
     works = list(dict.fromkeys(each.workload for each in rates))
@@ -190,18 +190,18 @@ def picture(rates: Sequence[Rate]) -> "Figure":
             axes.set_xlim(min(speeds) / 2, max(speeds) * 5)
             axes.set_title(work, fontsize=9)
             axes.tick_params(axis="y", length=0)
-        figure.supxlabel("deliveries per second of a core; beside the bars in thousands", fontsize=9)
+        figure.supxlabel("deliveries per second of CPU time; numbers at the bars in thousands", fontsize=9)
     return figure
 
 
 def _chosen(allowed: Sequence[str]) -> Any:
-    """Return what checks a list of names with commas between them."""
+    """Return the callback of an option that takes a list of names, separated by commas."""
 
     def check(_: click.Context, __: click.Parameter, given: str | None) -> list[str]:
         names = given.split(",") if given else list(allowed)
         for name in names:
             if name not in allowed:
-                raise click.BadParameter(f"there is no {name!r}: {', '.join(allowed)}")
+                raise click.BadParameter(f"there is no {name!r}; choose from {', '.join(allowed)}")
         return names
 
     return check
@@ -214,17 +214,17 @@ SHORT = [short(work.name) for work in workloads()]
     "benchmarks",
     __doc__,
     3,
-    click.Option(["--only"], callback=_chosen([*WAYS, *PEERS]), help="Ways, with commas between; all if absent."),
-    click.Option(["--workloads"], callback=_chosen(SHORT), help=f"Of {','.join(SHORT)}; all if absent."),
-    click.Option(["--peers/--no-peers"], default=True, show_default=True, help="With other simulators."),
+    click.Option(["--only"], callback=_chosen([*WAYS, *PEERS]), help="Ways, separated by commas; default: all."),
+    click.Option(["--workloads"], callback=_chosen(SHORT), help=f"Some of {','.join(SHORT)}; default: all."),
+    click.Option(["--peers/--no-peers"], default=True, show_default=True, help="Include other simulators."),
     click.Option(
         ["--parts"],
         callback=_chosen([BROADCASTS, *costs.PARTS]),
-        help=f"Of {','.join([BROADCASTS, *costs.PARTS])}; all if absent.",
+        help=f"Some of {','.join([BROADCASTS, *costs.PARTS])}; default: all.",
     ),
 )
 def main(options: Options) -> None:
-    """Measure, compare, show."""
+    """Measure, compare and show."""
     own = options.own
     ways = [name for name in own["only"] if own["peers"] or name not in PEERS]
     document: dict[str, Any] = {}

@@ -1,6 +1,6 @@
-"""What else costs time or memory, each beside what it may be at most: large teams, whole runs, recording, the start.
+"""Other costs in time and memory, each with its limit: large teams, whole runs, recording, starting.
 
-What needs a memory of its own is measured in a process of its own.
+Peak memory is measured in a separate process.
 """
 
 import os
@@ -37,20 +37,20 @@ from scenarios.study import SCENARIOS, Options
 from scenarios.table1 import configuration, decentralised
 
 SIZES = (100, 1_000, 10_000, 100_000)
-"""Nodes of a disk graph; what the largest costs is compared with what the second does."""
+"""Numbers of nodes of the disk graphs; the cost of the largest is compared with that of the second."""
 DEGREE = 20
 """Mean number of neighbours on the disk graph."""
 DURATION = 2.0
-"""Of a run of the disk graph, s of simulated time."""
+"""Simulated time of a run on a disk graph, s."""
 CROWD, HORIZON = 1_000, 10.0
-"""Pursuers on the complete graph, and how long they are simulated, s."""
+"""Number of pursuers on the complete graph, and their simulated time, s."""
 SLOT = 0.001
-"""delta, s."""
+"""Slot delta, s."""
 TABLE1_RUNS = 100
 STREAMED = (100_000, 1_000_000)
-"""Messages streamed to disk, few and many."""
+"""Numbers of messages streamed to disk: a small and a large one."""
 STARTS = 9
-"""How often a command is started."""
+"""Number of times that each command is started."""
 MEGABYTE = 1e6
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ Floats = NDArray[np.float64]
 
 
 class Drifting:
-    """Nodes that move straight on in a square and are thrown back at its sides."""
+    """A position source: nodes move straight in a square and are reflected at its sides."""
 
     def __init__(self, env: Clock, size: int, side: float, seed: int):
         rng = np.random.default_rng(seed)
@@ -68,11 +68,11 @@ class Drifting:
         self.fastest = 0.05 * sqrt(2.0)
 
     def __call__(self) -> Floats:
-        """Return everybody's position, (n, 2) m."""
+        """Return the (n, 2) positions of all nodes, m."""
         return self._thrown_back(self._from + self._velocity * seconds(self._env.now))
 
     def of(self, nodes: NDArray[np.intp]) -> Floats:
-        """Return the positions of some, (k, 2) m."""
+        """Return the (k, 2) positions of some nodes, m."""
         there = self._from.take(nodes, axis=0), self._velocity.take(nodes, axis=0)
         return self._thrown_back(there[0] + there[1] * seconds(self._env.now))
 
@@ -81,7 +81,10 @@ class Drifting:
 
 
 def disk(size: int, seed: int) -> tuple[float, float]:
-    """Let nodes on a disk graph broadcast once a second; return the time per delivery (s) and memory per node (B)."""
+    """Simulate nodes on a disk graph that broadcast once a second.
+
+    Return the CPU time per delivery, s, and the memory per node, B.
+    """
     before, env = memory("VmRSS"), Clock()
     places = Drifting(env, size, sqrt(pi * size / DEGREE), seed)
     network = Network(env, Complete()(size), Links(latency=LOGNORMAL, range=1.0), seed=seed, positions=places)
@@ -102,7 +105,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
 
 
 def flat(options: Options) -> list[MessageCost]:
-    """Measure what a delivery costs and a node takes on disk graphs of equal density, by the number of nodes."""
+    """Measure the time per delivery and the memory per node on disk graphs of equal density and different size."""
     found = {}
     for size in SIZES:
         laps = [apart(disk, size, options.seed) for _ in range(options.runs if size < max(SIZES) else 1)]
@@ -120,7 +123,7 @@ def flat(options: Options) -> list[MessageCost]:
 
 
 def crowd(count: int, horizon: float) -> Scenario:
-    """Return a pursuit on a complete graph in which there is no capture before the end."""
+    """Return a pursuit on a complete graph without a capture before the horizon."""
     return Scenario(
         name="crowd",
         horizon=horizon,
@@ -131,7 +134,7 @@ def crowd(count: int, horizon: float) -> Scenario:
 
 
 def whole_crowd(count: int, horizon: float, seed: int) -> tuple[float, float]:
-    """Return the time (s) and the peak memory (B) of a run of the crowd."""
+    """Return the time, s, and the peak memory, B, of a run of `crowd`."""
     begin = time.perf_counter()
     result = run(crowd(count, horizon), seed)
     took = time.perf_counter() - begin
@@ -150,7 +153,7 @@ def complete(options: Options) -> list[MessageCost]:
 
 
 def table_1(_: Options) -> list[MessageCost]:
-    """Measure the study of Table I, as its command on two cores."""
+    """Measure the command of the Table I study with two worker processes."""
     with TemporaryDirectory() as folder:
         words = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
         before = os.times()
@@ -159,12 +162,12 @@ def table_1(_: Options) -> list[MessageCost]:
     cores = sum(after[2:4]) - sum(before[2:4])
     return [
         MessageCost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
-        MessageCost("time of both cores", cores, "s"),
+        MessageCost("CPU time of both cores", cores, "s"),
     ]
 
 
 def loop(options: Options) -> list[MessageCost]:
-    """Measure a run of Table I with all its messages against a loop of Algorithm 2 without any, by slot of delta."""
+    """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages."""
     fine = decentralised(configuration(40), SLOT)
     ways: dict[str, Callable[[int], int]] = {
         "h = delta": lambda seed: round(end(run(fine, seed)) / SLOT),
@@ -184,7 +187,7 @@ def loop(options: Options) -> list[MessageCost]:
 
 
 def talk(count: int) -> Scenario:
-    """Return a run in which about so many messages are sent."""
+    """Return a scenario in which about `count` messages are sent."""
     heartbeat, team = 0.01, 40
     return Scenario(
         name="talk",
@@ -199,24 +202,24 @@ def talk(count: int) -> Scenario:
 
 
 def kept(scenario: Scenario, seed: int) -> int:
-    """Run and keep all messages in the trace; return how many there were."""
+    """Run with all messages kept in the trace; return the number of messages."""
     return sent(run(scenario.model_copy(update={"record": Recording(trajectory=0.0, messages=True)}), seed))
 
 
 def streamed(scenario: Scenario, seed: int) -> int:
-    """Run and write all messages to disk as they are sent; return how many there were."""
+    """Run with all messages written to disk as they are sent; return the number of messages."""
     with TemporaryDirectory() as folder, TraceFile(Path(folder) / "trace.jsonl") as file:
         return sent(run(scenario, seed, file))
 
 
 def peak_of_stream(count: int, seed: int) -> float:
-    """Return the peak memory of a run whose messages go to disk, B."""
+    """Return the peak memory of a run that streams `count` messages to disk, B."""
     streamed(talk(count), seed)
     return memory("VmHWM")
 
 
 def recording(options: Options) -> list[MessageCost]:
-    """Measure what it costs to record all messages, in memory and on disk."""
+    """Measure the cost of recording all messages, in memory and on disk."""
     scenario = talk(STREAMED[0])
     ways: dict[str, Callable[[int], int]] = {
         "off": lambda seed: sent(run(scenario, seed)),
@@ -230,7 +233,7 @@ def recording(options: Options) -> list[MessageCost]:
         MessageCost("all kept / none", found["kept"] / found["off"], "", 1.3),
         MessageCost("all on disk / none", found["streamed"] / found["off"], ""),
         MessageCost(
-            f"memory more for {STREAMED[1]:,} on disk than for {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0
+            f"peak memory of {STREAMED[1]:,} on disk less that of {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0
         ),
     ]
 
@@ -239,7 +242,7 @@ def recording(options: Options) -> list[MessageCost]:
 
 
 def start(_: Options) -> list[MessageCost]:
-    """Measure how long it takes to start, beside Python and numpy alone."""
+    """Measure the start-up time of commands, and of Python and numpy alone for comparison."""
     commands: dict[str, tuple[tuple[str, ...], float | None]] = {
         "python -c pass": (("-c", "pass"), None),
         'python -c "import numpy"': (("-c", "import numpy"), None),
@@ -255,15 +258,15 @@ PARTS: Mapping[str, Callable[[Options], list[MessageCost]]] = MappingProxyType(
 )
 
 
-# What was measured.
+# Measurements of a result.
 
 
 def end(result: Result) -> float:
-    """Return when a run was over, s."""
+    """Return the time at which a run ended, s."""
     (ended,) = result.trace.of(Ended)
     return seconds(ended.t)
 
 
 def sent(result: Result) -> int:
-    """Return how many messages a run sent."""
+    """Return the number of messages sent in a run."""
     return messages(result).sent

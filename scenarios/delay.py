@@ -1,10 +1,10 @@
-"""Measure what latency costs: the scaling law of excess active time, and the phase diagram over latency and slot.
+"""Measure the cost of latency: the scaling law of excess active time, and the phase diagram over latency and slot.
 
-The law: when everyone starts active and decides greedily, the excess active time int (n - 1)+ dt is
-g_N(L lambda) N^2 delta, with one-way latency L, decisions of a pursuer per second lambda and delta = 1 / (N lambda).
-First g is measured on games in which nobody moves, for several schedules. Then, without a fit, relay time + g N^2 delta
-predicts the sum of active times of the pursuit itself over a grid of latencies and slots. Where it predicts more than
-some 30 s, capture comes before the excess is over, and cuts it.
+The law: if all pursuers start active and decide greedily, the excess active time int (n - 1)+ dt is
+g_N(L lambda) N^2 delta, with the one-way latency L, the decision rate of a pursuer lambda and delta = 1 / (N lambda).
+First g is measured on static games, for several schedules. Then relay time + g N^2 delta predicts, without any fit, the
+sum of active times of the moving pursuit over a grid of latencies and slots. Where the prediction exceeds about 30 s,
+the evader is captured before the excess has decayed, so the measured sum is lower.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 N = 20
 LAMBDA = 5.0
-"""Decisions of one pursuer per second on the static games, 1/s."""
+"""Decision rate lambda of one pursuer in the static games, 1/s."""
 DELAYS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 16.0, 64.0)
-"""L lambda."""
+"""Values of L lambda."""
 SCHEDULES: dict[str, Callable[[float], Schedule]] = {
     "poisson": lambda slot: Poisson(rate=1.0 / (N * slot)),
     "shared_seed": lambda slot: SharedSeed(slot=slot),
@@ -44,11 +44,11 @@ SCHEDULES: dict[str, Callable[[float], Schedule]] = {
     "token_ring": lambda slot: TokenRing(holding_time=slot),
 }
 SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
-"""delta of the pursuits, s."""
+"""Values of delta in the pursuits, s."""
 LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""L of the pursuits, s."""
+"""Values of L in the pursuits, s."""
 CRITICAL = 3.0
-"""L lambda at which the excess has about doubled."""
+"""L lambda at which the excess is about twice that without latency."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Cell:
-    """The mean sum of active times of the pursuit at one latency and one slot, and what the law predicts, s."""
+    """The mean sum of active times of the pursuit at one latency and slot, and the prediction of the law, s."""
 
     latency: float
     slot: float
@@ -73,7 +73,7 @@ class Cell:
 
 
 def static(schedule: Schedule, latency: float) -> Scenario:
-    """Return a game in which nobody moves, everyone is active at first and decides greedily."""
+    """Return a game without motion, in which all pursuers start active and decide greedily."""
     return Scenario(
         name="static game",
         horizon=60.0 + 10.0 * latency,
@@ -98,7 +98,7 @@ def pursuit(latency: float, slot: float) -> Scenario:
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Return g for every schedule and delay; the ring, whose slots grow with the latency, without latency only."""
+    """Return g for each schedule and delay; for the ring, whose slots grow with the latency, at zero latency only."""
     slot = 1.0 / (N * LAMBDA)
     keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]
     scenarios = [static(SCHEDULES[name](slot), delay / LAMBDA) for name, delay in keys]
@@ -108,14 +108,14 @@ def measure_law(options: Options) -> list[Point]:
 
 
 def law(points: Sequence[Point]) -> Callable[[float], float]:
-    """Return g under Poisson clocks as a function of L lambda, interpolated between what was measured."""
+    """Return g under Poisson clocks as a function of L lambda, interpolated between the measured points."""
     poisson = [(point.delay, point.excess) for point in points if point.schedule == "poisson"]
     delays, excess = zip(*poisson, strict=True)
     return lambda delay: float(np.interp(delay, delays, excess))
 
 
 def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
-    """Return the phase diagram, and what the law predicts for it."""
+    """Return the phase diagram, measured and predicted by the law."""
     g = law(points)
     keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
     alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})
@@ -129,13 +129,13 @@ def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
 def _means(
     scenarios: Sequence[Scenario], options: Options, label: str, metric: Callable[..., float]
 ) -> list[tuple[float, float]]:
-    """Return mean and standard error of a metric over the runs of each scenario."""
+    """Return the mean and the standard error of a metric over the runs of each scenario."""
     estimates = [estimate(values) for values in options.measure(scenarios, label, metric)]
     return [(each.mean, each.standard_error) for each in estimates]
 
 
 def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
-    """Return both parts as text."""
+    """Return the law and the phase diagram as text."""
     at = {(point.schedule, point.delay): point for point in points}
     rows = [("L lambda", *SCHEDULES)]
     for delay in DELAYS:
@@ -157,7 +157,7 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
-    """Draw the law by schedule, and the phase diagram with the law laid over it."""
+    """Draw the law for each schedule, and the phase diagram with the prediction of the law."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:
@@ -187,7 +187,7 @@ def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
 
 
 def draw_phases(axes: "Axes", cells: Sequence[Cell]) -> None:
-    """Draw measured active time as colours, the law as lines, and where latency begins to count."""
+    """Draw the measured active time as colours, the law as contour lines, and the line L lambda = `CRITICAL`."""
     from matplotlib.colors import LogNorm
 
     measured = np.array([cell.active_time for cell in cells]).reshape(len(LATENCIES), len(SLOTS))
@@ -215,7 +215,7 @@ def draw_phases(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 @study("delay", __doc__, runs=30)
 def main(options: Options) -> None:
-    """Measure the law, then the pursuits, and compare."""
+    """Measure the law and the pursuits, and compare them."""
     points = measure_law(options)
     cells = measure_pursuits(options, points)
     document = {"law": [asdict(point) for point in points], "pursuits": [asdict(cell) for cell in cells]}

@@ -1,14 +1,14 @@
-"""Which evader lives longest, whoever chases it, and what becomes of a pursuit in which nobody sees far?
+"""Which evasion strategy survives longest against each protocol, and what does limited sensing of the evader cost?
 
-First, the scenario of the paper, in which one pursuer is twice as fast as the others: every strategy of the evader
-against Spatial Adaptive Play on an ideal network, and against several protocols at one latency. Everybody decides ten
-times a second on the average, and all runs have the same seeds, so that strategies can be compared run by run with the
-paper's: pure evasion of the nearest pursuer, whether that chases or not.
+The first part uses the scenario of the paper, in which one pursuer is twice as fast as the others. Each strategy of the
+evader plays against Spatial Adaptive Play on an ideal network, and against several protocols at one latency. Each
+pursuer decides ten times a second on average. All strategies run with the same seeds, so each is compared run by run
+with that of the paper: pure evasion, which flees from the nearest pursuer whether it is active or not.
 
-Second, an evader that wanders among robots of which most are too slow to capture it: they watch, and report what they
-see; two chase, going by those reports where they do not see for themselves. By how far everybody sees, and by what is
-made of sightings that are old: where the evader was; where it would be at the velocity it had; or as far away as it may
-be by now.
+In the second part the evader diffuses among robots, most of which are too slow to capture it. The slow robots watch and
+report their sightings; two fast ones chase, and use the reports where they do not see the evader. The sensing radius
+varies, and so does the estimate of the evader's position from an old sighting: its last position; its last position
+extrapolated with its last velocity; or the worst case, the farthest position it can have reached.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,14 +51,14 @@ from scenarios.study import Options, study
 
 
 def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
-    """Return what was measured as text."""
+    """Return all results as text."""
     latency = max(each.latency for each in cells)
     what = f"paper, {N} pursuers, L = {latency:g} s if not ideal, {runs} runs, 95 % intervals"
     return "\n\n".join(
         [
             f"Time to capture, or t_f, s: {what}\n"
             + _grid(cells, lambda each: f"{each.survival:.2f} +- {each.half_width:.2f}"),
-            f"The same less that of {REFERENCE} in the same runs, s: {what}\n"
+            f"Its difference to {REFERENCE} in the same runs, s: {what}\n"
             + _grid(
                 [each for each in cells if each.strategy != REFERENCE],
                 lambda each: f"{each.difference:+.2f} +- {each.difference_half_width:.2f}",
@@ -67,7 +67,7 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
             + "\n".join(claims(cells)),
             f"Sum of active times, s: {what}\n"
             + _grid(cells, lambda each: f"{each.active_time:.1f} +- {each.active_half_width:.1f}"),
-            f"Captured, and hand-overs per run: {what}\n"
+            f"Share of runs with capture, and hand-overs per run: {what}\n"
             + _grid(cells, lambda each: f"{each.captured:.0%} {each.handovers:.1f}"),
             _sight_table(sight, latency, MORE * runs),
         ]
@@ -75,26 +75,30 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 
 def claims(cells: Sequence[Cell]) -> list[str]:
-    """Return whether it pays to flee only from those that chase, against Spatial Adaptive Play."""
+    """Return whether fleeing from active pursuers only pays against Spatial Adaptive Play, a line per network."""
     told = []
     for each in cells:
         if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):
             low, high = each.difference - each.difference_half_width, each.difference + each.difference_half_width
-            verdict = "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "is not told apart"
-            told.append(f"{each.protocol}: who flees only the active {verdict} ({low:+.2f} .. {high:+.2f} s)")
+            verdict = (
+                "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "shows no significant difference"
+            )
+            told.append(
+                f"{each.protocol}: an evader that flees only the active {verdict} ({low:+.2f} .. {high:+.2f} s)"
+            )
     return told
 
 
 def _grid(cells: Sequence[Cell], said: Callable[[Cell], str]) -> str:
-    """Return a row per strategy and a column per protocol."""
+    """Return a table of the texts of the cells, with a row per strategy and a column per protocol."""
     here = {(each.strategy, each.protocol): said(each) for each in cells}
     names = dict.fromkeys(each.strategy for each in cells)
     return aligned([("", *PROTOCOLS), *((name, *(here[name, each] for each in PROTOCOLS)) for name in names)])
 
 
 def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
-    heads = ("captured", "95 % interval", "after, or t_f", "less hold", "active", "less hold")
-    rows = [("R_s", "estimate", *heads, "never seen", "lost", "reports/s", "on the air/s")]
+    heads = ("captured", "95 % interval", "after, or t_f", "vs hold", "active", "vs hold")
+    rows = [("R_s", "estimate", *heads, "never seen", "lost", "reports/s", "transmissions/s")]
     for each in sight:
         limited, compared = each.radius < inf, each.estimate != HELD
         rows.append(
@@ -113,13 +117,13 @@ def _sight_table(sight: Sequence[Sighted], latency: float, runs: int) -> str:
                 f"{each.report_transmissions:.1f}",
             )
         )
-    lost = f"never seen: by nobody; lost: seen, and then by nobody for longer than {WATCHED.sensing.track_timeout:g} s"
-    what = f"{WATCHERS} watch, {CHASERS} chase, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
-    return f"Limited sight: {what}\n{lost}\n{aligned(rows, right_from=2)}"
+    lost = f"lost: seen, and later by no pursuer for longer than {WATCHED.sensing.track_timeout:g} s"
+    what = f"{WATCHERS} watchers, {CHASERS} chasers, sap, L = {latency:g} s, {runs} runs, 95 % intervals"
+    return f"Limited sensing: {what}\n{lost}\n{aligned(rows, right_from=2)}"
 
 
 def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
-    """Draw what each strategy gains over pure evasion, and below what limited sight costs."""
+    """Draw the gain of each strategy over pure evasion, and below it the cost of limited sensing."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(plots.COLUMN, 4.6), font=7.0) as figure:
@@ -131,7 +135,7 @@ def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
 
 
 def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
-    """Draw paired differences to pure evasion, a row per strategy: Spatial Adaptive Play with intervals, the rest."""
+    """Draw paired differences to pure evasion, a row per strategy; only Spatial Adaptive Play has intervals."""
     from desim.analysis import plots
 
     here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}
@@ -157,7 +161,7 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 
 def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
-    """Draw the share captured, and the active time, over the radius, a line per estimate."""
+    """Draw the share of captures and the active time over the sensing radius, a line per estimate."""
     from desim.analysis import plots
 
     radii = [radius for radius in RADII if radius < inf]
@@ -192,7 +196,7 @@ def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     ),
 )
 def main(options: Options) -> None:
-    """Measure, compare, show."""
+    """Measure, compare and show."""
     latency: float = options.own["latency"]
     cells, sight = measure_chases(options, latency), measure_sight(options, latency)
     document = {

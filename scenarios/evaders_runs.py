@@ -1,4 +1,4 @@
-"""What `python -m scenarios.evaders` measures."""
+"""The scenarios and measurements of `python -m scenarios.evaders`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -53,21 +53,21 @@ STRATEGIES: Mapping[str, Strategy] = MappingProxyType(
 )
 REFERENCE = "pure evasion"
 CLAIMED = "pure, of active"
-"""It lives longer than the reference."""
+"""The strategy that is claimed to survive longer than the reference."""
 IDEAL = "sap, ideal"
 PROTOCOLS = (IDEAL, "sap", "local_min", "cbba", "server", "voronoi", "centralised")
 NEAREST = "voronoi"
-"""In which, of these protocols, the fast pursuer need not come to chase."""
+"""The protocol under which the nearest pursuer chases, not necessarily the fast one."""
 MORE = 3
-"""How many times as many runs the second table takes, which is about shares."""
+"""Factor by which the second table has more runs than the first, since it estimates shares."""
 RADII = (2.0, 4.0, 8.0, 16.0, inf)
-"""R_s, m."""
+"""Sensing radii R_s, m."""
 HELD = "hold"
 ESTIMATES: Mapping[str, str] = MappingProxyType(
     {HELD: "hold", "constant_velocity": "constant velocity", "worst_case": "worst case"}
 )
 SPOKEN = Announcements(heartbeat=0.5)
-"""Actions are told as they change, and twice a second."""
+"""Actions are announced on change and twice a second."""
 WATCHERS, CHASERS = 10, 2
 WATCHED = Scenario(
     name="limited sight",
@@ -78,23 +78,23 @@ WATCHED = Scenario(
     announce=SPOKEN,
     record=Recording(messages=True),
 )
-"""Whoever sees the evader cannot chase it, and whoever chases it does not see it at first."""
+"""Ten watchers too slow to capture the evader, and two chasers. Latency and sensing radius are set by `watched`."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What one strategy came to against one protocol, means over the runs."""
+    """The results of one strategy against one protocol, means over the runs."""
 
     strategy: str
     protocol: str
     latency: float
-    """s"""
+    """One-way latency, s."""
     survival: float
     """Time to capture, or t_f where there was none, s."""
     half_width: float
-    """Of the 95 % interval of that, s."""
+    """Half width of its 95 % interval, s."""
     difference: float
-    """Survival less that of pure evasion in the same runs, s."""
+    """Paired difference to the survival of pure evasion, s."""
     difference_half_width: float
     captured: float
     """Share of the runs."""
@@ -105,39 +105,39 @@ class Cell:
 
 @dataclass(frozen=True)
 class Sighted:
-    """What limited sight came to under one estimate, means over the runs."""
+    """The results of one sensing radius and one estimate, means over the runs."""
 
     radius: float
-    """m"""
+    """Sensing radius R_s, m."""
     estimate: str
     captured: float
     """Share of the runs."""
     captured_low: float
-    """Ends of its 95 % Wilson interval."""
+    """Lower end of its 95 % Wilson interval."""
     captured_high: float
     survival: float
     """Time to capture, or t_f where there was none, s."""
     half_width: float
     difference: float
-    """Survival less that in the same runs if the evader is held to be where it was last seen, s."""
+    """Paired difference to the survival with the estimate "hold", s."""
     difference_half_width: float
     active_time: float
     active_half_width: float
     active_difference: float
-    """Active time less that in the same runs if it is held to be there, s."""
+    """Paired difference to the active time with the estimate "hold", s."""
     active_difference_half_width: float
     never_seen: float
-    """Share of the runs in which nobody ever saw the evader."""
+    """Share of the runs in which no pursuer ever saw the evader."""
     lost: float
-    """Share of the runs in which somebody did, and then for longer than `track_timeout` nobody."""
+    """Share of the runs in which the evader was seen, and later by no pursuer for longer than `track_timeout`."""
     reports: float
-    """Messages with sightings, each receiver counted as one, per second of the pursuit."""
+    """Messages with sightings, one per receiver, per second of the pursuit."""
     report_transmissions: float
-    """How many times sightings were put on the air, per second."""
+    """Transmissions with sightings, one per broadcast, per second of the pursuit."""
 
 
 class Watched(NamedTuple):
-    """The numbers of one run with limited sight; see `Sighted`."""
+    """The numbers of one run with limited sensing; see `Sighted`."""
 
     captured: bool
     survival: float
@@ -149,7 +149,7 @@ class Watched(NamedTuple):
 
 
 def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the first table; the latency (s) does not matter to the ideal network."""
+    """Return one scenario of the first table; the latency, s, does not apply to the ideal network."""
     ideal = protocol == IDEAL
     return Scenario(
         name=f"{strategy}, {protocol}",
@@ -163,13 +163,13 @@ def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
 
 
 def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the second table: how far they see (m), what is made of old sightings, latency (s)."""
+    """Return one scenario of the second table, with a sensing radius, m, an estimate and a latency, s."""
     sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
     return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
 
 
 def measure_chases(options: Options, latency: float) -> list[Cell]:
-    """Run every strategy against every protocol."""
+    """Run each strategy against each protocol."""
     keys = [(strategy, protocol) for strategy in STRATEGIES for protocol in PROTOCOLS]
     scenarios = [chase(*key, latency) for key in keys]
     runs = dict(zip(keys, options.measure(scenarios, "strategies", summary), strict=True))
@@ -177,7 +177,7 @@ def measure_chases(options: Options, latency: float) -> list[Cell]:
 
 
 def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, reference: Sequence[Summary]) -> Cell:
-    """Return what the runs of a strategy against a protocol came to, beside pure evasion with the same seeds."""
+    """Return the results of a strategy against a protocol, and their difference to pure evasion with the same seeds."""
     survival, active = estimate([run.end_time for run in runs]), estimate([run.active_time for run in runs])
     paired = estimate([run.end_time - other.end_time for run, other in zip(runs, reference, strict=True)])
     return Cell(
@@ -195,7 +195,7 @@ def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, refer
 
 
 def measure_sight(options: Options, latency: float) -> list[Sighted]:
-    """Run every estimate at every radius; where everything is seen they are all the same."""
+    """Run each estimate at each radius; at infinite radius only "hold", for all estimates are equal."""
     keys = [(radius, made) for radius in RADII for made in (ESTIMATES if radius < inf else [HELD])]
     more = replace(options, runs=MORE * options.runs)
     scenarios = [watched(*key, latency) for key in keys]
@@ -204,7 +204,7 @@ def measure_sight(options: Options, latency: float) -> list[Sighted]:
 
 
 def observe(result: Result) -> Watched:
-    """Return what came of one run with limited sight."""
+    """Return the numbers of one run with limited sensing."""
     told = [
         event
         for event in result.trace.of(Sent)
@@ -226,13 +226,13 @@ def observe(result: Result) -> Watched:
 
 
 def _seen(sample: Sampled, radius: float) -> bool:
-    """Return whether anybody is so near to the evader, m."""
+    """Return whether any pursuer is within the radius (m) of the evader."""
     gaps = np.array(sample.pursuers) - np.array(sample.evader)
     return bool(np.hypot(gaps[:, 0], gaps[:, 1]).min() <= radius)
 
 
 def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
-    """Return what the runs with one radius and one estimate came to, beside those with the same seeds that hold."""
+    """Return the results of one radius and one estimate, and their difference to "hold" with the same seeds."""
     survival, active = estimate([run.survival for run in runs]), estimate([run.active_time for run in runs])
     pairs = list(zip(runs, reference, strict=True))
     longer = estimate([run.survival - other.survival for run, other in pairs])

@@ -1,8 +1,9 @@
 """Draw the figures of Lee & Bakolas: initial configuration, trajectories, and individual utilities over time.
 
-Of the configurations of Table I, N = 20 and 40: centralised (Algorithm 3) and decentralised (Algorithm 2) for three
-slots delta. The figures show the run of the first seed; the table has means over all. The utility of a pursuer is its
-wonderful-life utility at the actions that are actually played, U_E(S) - U_E(S without i): 0 for who stays.
+The figures show the configurations of Table I, N = 20 and 40: centralised (Algorithm 3), and decentralised
+(Algorithm 2) for three slots delta. They are drawn for the run of the first seed; the table has means over all seeds.
+The utility of a pursuer is its wonderful-life utility at the actions that are actually played,
+U_E(S) - U_E(S without i), which is 0 for an inactive pursuer.
 """
 
 from dataclasses import asdict, dataclass
@@ -34,43 +35,43 @@ if TYPE_CHECKING:
 
 COUNTS = (20, 40)
 SAMPLING = 0.02
-"""Between two samples of positions, s."""
+"""Time between two samples of positions, s."""
 PRINT = 300
-"""Dots per inch of the PNG."""
+"""Resolution of the PNG, dots per inch."""
 SHORT = 0.1
-"""If somebody is alone after this share of a run or less, its beginning is drawn larger."""
+"""If a single pursuer is active after at most this share of a run, the beginning is also drawn enlarged."""
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """What happened in one run."""
+    """The numbers of one run."""
 
     active_time: float
-    """Sum over the pursuers, s."""
+    """Sum of active times over the pursuers, s."""
     end: float
-    """s"""
+    """Time of capture, or t_f, s."""
     captured: bool
     alone: float | None
-    """From when on one pursuer was active alone for the first time, s."""
+    """Time at which for the first time a single pursuer was active, s; None if there was none."""
     handovers: int
 
 
 def numbers(result: Result) -> Numbers:
-    """Return what happened in a run."""
+    """Return the numbers of a run."""
     end, alone = ended(result), relays(result)
     first = seconds(alone[0][0]) if alone else None
     return Numbers(active_time(result), seconds(end.t), end.reason == "captured", first, handovers(result))
 
 
 def panels(count: int) -> dict[str, Scenario]:
-    """Return the scenario of each panel: the centralised one and one for each slot, positions recorded."""
+    """Return the scenario of each panel: centralised, and one for each slot, with positions recorded."""
     base = configuration(count).model_copy(update={"record": Recording(trajectory=SAMPLING)})
     found = {"centralised": centralised(base, min(DELTAS))}
     return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
 
 
 def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[np.bool_]", "NDArray[np.float64]"]:
-    """Return the breakpoints of a run (k + 1,) ns, who was active (k, N), and utilities (k, N) s, 0 of who was not."""
+    """Return the breakpoints of a run, (k + 1,) ns, the active pursuers, (k, N), and their utilities, (k, N) s."""
     parts = list(timeline(result))
     times = np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)])
     active = np.concatenate([part.active for part in parts])
@@ -78,7 +79,7 @@ def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[
 
 
 def initial(result: Result) -> "Figure":
-    """Draw where everyone is at first, with the numbers of the pursuers."""
+    """Draw the initial positions of all players, with the ids of the pursuers."""
     from desim.analysis import plots
     from desim.view.labels import label_points
 
@@ -100,7 +101,7 @@ def initial(result: Result) -> "Figure":
 
 
 def trajectories(results: "Mapping[str, Result]") -> "Figure":
-    """Draw the pursuits, four panels with the same axes."""
+    """Draw the trajectories of the runs, in four panels with shared axes."""
     from desim.analysis import plots
     from desim.view.paths import draw_pursuit, label_takeovers
 
@@ -126,7 +127,7 @@ def trajectories(results: "Mapping[str, Result]") -> "Figure":
 
 
 def utilities(results: "Mapping[str, Result]") -> "Figure":
-    """Draw the individual utilities over time, a panel below the other, each with a scale of its own."""
+    """Draw the individual utilities over time, one panel below the other, each with its own scale."""
     from desim.analysis import plots
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
@@ -148,7 +149,7 @@ def utilities(results: "Mapping[str, Result]") -> "Figure":
 
 
 def _name_takeovers(axes: "Axes", result: Result) -> None:
-    """Write beside the beginning of each bold line whose it is."""
+    """Label the beginning of each bold line with the id of its pursuer."""
     from desim.analysis import plots
     from desim.view.labels import label_points
 
@@ -161,7 +162,7 @@ def _name_takeovers(axes: "Axes", result: Result) -> None:
 
 
 def _enlarge(axes: "Axes", result: Result, until: float) -> None:
-    """Draw the beginning of a panel larger, in its empty part."""
+    """Draw the time up to `until` (s) enlarged, in the empty part of a panel."""
     inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
     draw_utilities(inset, result)
     inset.set_xlim(0.0, until)
@@ -170,7 +171,7 @@ def _enlarge(axes: "Axes", result: Result, until: float) -> None:
 
 
 def draw_utilities(axes: "Axes", result: Result) -> None:
-    """Draw the utility of every pursuer while it is active: bold if it is active alone; 0 of who stays is one line."""
+    """Draw the utility of each pursuer while it is active, bold if it is alone; one line stands for all inactive."""
     from desim.analysis import plots
 
     times, active, found = individual_utilities(result)
@@ -188,7 +189,7 @@ def draw_utilities(axes: "Axes", result: Result) -> None:
 
 
 def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
-    """Yield the names and the figures of N pursuers."""
+    """Yield the name and the figure of each picture for N pursuers."""
     results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
     yield f"configuration_{count}", initial(results["centralised"])
     yield f"trajectories_{count}", trajectories(results)
@@ -216,7 +217,7 @@ def table(found: dict[tuple[int, str], list[Numbers]]) -> str:
 
 @study("figures", __doc__, runs=1)
 def main(options: Options) -> None:
-    """Measure, draw."""
+    """Measure and draw."""
     scenarios = {(count, name): each for count in COUNTS for name, each in panels(count).items()}
     found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", numbers), strict=True))
     cells = [{"N": n, "panel": name, "runs": [asdict(each) for each in runs]} for (n, name), runs in found.items()]

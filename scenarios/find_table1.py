@@ -1,10 +1,10 @@
-"""Find the initial configurations of Table I, which the paper does not print; writes table1_20.toml and table1_40.toml.
+"""Find the initial configurations of Table I, which the paper does not print; write table1_20.toml and table1_40.toml.
 
-Configurations are drawn at random from the paper's boxes (x_i in [0, 20]^2, x_e in [8, 12]^2, rounded to mm) and kept
-if the active time of the *centralised* Algorithm 3 is within 0.5 % of the published one at all three delta. Among those
-that are kept, the one whose decentralised active times, all pursuers active at first, come nearest to the published
-ones (least sum of squared log ratios, on other seeds than the study shows) is chosen. Nothing else is fitted: no
-parameter of the game, the protocol or the simulator.
+Configurations are drawn at random from the paper's boxes (x_i in [0, 20]^2, x_e in [8, 12]^2, rounded to mm). A
+candidate is a configuration for which the active time of the *centralised* Algorithm 3 is within 0.5 % of the published
+one at all three delta. The candidate is chosen whose decentralised active times, with all pursuers initially active,
+fit the published ones best: the sum of squared log ratios is least, on other seeds than those of the study. Nothing
+else is fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -26,10 +26,11 @@ from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
 
 TOLERANCE = 0.005
+"""Relative deviation of the centralised active times of a candidate from the published ones."""
 BATCH = 20_000
-"""Configurations drawn at a time; part of the definition of the draws."""
+"""Configurations per batch; another size gives other draws from the same seed."""
 FIRST_SEED = 1_000_000
-"""Of the runs that choose: far from those that the study of Table I shows."""
+"""First seed of the runs for the choice, far from the seeds of the Table I study."""
 
 
 def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
@@ -38,12 +39,12 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
     Args:
         pursuers: (M, N) positions x + iy, m.
         evaders: (M,) positions, m.
-        team: whose speeds, capture radius and horizon to take.
+        team: scenario that gives the speeds, the capture radius and the horizon.
         delta: slot and motion step, s.
     """
     v, v_e, eps = np.array(team.team.all_speeds()), team.evaders[0].speed, team.capture.radius
     times = np.full(len(evaders), inf)
-    left = np.arange(len(evaders))  # the configurations that are not captured yet
+    left = np.arange(len(evaders))  # indices of the configurations without capture so far
     for k in range(round(team.horizon / delta) + 1):
         gaps = evaders[:, np.newaxis] - pursuers
         distances = np.abs(gaps)
@@ -61,7 +62,7 @@ def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: 
 
 
 def fitting(base: Scenario, published: dict[float, float], draws: int, seed: int) -> list[Scenario]:
-    """Return the configurations among `draws` random ones whose centralised active times fit the published ones."""
+    """Return the candidates among `draws` random configurations (rounded up to whole batches)."""
     rng = np.random.default_rng(seed)
     count, kept = base.team.count, []
     for _ in tqdm(range(0, draws, BATCH), desc=f"drawing, N = {count}", unit_scale=BATCH, unit="draw", disable=None):
@@ -85,7 +86,10 @@ def _placed(base: Scenario, team: list[list[float]], evader: list[float]) -> Sce
 
 
 def misfits(candidates: list[Scenario], published: dict[float, float], runs: dict[float, int]) -> list[float]:
-    """Return for each candidate the sum of squared log ratios of measured to published decentralised active times."""
+    """Return for each candidate the sum of squared log ratios of measured to published decentralised active times.
+
+    `runs` is the number of runs for each delta (s).
+    """
     cells = [(c, delta) for c in candidates for delta in runs]
     tasks = [(decentralised(c, delta), seed) for c, delta in cells for seed in seeds_from(FIRST_SEED, runs[delta])]
     times = iter(run_many(tasks, 0, f"{len(candidates)} candidates", active_time))
@@ -94,7 +98,7 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
-    """Return the candidate whose decentralised active times fit best, looking closer at fewer and fewer."""
+    """Return the candidate with the best decentralised fit, in rounds with fewer candidates and more runs each."""
     for keep, runs in (
         (12, {0.1: 100, 0.01: 20}),
         (4, {0.1: 400, 0.01: 100, 0.001: 20}),
@@ -109,7 +113,7 @@ def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
 
 @click.command(help=__doc__, cls=Program)
 @click.option("--draws", default=1_000_000, show_default=True, help=f"Configurations per N, in batches of {BATCH}.")
-@click.option("--most", default=100, show_default=True, help="Fitting configurations to look at for each N.")
+@click.option("--most", default=100, show_default=True, help="Maximum number of candidates for each N.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the draws.")
 @click.option("--team", "teams", type=int, multiple=True, default=(20, 40), show_default=True, help="Team sizes N.")
 def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
@@ -127,16 +131,18 @@ def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
         )
         candidates = fitting(base, central, draws, seed)
         drawn = -(-draws // BATCH) * BATCH
-        click.echo(f"N = {count}: {len(candidates)} of {drawn} configurations fit the centralised times")
+        click.echo(
+            f"N = {count}: {len(candidates)} of {drawn} configurations fit the published centralised active times"
+        )
         if not candidates:
-            raise click.ClickException("none fits: draw more")
+            raise click.ClickException("no configuration fits: increase --draws")
         command = f"python -m scenarios.find_table1 --team {count} --draws {draws} --most {most} --seed {seed}"
         text = as_file(best(candidates[:most], published), command)
         (SCENARIOS / f"table1_{count}.toml").write_text(text, encoding="utf-8")
 
 
 def as_file(chosen: Scenario, command: str) -> str:
-    """Return a configuration as a scenario file, one point a line."""
+    """Return a configuration as the text of a scenario file, one point per line."""
     text = tomli_w.dumps(chosen.model_dump(exclude_defaults=True))
     return f"# Found by: {command}\n" + re.sub(r"\[\s+([\d.]+),\s+([\d.]+),\s+\]", r"[\1, \2]", text)
 

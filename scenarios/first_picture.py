@@ -1,7 +1,7 @@
-"""Draw the picture at the top of the README: one pursuit, and what one-way latency costs it.
+"""Draw the picture at the top of the README: one pursuit, and the effect of one-way latency on it.
 
-Left: the relay of scenarios/relay.toml. Right: the number of active pursuers over time, mean of the runs that are still
-going on, for several latencies of the same network.
+Left: the pursuit of scenarios/relay.toml. Right: the number of active pursuers over time, averaged over the runs that
+have not ended, for several latencies of the same network.
 """
 
 from typing import TYPE_CHECKING
@@ -20,14 +20,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LATENCIES = (0.0, 0.1, 0.5, 1.0)
+"""One-way latencies, s."""
 TIMES = np.arange(0.0, 5.0, 0.02)
+"""Times at which the active pursuers are counted, s."""
 DASHES = ("-", (0, (6, 1.5)), (0, (3, 1.5)), (0, (1, 1)))
-"""The longer the latency, the shorter the dashes."""
+"""Line styles by latency: a longer latency has shorter dashes."""
 FILE = SCENARIOS / "relay.toml"
 
 
 def active_pursuers(result: Result) -> "NDArray[np.float64]":
-    """Return n(t) at `TIMES`, nan after the end."""
+    """Return the number of active pursuers at `TIMES`, nan after the end of the run."""
     durations, counts = activity(result)
     steps = np.searchsorted(np.cumsum(durations), TIMES, side="right")
     return np.append(counts.astype(float), np.nan)[steps]
@@ -41,7 +43,7 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     with plots.styled(figsize=(8.4, 4.8)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
         plots.draw_trajectory(left, result)
-        left.set_anchor("N")  # so that all room that is left is for the legend
+        left.set_anchor("N")  # leaves the space below for the legend
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)
         looks = zip(plots.SERIES, DASHES, strict=False)
         for (colour, dash), (latency, mean) in zip(looks, means.items(), strict=False):
@@ -49,13 +51,13 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
         right.axhline(1.0, color=plots.GREY, lw=0.8, ls=":")
         right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
         right.set_yticks(range(0, 21, 5))
-        right.legend(title="one-way latency", handlelength=3, reverse=True)  # as the lines lie
+        right.legend(title="one-way latency", handlelength=3, reverse=True)  # the order of the lines
     return figure
 
 
 @study("first_picture", __doc__, runs=100)
 def main(options: Options) -> None:
-    """Run, average, draw."""
+    """Run, average and draw."""
     scenarios = [load(FILE, [f"network.latency.value={latency}"]) for latency in LATENCIES]
     curves = options.measure(scenarios, "latencies", active_pursuers)
     means = {latency: np.nanmean(found, axis=0) for latency, found in zip(LATENCIES, curves, strict=True)}

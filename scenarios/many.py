@@ -1,9 +1,9 @@
-"""Several evaders: how good an assignment the team finds, and how soon everybody is captured.
+"""Several evaders: how good an assignment the team finds, and how soon all evaders are captured.
 
-With one evader the game has one equilibrium. With several it has many, some poor: two pursuers that had better swap
-their evaders both lose before both gain. What cooling is worth is measured in the frozen game of t = 0, by the welfare
-of the final profile in units of that of the best assignment: over the number of slots that there are to negotiate, at
-constant temperatures, and by protocol. Then everybody moves, and it is measured how long it takes to capture all.
+With one evader the game has one equilibrium. With several it has many, some of them poor: if two pursuers should swap
+their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0, by
+the welfare of the final profile divided by that of the best assignment: over the number of slots for negotiation, at
+constant temperatures, and by protocol. Then all players move, and the time until all evaders are captured is measured.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ from scenarios.study import Options, study
 
 
 def table(games: Sequence[Negotiation], moved: Sequence[Pursuits], runs: int) -> str:
-    """Return what was measured as text."""
+    """Return all results as text."""
     return "\n\n".join(
         [
             _by_size(games, runs),
@@ -57,7 +57,7 @@ def _by_size(games: Sequence[Negotiation], runs: int) -> str:
         rows.append((name, *(f"{each.share:.3f} +- {each.half_width:.3f}  {each.best:4.0%}" for each in line)))
     return (
         f"Welfare of the final profile / optimum, and share of games that end in the best assignment, N to M:\n"
-        f"frozen, r = {HORIZON:g} s, {BUDGET} slots, {runs} games, 95 % intervals\n{aligned(rows)}"
+        f"static, r = {HORIZON:g} s, {BUDGET} slots, {runs} games, 95 % intervals\n{aligned(rows)}"
     )
 
 
@@ -67,7 +67,7 @@ def _by_cooling(games: Sequence[Negotiation], runs: int) -> str:
     for name in COOLED:
         line = [here[slots, name] for slots in BUDGETS]
         rows.append((name, *(f"{each.best:.0%} ({each.best_low:.0%} .. {each.best_high:.0%})" for each in line)))
-    what = f"{HARD[0]} to {HARD[1]}, frozen, {runs} games, 95 % Wilson intervals"
+    what = f"{HARD[0]} to {HARD[1]}, static, {runs} games, 95 % Wilson intervals"
     return f"Share of games that end in the best assignment: {what}\n{aligned(rows)}"
 
 
@@ -77,7 +77,7 @@ def _by_temperature(games: Sequence[Negotiation], runs: int) -> str:
     for kind in ("sap", "selective_sap"):
         line = [here[tau, kind] for tau in TEMPERATURES]
         rows.append((kind, *(f"{each.share:.3f} +- {each.half_width:.3f}" for each in line)))
-    what = f"{HARD[0]} to {HARD[1]}, frozen, {BUDGET} slots, {runs} games, 95 % intervals"
+    what = f"{HARD[0]} to {HARD[1]}, static, {BUDGET} slots, {runs} games, 95 % intervals"
     return f"Welfare of the final profile / optimum at constant temperatures: {what}\n{aligned(rows)}"
 
 
@@ -94,8 +94,8 @@ def _moved(moved: Sequence[Pursuits], runs: int) -> str:
     what = f"t_f = {HORIZON:g} s, {runs} runs, 95 % intervals"
     return (
         f"Time until all are captured, or t_f, s: {what}\n{aligned(times)}\n\n"
-        f"The same less that of {REFERENCE}, in the same runs, s: {what}\n{aligned(paired)}\n\n"
-        f"Share of the evaders captured by t_f (and of the runs in which all are)\n{aligned(caught)}"
+        f"Its difference to {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}\n\n"
+        f"Share of the evaders captured by t_f (share of the runs with all captured)\n{aligned(caught)}"
     )
 
 
@@ -104,7 +104,7 @@ def _hard(game: Negotiation) -> bool:
 
 
 def picture(games: Sequence[Negotiation], moved: Sequence[Pursuits]) -> "Figure":
-    """Draw what cooling is worth, what a constant temperature is, and how long the pursuits take."""
+    """Draw the effects of cooling and of a constant temperature, and the durations of the pursuits."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(plots.COLUMN, 7.2), font=8.0) as figure:
@@ -116,7 +116,7 @@ def picture(games: Sequence[Negotiation], moved: Sequence[Pursuits]) -> "Figure"
 
 
 def draw_cooling(axes: "Axes", games: Sequence[Negotiation]) -> None:
-    """Draw the share of games that end in the best assignment over the slots there are."""
+    """Draw the share of games that end in the best assignment over the number of slots."""
     from desim.analysis import plots
 
     styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), plots.SERIES, strict=False)
@@ -137,7 +137,7 @@ def draw_cooling(axes: "Axes", games: Sequence[Negotiation]) -> None:
 
 
 def draw_temperatures(axes: "Axes", games: Sequence[Negotiation]) -> None:
-    """Draw the welfare at constant temperatures."""
+    """Draw the welfare over constant temperatures, a line per protocol."""
     from desim.analysis import plots
 
     kinds = {"sap": ("SAP", "o", 0.97, plots.SERIES[0]), "selective_sap": ("Selective SAP", "s", 1.03, plots.SERIES[2])}
@@ -153,7 +153,7 @@ def draw_temperatures(axes: "Axes", games: Sequence[Negotiation]) -> None:
 
 
 def draw_pursuits(axes: "Axes", moved: Sequence[Pursuits]) -> None:
-    """Draw how long the pursuits take, a row per protocol, a mark per size."""
+    """Draw the durations of the pursuits, a row per protocol, a mark per size."""
     from desim.analysis import plots
 
     rows = {name: row for row, name in enumerate(CONTENDERS)}
@@ -180,7 +180,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[Pursuits]) -> None:
 
 @study("many", __doc__, runs=40)
 def main(options: Options) -> None:
-    """Negotiate, pursue, show."""
+    """Measure the static games and the pursuits, and show them."""
     games, moved = negotiations(options), pursuits(options)
     document = {"negotiations": [asdict(each) for each in games], "pursuits": [asdict(each) for each in moved]}
     options.show(document, table(games, moved, options.runs), lambda: picture(games, moved))

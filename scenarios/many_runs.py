@@ -1,4 +1,4 @@
-"""What `python -m scenarios.many` measures."""
+"""The scenarios and measurements of `python -m scenarios.many`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,30 +20,30 @@ from protocols.temperature import ConstantTau, GeometricTau, Temperature
 from scenarios.study import Options
 
 SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
-"""Pursuers N and evaders M."""
+"""Numbers of pursuers N and evaders M."""
 HARD = (4, 4)
-"""The size at which cooling is looked at: with as many evaders as pursuers nobody is free to correct a mistake."""
+"""The size for the study of cooling: with M = N no pursuer is free to correct a poor assignment."""
 HORIZON = 15.0
-"""t_f, and in the frozen game r, s."""
+"""Horizon t_f, in the static game the reward r, s."""
 BOX = (0.0, 20.0)
-"""m"""
+"""Interval of both initial coordinates, m."""
 SPEED = 2.0
-"""Of pursuers, m/s; evaders are those of the paper."""
+"""Speed of the pursuers, m/s; evaders have the speed of the paper."""
 GAMES_PER_RUN = 3
-"""How many games of that size are negotiated for each run."""
+"""Number of static games of size `HARD` for each run."""
 BUDGETS = (30, 100, 300, 1000)
-"""Slots in which a frozen game is negotiated."""
+"""Numbers of slots for negotiation in a static game."""
 BUDGET = 300
 TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Constant ones, s."""
+"""Constant temperatures, s."""
 HOT, COLD = 5.0, 0.05
-"""Between which the temperature falls, s: from what one loses who leaves its evader to what most choices are about."""
+"""First and last temperature, s: the loss of a pursuer that leaves its evader, and a typical difference of choices."""
 SETTLING = 0.1
-"""Share of the slots that is left when the temperature has fallen."""
+"""Share of the slots that remains after the temperature has reached `COLD`."""
 COOLING = 100
-"""Slots in which the temperature falls if everybody moves: a second."""
+"""Number of slots over which the temperature falls in moving pursuits: one second."""
 SLOT = 0.01
-"""If everybody moves, s."""
+"""Slot of moving pursuits, s."""
 FAST = GeometricTau(first=HOT, ratio=0.5, floor=COLD)
 CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
     {
@@ -57,61 +57,62 @@ CONTENDERS: Mapping[str, tuple[str, str | None]] = MappingProxyType(
         "centralised": ("centralised", None),
     }
 )
-"""Kind of protocol, and how it cools."""
+"""Kind of protocol and its cooling, by name."""
 COOLED = tuple(name for name, (_, cooling) in CONTENDERS.items() if cooling)
 REFERENCE = "SAP, slow"
 Key = tuple[tuple[int, int], str, int, float | None]
-"""Of frozen games: (N, M), protocol, slots, and the temperature if it is constant, s."""
+"""Of static games: (N, M), protocol, number of slots, and the temperature if it is constant, s."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a negotiation ended."""
+    """The result of one negotiation."""
 
     share: float
-    """Welfare of the final profile in units of that of the best assignment."""
+    """Welfare of the final profile / welfare of the best assignment."""
 
     @property
     def best(self) -> bool:
-        """Whether it is that of the best assignment."""
+        """Whether the welfare is that of the best assignment."""
         return self.share > 1.0 - 1e-9
 
 
 @dataclass(frozen=True)
 class Negotiation:
-    """What the frozen games of one size came to."""
+    """The results of the static games of one size under one protocol."""
 
     pursuers: int
     evaders: int
     protocol: str
     slots: int
     temperature: float | None
-    """If it is constant, s."""
+    """The temperature if it is constant, s."""
     share: float
-    """Mean welfare in units of the optimum."""
+    """Mean welfare / optimum."""
     half_width: float
-    """Of its 95 % interval."""
+    """Half width of its 95 % interval."""
     least: float
+    """Least welfare / optimum."""
     best: float
     """Share of the games that end in the best assignment."""
     best_low: float
-    """Ends of its 95 % Wilson interval."""
+    """Lower end of its 95 % Wilson interval."""
     best_high: float
 
 
 @dataclass(frozen=True)
 class Chase:
-    """How a pursuit of several evaders went."""
+    """The result of one pursuit of several evaders."""
 
     captured: float
-    """Share of the evaders."""
+    """Share of the evaders captured by t_f."""
     duration: float
-    """Until the last was captured, or t_f, s."""
+    """Time until all were captured, or t_f, s."""
 
 
 @dataclass(frozen=True)
 class Pursuits:
-    """What the pursuits of one size came to."""
+    """The results of the pursuits of one size under one protocol."""
 
     pursuers: int
     evaders: int
@@ -120,30 +121,30 @@ class Pursuits:
     """Mean share of the evaders captured by t_f."""
     captured_half_width: float
     all_captured: float
-    """Share of the runs in which all were."""
+    """Share of the runs in which all were captured."""
     duration: float
     """Mean time until all were captured, or t_f, s."""
     half_width: float
-    """Of its 95 % interval, s."""
+    """Half width of its 95 % interval, s."""
     difference: float
-    """Duration less that of slowly cooled Spatial Adaptive Play in the same runs, s."""
+    """Paired difference to the duration of slowly cooled Spatial Adaptive Play, s."""
     difference_half_width: float
 
 
 def slow(slots: int) -> GeometricTau:
-    """Return the temperature that falls over almost all of a number of slots."""
+    """Return a temperature that falls from `HOT` to `COLD` over all but the last tenth of a number of slots."""
     ratio = (COLD / HOT) ** (1.0 / ((1.0 - SETTLING) * slots))
     return GeometricTau(first=HOT, ratio=ratio, floor=COLD)
 
 
 def cooled(name: str, slots: int) -> Temperature | None:
-    """Return the temperature of a contender over a number of slots; None if it knows none."""
+    """Return the temperature of a contender over a number of slots; None for a protocol without temperature."""
     cooling = CONTENDERS[name][1]
     return None if cooling is None else slow(slots) if cooling == "slow" else FAST
 
 
 def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
-    """Return a protocol in which, if it has turns, one pursuer decides in each slot (s)."""
+    """Return a protocol with a slot, s; if it has a schedule, one pursuer decides in each slot."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings: dict[str, Any] = {"slot": slot} if "slot" in fields else {}
     if "schedule" in fields:
@@ -152,7 +153,7 @@ def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
 
 
 def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = None) -> Scenario:
-    """Return a pursuit of several evaders."""
+    """Return a pursuit of several evaders in which all players move."""
     return Scenario(
         name=f"{kind}, {pursuers} to {evaders}",
         horizon=HORIZON,
@@ -164,14 +165,14 @@ def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = Non
 
 
 def frozen(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
-    """Return the game of t = 0, negotiated for a number of slots."""
+    """Return the static game of t = 0, negotiated for a number of slots."""
     return moving(pursuers, evaders, kind).model_copy(
         update={"motion": Motion(static=True), "protocol": protocol(kind, HORIZON / slots, tau)}
     )
 
 
 def capture_times(scenario: Scenario, seed: int) -> Floats:
-    """Return the (N, M) times of capture at t = 0, s."""
+    """Return the (N, M) capture times phi at t = 0, s."""
     at, speeds = scenario.team.start(seed), scenario.team.all_speeds()
     columns = [
         capture_time(evader.start(seed, index), at, speeds, evader.speed, scenario.capture.radius)
@@ -181,7 +182,7 @@ def capture_times(scenario: Scenario, seed: int) -> Floats:
 
 
 def outcome(result: Result) -> Outcome:
-    """Return how the negotiation of a frozen game ended."""
+    """Return the outcome of the negotiation of a static game."""
     actions = list(result.trace.of(Started)[0].active)
     for decision in result.trace.of(Decided):
         actions[decision.pursuer] = decision.active
@@ -191,13 +192,13 @@ def outcome(result: Result) -> Outcome:
 
 
 def chase(result: Result) -> Chase:
-    """Return how a pursuit went."""
+    """Return the share of captured evaders and the duration of a pursuit."""
     captured = len(result.trace.of(Captured))
     return Chase(captured / len(result.scenario.evaders), seconds(result.trace.of(Ended)[0].t))
 
 
 def negotiations(options: Options) -> list[Negotiation]:
-    """Negotiate frozen games: by protocol at every size, over slots, and at constant temperatures."""
+    """Run static games: each protocol at each size, over the number of slots, and at constant temperatures."""
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
@@ -206,7 +207,7 @@ def negotiations(options: Options) -> list[Negotiation]:
 
 
 def negotiated(keys: Sequence[Key], options: Options) -> list[Negotiation]:
-    """Negotiate frozen games and return what they came to."""
+    """Run the static games of some keys and return their results."""
     scenarios = [
         frozen(*size, kind_of(name), slots, cooled(name, slots) if tau is None else ConstantTau(value=tau))
         for size, name, slots, tau in keys
@@ -216,12 +217,12 @@ def negotiated(keys: Sequence[Key], options: Options) -> list[Negotiation]:
 
 
 def kind_of(name: str) -> str:
-    """Return the kind of protocol that a contender is, or that is named."""
+    """Return the kind of protocol of a contender; any other name is returned unchanged."""
     return CONTENDERS.get(name, (name, None))[0]
 
 
 def negotiation(key: Key, outcomes: Sequence[Outcome]) -> Negotiation:
-    """Return what frozen games came to."""
+    """Return the results of the static games of one key."""
     size, name, slots, tau = key
     shares = [each.share for each in outcomes]
     count, mean = sum(each.best for each in outcomes), estimate(shares)
@@ -230,7 +231,7 @@ def negotiation(key: Key, outcomes: Sequence[Outcome]) -> Negotiation:
 
 
 def pursuits(options: Options) -> list[Pursuits]:
-    """Let everybody move: every protocol at every size."""
+    """Run pursuits in which all players move: each protocol at each size."""
     keys = [(size, name) for size in SIZES for name in CONTENDERS]
     scenarios = [moving(*size, kind_of(name), cooled(name, COOLING)) for size, name in keys]
     runs = dict(zip(keys, options.measure(scenarios, "pursuits", chase), strict=True))
@@ -238,7 +239,7 @@ def pursuits(options: Options) -> list[Pursuits]:
 
 
 def compared(size: tuple[int, int], name: str, own: Sequence[Chase], reference: Sequence[Chase]) -> Pursuits:
-    """Return what pursuits came to, beside those of the reference with the same seeds."""
+    """Return the results of pursuits, and their difference to the reference with the same seeds."""
     captured = estimate([each.captured for each in own])
     duration = estimate([each.duration for each in own])
     paired = estimate([each.duration - other.duration for each, other in zip(own, reference, strict=True)])

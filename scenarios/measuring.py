@@ -1,4 +1,4 @@
-"""How the costs are measured and shown: by laps in turn, in a process of their own, or as a command."""
+"""Measurement of costs: in alternating laps, in a separate process, or as a command; and their table."""
 
 import gc
 import subprocess
@@ -20,7 +20,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True)
 class MessageCost:
-    """Something that was measured, and what it may be at most."""
+    """A measured cost and its limit."""
 
     what: str
     measured: float
@@ -29,7 +29,7 @@ class MessageCost:
 
 
 def table(found: Mapping[str, Sequence[MessageCost]]) -> str:
-    """Return all costs as text."""
+    """Return all costs as text, one section per part; costs beyond their limit are marked."""
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():
         rows.append((part, "", "", "", ""))
@@ -41,13 +41,13 @@ def table(found: Mapping[str, Sequence[MessageCost]]) -> str:
 
 
 def apart(function: Callable[..., Answer], *given: object) -> Answer:
-    """Call a function of a module in a fresh process."""
+    """Return the result of a module-level function called in a new process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as fresh:
         return fresh.submit(function, *given).result()
 
 
 def memory(what: str) -> float:
-    """Return the resident memory of this process now (VmRSS) or at its peak (VmHWM), B; nan where Linux is not."""
+    """Return the current (VmRSS) or peak (VmHWM) resident memory of this process, B; nan without Linux."""
     status = Path("/proc/self/status")
     if not status.exists():
         return nan
@@ -56,7 +56,10 @@ def memory(what: str) -> float:
 
 
 def per_unit(ways: Mapping[str, Callable[[int], int]], seeds: Sequence[int]) -> dict[str, float]:
-    """Return the time that each way takes for each of the units of which it returns the number, s; the ways in turn."""
+    """Return the median CPU time per unit of each way, s.
+
+    A way runs with a seed and returns its number of units. The ways alternate, one lap of each per seed.
+    """
     laps: dict[str, list[float]] = {name: [] for name in ways}
     for seed in seeds:
         for name, way in ways.items():
@@ -68,7 +71,7 @@ def per_unit(ways: Mapping[str, Callable[[int], int]], seeds: Sequence[int]) -> 
 
 
 def command(*words: str) -> float:
-    """Return how long Python takes to run something, s."""
+    """Return the time that Python takes to run with these arguments, s."""
     begin = time.perf_counter()
     subprocess.run([sys.executable, *words], check=True, capture_output=True)
     return time.perf_counter() - begin

@@ -1,11 +1,11 @@
-"""How far must pursuers hear? Active time over the range, and how often a game of neighbours has no equilibrium at all.
+"""How much range do pursuers need? Active time by communication range, and games of neighbours without equilibrium.
 
-Pursuers hear who is within R of them. Each weighs its time of capture against those of its active neighbours (the
-paper's utility where it cannot be had), against those of its whole component over several hops, or pays for each active
-neighbour; or it goes by the rules of thumb `local_min` and `argmin_known`. Beside it stand, for the games of t = 0, the
-number of components, the size of the greedy independent set, and the share of games of neighbours without a pure
-equilibrium, by enumeration of all profiles. All this for the team of the paper, of which only the fast pursuer and
-those who are near would be in time, and for one in which most would be.
+A pursuer receives announcements of the pursuers within range R. The study compares five rules: the paper's utility over
+the active neighbours only; the same over the whole network component, by flooding; a penalty for each active neighbour;
+and the heuristics `local_min` and `argmin_known`. For the games of t = 0 it also gives the number of components, the
+size of the greedy independent set, and the share of games of neighbours without a pure equilibrium, by enumeration of
+all profiles. There are two teams: that of the paper, in which only the fast pursuer and those near the evader can
+capture it in time, and one in which most pursuers can.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 N = 10
 TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})
 RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
-"""R, m."""
+"""Communication ranges R, m."""
 TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 GAMES_PER_RUN = 20
-"""How many games of t = 0 are enumerated for each run."""
+"""Number of enumerated games of t = 0 for each run."""
 CLOCKS = Poisson(rate=10.0)
 HEARTBEAT = 0.3
-"""s"""
+"""Time between two announcements without a change, s."""
 PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
     {
         "component": (SpatialAdaptivePlay(schedule=CLOCKS, utility=Component()), Flooding(hops=N)),
@@ -63,38 +63,39 @@ REFERENCE = "component"
 
 @dataclass(frozen=True)
 class Games:
-    """The games of t = 0 at one range, means over many."""
+    """Statistics of the games of t = 0 of one team at one range."""
 
     team: str
     range: float
     games: int
     unsettled: float
-    """Share without a pure equilibrium under the utility of neighbours, in [0, 1]."""
+    """Share without a pure equilibrium under the utility of neighbours (`LocalMean`), in [0, 1]."""
     unsettled_low: float
-    """Ends of its 95 % Wilson interval."""
+    """Lower end of its 95 % Wilson interval."""
     unsettled_high: float
     components: float
+    """Mean number of network components."""
     independent: float
-    """Size of the greedy independent set."""
+    """Mean size of the greedy independent set."""
 
 
 @dataclass(frozen=True)
 class Pursuits:
-    """The pursuits of one protocol at one range."""
+    """The results of the pursuits of one team under one protocol at one range."""
 
     team: str
     range: float
     protocol: str
     active_time: float
     half_width: float
-    """Of the 95 % interval, s."""
+    """Half width of its 95 % interval, s."""
     difference: float
-    """Active time less that of the game per component in the same runs, s."""
+    """Paired difference to the active time of the game per component, s."""
     difference_half_width: float
 
 
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
-    """Return the scenario of the paper with a team that hears each other up to a range (m)."""
+    """Return the scenario of the paper with a team whose members communicate up to a range, m."""
     chosen, dissemination = PROTOCOLS[protocol]
     said = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(
@@ -107,7 +108,7 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
 
 
 def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
-    """Return the game of t = 0: the times of capture (s), who hears whom, and the same as a graph."""
+    """Return the game of t = 0: (N,) capture times, s; the pursuers that each pursuer hears; and the graph of links."""
     at, evader = base.team.start(seed), base.evaders[0].start(seed)
     phi = capture_time(evader, at, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
     graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
@@ -129,7 +130,7 @@ def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
 
 
 def measure(options: Options) -> list[Pursuits]:
-    """Run every protocol at every range."""
+    """Run each protocol for each team at each range."""
     keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
     times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
     found = []
@@ -141,7 +142,7 @@ def measure(options: Options) -> list[Pursuits]:
 
 
 def table(pursuits: Sequence[Pursuits], static: Sequence[Games], runs: int) -> str:
-    """Return what was measured as text."""
+    """Return all results as text."""
     return "\n\n".join(
         part
         for team in TEAMS
@@ -166,14 +167,14 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
     what = f"{team}, {N} pursuers, {runs} runs, 95 % intervals"
     games = f"{team}, {N} pursuers, {static[0].games} games"
     return [
-        f"Games of t = 0 in which each hears who is within R: {games}\n{aligned(about)}",
+        f"Games of t = 0, in which a pursuer hears the pursuers within R: {games}\n{aligned(about)}",
         f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"The same less that of the game per component in the same runs, s: {what}\n{aligned(paired)}",
+        f"Its difference to that of the game per component in the same runs, s: {what}\n{aligned(paired)}",
     ]
 
 
 def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
-    """Draw active time by protocol, and below what the games of t = 0 are like."""
+    """Draw the active time by protocol, and below it the statistics of the games of t = 0."""
     from desim.analysis import plots
 
     with plots.styled(figsize=(9.0, 6.4)) as figure:
@@ -191,7 +192,7 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
 
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
-    """Draw active time over the range, a line per protocol."""
+    """Draw the active time over the range, a line per protocol."""
     from desim.analysis import plots
 
     for k, (colour, name) in enumerate(zip(plots.SERIES, PROTOCOLS, strict=False)):
@@ -205,7 +206,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 
 def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
-    """Draw the share of games without equilibrium, and how many components and independent pursuers there are."""
+    """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
     from desim.analysis import plots
 
     share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
@@ -223,7 +224,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
 
 @study("range", __doc__, runs=20)
 def main(options: Options) -> None:
-    """Measure, enumerate, show."""
+    """Measure, enumerate and show."""
     pursuits = measure(options)
     static = [games(team, range_, options) for team in TEAMS for range_ in RANGES]
     document = {"pursuits": [asdict(each) for each in pursuits], "games": [asdict(each) for each in static]}

@@ -1,11 +1,11 @@
-"""Compare all protocols: the same starts, the same luck, as many announcements a second, over a range of latencies.
+"""Compare all protocols with equal initial states, random draws and announcement rates, over a range of latencies.
 
-In the scenario of the paper, where one pursuer is twice as fast as the others; in one that stresses the relay, where
-all are equally fast; and in that of the paper again when nobody sees the others, so that where they are has to be told,
-too. Who talks says something ten times a second and no more: the same number of messages, not of bytes. The centralised
-benchmark and, where positions are sensed, the geometric rules do not talk. Everybody decides ten times a second on the
-average. What talking is worth is judged against a silent team, in which everyone decides alone; what delay costs,
-against the same protocol in the same runs without delay.
+There are three scenarios: that of the paper, with one pursuer twice as fast as the others; one that stresses the relay,
+with all pursuers equally fast; and that of the paper without sensing of teammates, so that announcements also carry
+positions. A pursuer announces exactly ten times a second: the number of messages is equal, the number of bytes is not.
+The centralised benchmark and, where positions are sensed, the geometric rules do not announce. Each pursuer decides ten
+times a second on average. The value of communication is the difference to a silent team, in which each pursuer decides
+alone; the cost of delay is the difference to the same protocol in the same runs without delay.
 """
 
 from collections import defaultdict
@@ -24,7 +24,7 @@ from scenarios.study import Options, study
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:
-    """Return three tables for each world."""
+    """Return three tables for each scenario as text."""
     return "\n\n".join(part for world in WORLDS for part in _tables(world, cells, runs))
 
 
@@ -58,10 +58,12 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
             )
         )
     what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
-    meaning = "regret: potential gap beyond that without delay; saved: active time less than that of a silent team"
+    meaning = (
+        "regret: potential gap less that without delay; saved: active time of a silent team less that of the protocol"
+    )
     return [
         f"Sum of active times, s: {what}\n{aligned(active)}",
-        f"The same less that of {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}",
+        f"Its difference to {REFERENCE} in the same runs, s: {what}\n{aligned(paired)}",
         f"At L = {SHOWN:g} s: {what}\n{meaning}\n{aligned(rest)}",
     ]
 
@@ -71,7 +73,7 @@ def _number(value: float | None, unit: str, digits: int = 2) -> str:
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
-    """Draw the active time of every protocol at every latency, those first that take least on the whole."""
+    """Draw the active time of each protocol at each latency, in ascending order of the total over all cells."""
     from desim.analysis import plots
 
     total: dict[str, float] = defaultdict(float)
@@ -86,7 +88,7 @@ def picture(cells: Sequence[Cell]) -> "Figure":
 
 
 def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) -> None:
-    """Draw one world: a row per protocol, a column per latency, colour and number the active time."""
+    """Draw the active times of one scenario as colours and numbers, a row per protocol, a column per latency."""
     import numpy as np
     from matplotlib.colors import LogNorm
 
@@ -107,7 +109,7 @@ def draw(axes: "Axes", world: str, names: Sequence[str], cells: Sequence[Cell]) 
 
 @study("rivals", __doc__, runs=20)
 def main(options: Options) -> None:
-    """Measure, compare, show."""
+    """Measure, compare and show."""
     cells = measure(options)
     document = {"cells": [asdict(each) for each in cells]}
     options.show(document, table(cells, options.runs), lambda: picture(cells))

@@ -1,4 +1,4 @@
-"""What `python -m scenarios.rivals` measures."""
+"""The scenarios and measurements of `python -m scenarios.rivals`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from protocols.schedules import Poisson
 from scenarios.study import Options
 
 LATENCIES = (0.0, 0.05, 0.2, 0.5, 1.0)
-"""One-way latency L, s."""
+"""One-way latencies L, s."""
 SHOWN = 0.2
-"""The latency at which everything is shown, s."""
+"""The latency of the table of all metrics, s."""
 PERIOD = 0.1
-"""Between two announcements, and on the average two decisions, of a pursuer, s."""
+"""Time between two announcements of a pursuer, and mean time between two of its decisions, s."""
 STEP = 0.01
-"""Of motion, and between two samples of positions, s."""
+"""Motion step, and time between two samples of positions, s."""
 N = 20
 WORLDS: Mapping[str, Scenario] = MappingProxyType(
     {
@@ -31,43 +31,45 @@ WORLDS: Mapping[str, Scenario] = MappingProxyType(
     }
 )
 SILENT = "nobody talks"
+"""Name of the team without announcements, in tables and figures."""
 REFERENCE = "sap"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What one protocol came to in one world at one latency, means over the runs."""
+    """The results of one protocol in one scenario at one latency, means over the runs."""
 
     world: str
     protocol: str
     latency: float
     active_time: float
     half_width: float
-    """Of the 95 % interval of the active time, s."""
+    """Half width of its 95 % interval, s."""
     difference: float
-    """Active time less that of Spatial Adaptive Play in the same runs, s."""
+    """Paired difference to the active time of Spatial Adaptive Play, s."""
     difference_half_width: float
     captured: float
-    """Share of the runs."""
+    """Share of the runs with capture."""
     relayed: float
-    """Share of the runs in which the relay pursuer came to chase alone, for two latencies and periods."""
+    """Share of the runs in which the relay pursuer chased alone for at least two latencies and periods."""
     time_to_relay: float | None
-    """s, over those runs."""
+    """Mean over those runs, s; None without any."""
     misassigned_time: float
     network_regret: float
     """Potential gap less that without delay, s^2."""
     handovers: float
     transmissions: float
-    """Per second."""
+    """Transmissions per second."""
     kilobytes: float
-    """Per second."""
+    """Kilobytes sent per second."""
     saved_per_transmission: float | None
-    """Active time saved against a silent team, s per transmission; None without any."""
+    """Active time of a silent team less that of the protocol, s per transmission; None without transmissions."""
     saved_per_kilobyte: float | None
+    """The same, s per kilobyte."""
 
 
 def contender(kind: str) -> object:
-    """Return a protocol that decides as often as the others."""
+    """Return a protocol of a kind whose pursuers decide once per `PERIOD`."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings = {key: PERIOD for key in ("slot", "period") if key in fields}
     schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
@@ -75,7 +77,7 @@ def contender(kind: str) -> object:
 
 
 def scenario(world: str, protocol: str, latency: float) -> Scenario:
-    """Return one scenario of the study."""
+    """Return the scenario of one protocol in one world at one latency, s."""
     said = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
     announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | said)
     return WORLDS[world].model_copy(
@@ -90,7 +92,7 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
 
 
 def measure(options: Options) -> list[Cell]:
-    """Run every protocol in every world at every latency."""
+    """Run each protocol in each world at each latency."""
     protocols = [*PROTOCOLS.choices(), SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
     runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
@@ -107,7 +109,7 @@ def measure(options: Options) -> list[Cell]:
 
 
 def measured(result: Result) -> tuple[Summary, float | None]:
-    """Return the numbers of a run, and its time to relay by a window that is the same for all protocols, s."""
+    """Return the summary of a run and its time to relay, s, with the same window for all protocols."""
     latency = result.scenario.network.latency
     assert isinstance(latency, Constant)
     return summary(result), time_to_relay(result, 2.0 * (latency.value + PERIOD))
@@ -121,13 +123,13 @@ def cell(
     silent: Sequence[tuple[Summary, float | None]],
     prompt: Sequence[tuple[Summary, float | None]],
 ) -> Cell:
-    """Return what the runs of one protocol came to, beside others with the same seeds.
+    """Return the results of one protocol, and their differences to other runs with the same seeds.
 
     Args:
         key: world, protocol and latency.
-        found: of each run, its numbers and its time to relay.
+        found: the summary and the time to relay of each run.
         reference: those of Spatial Adaptive Play.
-        silent: those of a team in which nobody talks.
+        silent: those of a team without announcements.
         prompt: those of the same protocol without delay.
     """
     runs = [run for run, _ in found]

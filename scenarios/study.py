@@ -1,4 +1,4 @@
-"""What all studies share: their options, and how they show what they found."""
+"""The common part of all studies: their options, and the output of their results."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Measured = TypeVar("Measured")
 SCENARIOS = Path(__file__).parent
-"""Where the scenario files are."""
+"""Folder of the scenario files."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +34,20 @@ class Options:
     out: Path
     as_json: bool
     own: Mapping[str, Any] = field(default_factory=dict)
-    """Those that only this study has, by name."""
+    """Options that only this study has, by name."""
 
     def measure(
         self, scenarios: Sequence["Scenario"], label: str, metric: Callable[["Result"], Measured]
     ) -> list[list[Measured]]:
-        """Return a metric of the runs of each scenario; run k of all has the same seed."""
+        """Return the metric of each run of each scenario; run k of every scenario has the same seed."""
         seeds = seeds_from(self.seed, self.runs)
         values = iter(run_many([(each, seed) for each in scenarios for seed in seeds], self.jobs, label, metric))
         return [[next(values) for _ in seeds] for _ in scenarios]
 
     def show(self, document: dict[str, Any], table: str, figure: Callable[[], "Figure"] | None = None) -> None:
-        """Print the table, or the document if JSON was asked for, and write both and the figure to the folder.
+        """Print the table, or the document as JSON if requested, and write both and the figure to the folder.
 
-        NAME.run.json beside them says where they come from; several studies may share the folder.
+        NAME.run.json in the same folder records their provenance; several studies can share the folder.
         """
         text = json.dumps({"study": self.name, "runs": self.runs, "seed": self.seed} | document, indent=2)
         click.echo(text if self.as_json else table)
@@ -72,13 +72,13 @@ class Options:
 def study(
     name: str, doc: str | None, runs: int, *own: click.Option
 ) -> Callable[[Callable[[Options], None]], click.Command]:
-    """Make a command of a function of `Options`.
+    """Return a decorator that turns a function of `Options` into a command.
 
     Args:
-        name: of the study.
-        doc: its help.
-        runs: how many it takes by default.
-        own: options that only it has; see `Options.own`.
+        name: name of the study.
+        doc: help text of the command.
+        runs: default number of runs.
+        own: options that only this study has; see `Options.own`.
     """
 
     def command(run: Callable[[Options], None]) -> click.Command:

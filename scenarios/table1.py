@@ -1,10 +1,10 @@
 """Reproduce Table I of Lee & Bakolas: the sum of active times, centralised and decentralised, N = 20 and 40.
 
-The decentralised cells are pursuers that exchange action messages over a complete graph with zero latency, with slot
-delta = motion step h as in Algorithm 2. The paper starts "each pursuer with a random action"; the published figures
-are those of a start with every pursuer active, so both are shown. In the centralised cells nothing is left to chance,
-and the centre decides before anybody moves: one run is all that a cell has to tell, of either start. The initial
-configurations are in table1_20.toml and table1_40.toml; find_table1.py tells where they come from.
+In the decentralised cells pursuers exchange action messages over a complete graph with zero latency, with slot delta =
+motion step h as in Algorithm 2. According to the paper each pursuer starts "with a random action", but the published
+figures are those of a start with all pursuers active, so both starts are shown. A centralised cell has a single run: it
+has no random draws, and the centre decides before any pursuer moves, so the start does not matter. The initial
+configurations are in table1_20.toml and table1_40.toml; `python -m scenarios.find_table1` finds them.
 """
 
 from dataclasses import asdict, dataclass
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 
 DELTAS = (0.1, 0.01, 0.001)
 STARTS = {"all active": 1.0, "random": 0.5}
+"""Probability that a pursuer is initially active, by start."""
 ANY = "any"
-"""The start of a cell that does not depend on it."""
+"""The start of the centralised cells, which do not depend on it."""
 PUBLISHED = {
     ("centralised", 20, 0.1): 4.6000,
     ("centralised", 20, 0.01): 4.5700,
@@ -64,7 +65,7 @@ class Cell:
 
 
 def configuration(count: int) -> Scenario:
-    """Return the scenario of N = 20 or 40, as it is in its file."""
+    """Return the scenario of N = 20 or 40 as its file has it."""
     return load(SCENARIOS / f"table1_{count}.toml")
 
 
@@ -81,7 +82,7 @@ def decentralised(base: Scenario, delta: float, active_at_start: float = 1.0) ->
 
 
 def _with(base: Scenario, protocol: Behaviour, delta: float) -> Scenario:
-    once = Announcements(trigger="change")  # nothing is lost here, and Algorithm 2 repeats nothing
+    once = Announcements(trigger="change")  # no message is lost, and Algorithm 2 repeats none
     return base.model_copy(update={"protocol": protocol, "motion": Motion(step=delta), "announce": once})
 
 
@@ -106,7 +107,7 @@ def _cell(algorithm: str, count: int, delta: float, start: str, times: list[floa
 
 
 def table(cells: list[Cell]) -> str:
-    """Return the cells as text, one line per published figure, both starts side by side."""
+    """Return the cells as text, one line per published figure, with both starts side by side."""
     found = {(cell.algorithm, cell.pursuers, cell.delta, cell.start): cell for cell in cells}
     rows: list[Sequence[str]] = [("", "", "", "", "all active", "", "", "random start", "", "")]
     rows.append(("algorithm", "N", "delta, s", "published", *("measured", "s.e.", "ratio") * 2))
@@ -124,7 +125,7 @@ def table(cells: list[Cell]) -> str:
 
 @study("table1", __doc__, runs=100)
 def main(options: Options) -> None:
-    """Measure, compare, show."""
+    """Measure, compare and show."""
     cells = measure(options)
     options.show({"cells": [asdict(cell) for cell in cells]}, table(cells))
 

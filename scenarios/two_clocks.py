@@ -1,7 +1,7 @@
-"""Which clock is Table I about? Active time over a grid of negotiation slot delta and motion step h, set apart.
+"""Which time step determines Table I? Active time over a grid of negotiation slot delta and motion step h.
 
-In the paper's time-stepped loop one number is both. Here the pursuers of Table I negotiate every delta and are moved
-every h, for all pairs of five values: what changes along delta is negotiation, what changes along h is integration.
+The paper's time-stepped loop uses one number for both. Here the pursuers of Table I negotiate every delta and move
+every h, for all pairs of five values. A change along delta is due to negotiation, a change along h to integration.
 """
 
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 VALUES = (0.001, 0.003, 0.01, 0.03, 0.1)
-"""Of delta and of h, s."""
+"""Values of delta and of h, s."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SpeedCell:
 
 
 def measure(options: Options) -> list[SpeedCell]:
-    """Run the grid; capture is judged within the step, so that h is not also the resolution of capture."""
+    """Run the grid; capture is tested along the whole step, so h does not set the resolution of capture."""
     base = configuration(20).model_copy(update={"capture": Capture(test="segment")})
     grid = [(slot, step) for slot in VALUES for step in VALUES]
     scenarios = [decentralised(base, slot).model_copy(update={"motion": Motion(step=step)}) for slot, step in grid]
@@ -56,7 +56,7 @@ def spread(cells: list[SpeedCell], along: str) -> float:
 
 
 def table(cells: list[SpeedCell], runs: int) -> str:
-    """Return the grid as text, with what it says."""
+    """Return the grid as text, and the conclusion from it."""
     found = {(cell.slot, cell.step): cell for cell in cells}
     rows = [("delta | h", *(f"{step:g} s" for step in VALUES))]
     for slot in VALUES:
@@ -72,7 +72,7 @@ def table(cells: list[SpeedCell], runs: int) -> str:
 
 
 def picture(cells: list[SpeedCell]) -> "Figure":
-    """Draw active time over each clock, one line per value of the other; the diagonal is the paper's."""
+    """Draw the active time over delta and over h, one line per value of the other; the paper has delta = h."""
     from desim.analysis import plots
 
     found = {(cell.slot, cell.step): cell for cell in cells}
@@ -100,7 +100,7 @@ def picture(cells: list[SpeedCell]) -> "Figure":
 
 @study("two_clocks", __doc__, runs=40)
 def main(options: Options) -> None:
-    """Measure, compare, show."""
+    """Measure, compare and show."""
     cells = measure(options)
     document = {
         "cells": [asdict(cell) for cell in cells],

@@ -49,7 +49,7 @@ def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tin
     sight = [(each["radius"], each["estimate"]) for each in document["sight"]]
     assert sight == [*((2.0, made) for made in evaders_runs.ESTIMATES), ("Infinity", "hold")]
     assert text.count("\nstill ") == 4
-    assert "sap: who flees only the active" in text
+    assert "sap: an evader that flees only the active" in text
     assert "L = 0.2 s, 2 runs" in text
     for word in (
         "lives longer than pure evasion by (s)",
@@ -79,7 +79,7 @@ def test_a_cell_is_compared_with_pure_evasion_run_by_run():
 
 @pytest.mark.parametrize(
     ("difference", "half_width", "verdict"),
-    [(1.0, 0.5, "lives longer"), (0.4, 0.5, "is not told apart"), (-1.0, 0.5, "lives less long")],
+    [(1.0, 0.5, "lives longer"), (0.4, 0.5, "shows no significant difference"), (-1.0, 0.5, "lives less long")],
 )
 def test_the_table_claims_what_its_interval_allows(difference, half_width, verdict):
     (line,) = evaders.claims([made(CLAIMED, IDEAL, difference, half_width)])
