@@ -1,6 +1,6 @@
-"""What desim is compared with: the same broadcasts delivered in other ways and by other simulators.
+"""References for the speed of desim: the same broadcasts in other implementations and other simulators.
 
-`workloads` says what is delivered. `desim_ways`, `simpy_ways` and `bare_heap` deliver it here, from the same stream of
-latencies, and must end with the same tables; `elsewhere` has it delivered by programs that are built and run in an
-environment of their own, and must deliver as many. `bare_loop` is the pursuit without messages.
+`workloads` defines the broadcasts. `desim_ways`, `simpy_ways` and `bare_heap` deliver them in this process with the
+same stream of latencies, and must end with the same tables. `elsewhere` runs programs of other simulators, each in a
+separate environment; they must deliver the same number of messages. `bare_loop` is the pursuit without messages.
 """

@@ -1,7 +1,7 @@
-"""The broadcasts of a workload in a bare loop over a heap, with one entry per broadcast: no simulator at all.
+"""The broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and without a simulator.
 
-A turn is a pass of the loop. Between two turns nobody reads, so a broadcast that comes to the top of the heap enters in
-the tables of its receivers all that arrives before the next turn, and goes back to wait for its next arrival.
+A turn is a pass of the loop. No node reads between two turns, so a broadcast at the top of the heap writes into the
+tables of all receivers that it reaches before the next turn, and is pushed back with the time of its next arrival.
 """
 
 from heapq import heappop, heappush, heapreplace
@@ -11,7 +11,7 @@ from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Workload
 
 
 class BareHeap:
-    """The loop."""
+    """The loop over the turns of a workload."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -21,7 +21,7 @@ class BareHeap:
         self.delivered = 0
 
     def run(self) -> None:
-        """Run to the end; this is what is timed."""
+        """Run to the end; the benchmark times this call."""
         latency = self.work.latency
         if isinstance(latency, Constant):
             self.together(latency.value)
@@ -29,7 +29,7 @@ class BareHeap:
             self.one_by_one()
 
     def together(self, latency: float) -> None:
-        """Deliver broadcasts that reach all receivers after the same latency (s); nothing overtakes."""
+        """Deliver broadcasts with one constant latency (s): messages cannot overtake each other."""
         heap: list[tuple[float, int, list[Table]]] = []
         size, reached, delivered = self.work.size, self.reached, 0
         for turn, now in enumerate(self.times):
@@ -39,11 +39,11 @@ class BareHeap:
                 for table in tables:
                     table[src] = number
                 delivered += len(tables)
-            heappush(heap, (now + latency, turn, reached[turn % size]))  # after the end, one that nobody hears
+            heappush(heap, (now + latency, turn, reached[turn % size]))  # the last is never delivered
         self.delivered = delivered
 
     def one_by_one(self) -> None:
-        """Deliver broadcasts that reach each receiver after a latency of its own."""
+        """Deliver broadcasts with a different latency for each receiver."""
         heap: list[tuple[float, int, int, zip[tuple[float, int]]]] = []
         size, tables, arrivals, delivered = self.work.size, self.tables, Arrivals(self.work), 0
         for turn, now in enumerate(self.times):
@@ -69,5 +69,5 @@ class BareHeap:
         self.delivered = delivered
 
     def outcome(self) -> Outcome:
-        """Return what the run came to."""
+        """Return the outcome of the run."""
         return Outcome(self.delivered, self.tables)

@@ -1,4 +1,4 @@
-"""Algorithm 2 of Lee & Bakolas as a bare loop in which everyone knows everything: no messages, no simulator."""
+"""Algorithm 2 of Lee & Bakolas as a bare loop with complete knowledge, without messages or a simulator."""
 
 import numpy as np
 from scipy.special import expit
@@ -10,9 +10,9 @@ def bare_loop(scenario: Scenario, seed: int, slot: float) -> int:
     """Run a pursuit and return the number of slots until capture.
 
     Args:
-        scenario: whose team, evader, capture radius and horizon count.
-        seed: of the start, of the order of revisions, and of the decisions.
-        slot: delta = h, s.
+        scenario: scenario that gives the team, the evader, the capture radius and the horizon.
+        seed: seed of the initial positions, the order of revisions and the decisions.
+        slot: slot and motion step, delta = h, s.
     """
     rng = np.random.default_rng(seed)
     (evader,) = scenario.evaders

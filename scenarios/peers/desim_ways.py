@@ -9,7 +9,7 @@ from scenarios.peers.workloads import TICK, Outcome, Table, Turns, Workload, not
 
 
 class Desim:
-    """What both ways of desim share."""
+    """The common part of both ways of desim."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -20,11 +20,11 @@ class Desim:
         self.env.process(self.turns())
 
     def run(self) -> None:
-        """Run to the end; this is what is timed."""
+        """Run to the end; the benchmark times this call."""
         self.env.run(until=round(self.work.end * SECOND))
 
     def turns(self) -> Turns:
-        """Let one node after the other read and broadcast."""
+        """Let the nodes read and broadcast, one after the other."""
         size, tick, first = self.work.size, round(TICK * SECOND), int(Phase.DECISION)
         for number in range(self.work.turns):
             node = number % size
@@ -33,19 +33,19 @@ class Desim:
             self.broadcast(node, number)
 
     def outcome(self) -> Outcome:
-        """Return what the run came to."""
+        """Return the outcome of the run."""
         return Outcome(self.network.message_counts().delivered, [self.table(node) for node in range(self.work.size)])
 
     def read(self, node: int) -> object:
-        """Let a node read what it has heard."""
+        """Let a node read the messages it has received."""
         raise NotImplementedError
 
     def broadcast(self, src: int, number: int) -> None:
-        """Tell the neighbours of a node a number."""
+        """Broadcast a number to the neighbours of a node."""
         raise NotImplementedError
 
     def table(self, node: int) -> Table:
-        """Return the newest numbers that a node has heard."""
+        """Return the newest number that a node has received from each other node."""
         raise NotImplementedError
 
 
@@ -63,7 +63,7 @@ class Publish(Desim):
 
 
 class Send(Desim):
-    """Messages: `Network.send` to all neighbours, and inboxes that their owners drain into tables of their own."""
+    """Messages: `Network.send` to all neighbours; each node drains its inbox into a table."""
 
     def __init__(self, workload: Workload):
         super().__init__(workload)

@@ -1,9 +1,8 @@
-"""The broadcasts of a workload in other simulators, each in an environment made for it and thrown away.
+"""The broadcasts of a workload in other simulators, each in a temporary environment.
 
-Their programs stand alone. They are told a workload as text on stdin: turns, time between two (s), mean latency (s),
-its coefficient of variation (0: constant) and a seed, then a line per node with its neighbours. They draw latencies of
-their own, go on until everything has been delivered, and print how many deliveries that were in how many seconds of a
-core.
+Their programs are standalone. They read a workload as text from stdin: number of turns, time between two turns (s),
+mean latency (s), its coefficient of variation (0: constant) and a seed, then a line per node with its neighbours. They
+draw their own latencies, run until all messages are delivered, and print the number of deliveries and the CPU time (s).
 """
 
 import json
@@ -19,11 +18,11 @@ from scenarios.peers.workloads import TICK, Workload
 
 PROGRAMS = Path(__file__).parent
 PATIENCE = 600.0
-"""How long a command may take, s."""
+"""Time-out of a command, s."""
 
 
 class UnavailableError(Exception):
-    """A simulator cannot be had here, or does not do what it should; says why."""
+    """A simulator is not available on this machine or fails; the text is the reason."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +31,17 @@ class Peer:
 
     program: str
     packages: tuple[str, ...]
-    """Of the Python index, exact versions; for a program in C++ of Debian."""
+    """Packages of the Python index with exact versions or, for a program in C++, of Debian."""
     libraries: tuple[str, ...] = ()
-    """To link with."""
+    """Libraries to link with."""
     share: float = 1.0
-    """Of the turns of a workload that it takes: fewer if it is slow."""
+    """Share of the turns of a workload that it runs, less than 1 for a slow simulator."""
 
     def make(self, folder: Path) -> list[str]:
         """Make an environment in a new folder and return the command that runs the program.
 
         Raises:
-            UnavailableError: if that fails.
+            UnavailableError: if it cannot be made.
         """
         folder.mkdir()
         return self._build(folder) if self.program.endswith(".cpp") else self._install(folder)
@@ -59,16 +58,16 @@ class Peer:
             _done(["dpkg", "-x", str(package), "."], folder)
         found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
         where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
-        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # also for what libraries need
+        there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # also for dependencies
         what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
         _done(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
         return [str(folder / "program")]
 
     def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:
-        """Run the program; return the number of deliveries and the time, s of a core.
+        """Run the program; return the number of deliveries and the CPU time, s.
 
         Raises:
-            UnavailableError: if it fails, or delivers another number of messages than it should.
+            UnavailableError: if it fails or delivers a wrong number of messages.
         """
         work = replace(work, turns=max(1, round(self.share * work.turns)))
         said = json.loads(_done(command, told=text(work)).splitlines()[-1])
@@ -103,7 +102,7 @@ PEERS: Mapping[str, Peer] = MappingProxyType(
 
 
 def text(work: Workload) -> str:
-    """Return a workload as the programs are told it."""
+    """Return a workload as the text that the programs read."""
     latency = work.latency
     mean, cv = (latency.value, 0.0) if isinstance(latency, Constant) else (latency.mean, latency.cv)
     lines = [f"{work.turns} {TICK} {mean} {cv} {work.seed}", *(" ".join(map(str, each)) for each in work.neighbours())]
@@ -111,10 +110,10 @@ def text(work: Workload) -> str:
 
 
 def _done(command: Sequence[str], folder: Path | None = None, told: str = "") -> str:
-    """Run a command and return what it prints.
+    """Run a command, with some text on stdin, and return its output.
 
     Raises:
-        UnavailableError: if there is none, or it fails or takes too long.
+        UnavailableError: if it does not exist, fails or takes too long.
     """
     try:
         ended = subprocess.run(

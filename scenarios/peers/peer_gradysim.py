@@ -1,7 +1,7 @@
-"""The broadcasts of a workload in GrADyS-SIM NextGen: a packet per message. It stands alone; see `elsewhere`.
+"""The broadcasts of a workload in GrADyS-SIM NextGen, one packet per message. A standalone program; see `elsewhere`.
 
-Its medium knows one delay, and a range that it checks for everybody. Here a broadcast goes to the neighbours only, each
-with a delay of its own, which is faster than its own broadcasts are.
+The simulator's medium has a single delay, and checks its range for every node. This medium transmits to the neighbours
+only, with a delay for each, which is faster than the simulator's broadcast.
 """
 
 import json
@@ -28,7 +28,7 @@ delivered = 0
 
 
 class Medium(CommunicationHandler):  # type: ignore[misc]
-    """Broadcasts along the edges of the graph."""
+    """A medium that broadcasts along the edges of the graph."""
 
     def handle_command(
         self, command: CommunicationCommand, sender: Node, medium: CommunicationMedium | None = None
@@ -40,7 +40,7 @@ class Medium(CommunicationHandler):  # type: ignore[misc]
 
 
 class Talker(IProtocol):  # type: ignore[misc]
-    """A node."""
+    """A node that broadcasts its turns and keeps the newest number from each other node."""
 
     def initialize(self) -> None:
         self.table: dict[int, int] = {}
@@ -48,7 +48,7 @@ class Talker(IProtocol):  # type: ignore[misc]
         self.next()
 
     def next(self) -> None:
-        """Wait for the next turn."""
+        """Set the timer of the next turn."""
         if self.number < turns:
             self.provider.schedule_timer("", self.number * tick)
 

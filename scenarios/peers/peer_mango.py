@@ -1,6 +1,6 @@
-"""The broadcasts of a workload in mango's simulation world: a message each. It stands alone; see `elsewhere`.
+"""The broadcasts of a workload in mango's simulation world, one message each. A standalone program; see `elsewhere`.
 
-The world goes from turn to turn; what has arrived by then is delivered, which is faster than to stop at each arrival.
+The world steps from turn to turn and delivers all messages that have arrived, which is faster than a step per arrival.
 """
 
 import asyncio
@@ -23,12 +23,12 @@ delivered = 0
 
 
 def latency() -> float:
-    """Return how long a message takes, s."""
+    """Return the latency of a message, s."""
     return rng.lognormvariate(log(mean) - variance / 2, sqrt(variance)) if cv else mean
 
 
 class Talker(Agent):  # type: ignore[misc]
-    """A node."""
+    """A node that keeps the newest number from each other node."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class Talker(Agent):  # type: ignore[misc]
 
 
 async def main() -> None:
-    """Let one node after the other broadcast, then wait for what is under way."""
+    """Let the nodes broadcast, one after the other, then deliver the messages in flight."""
     world = create_world(
         start_time=0.0,
         communication_sim=DelayProviderCommunicationSimulation(latency),

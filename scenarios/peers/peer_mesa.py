@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in Mesa's event list: an event per message. It stands alone; see `elsewhere`."""
+"""The broadcasts of a workload in Mesa's event list, one event per message. A standalone program; see `elsewhere`."""
 
 import json
 import sys
@@ -21,7 +21,7 @@ delivered = 0
 
 
 def turn(number: int) -> None:
-    """Let a node read and broadcast."""
+    """Let a node broadcast, and schedule the next turn."""
     src = number % size
     dst, schedule = neighbours[src], simulator.schedule_event_relative
     delays = rng.lognormal(log(mean) - variance / 2, sqrt(variance), len(dst)).tolist() if cv else [mean] * len(dst)
@@ -32,7 +32,7 @@ def turn(number: int) -> None:
 
 
 def deliver(table: dict[int, int], src: int, number: int) -> None:
-    """Write a message that arrives into a table."""
+    """Write an arriving number into the table of its receiver."""
     global delivered
     if table.get(src, -1) < number:
         table[src] = number

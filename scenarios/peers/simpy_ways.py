@@ -1,4 +1,4 @@
-"""The broadcasts of a workload in plain SimPy: as documented, an event per message, an event per broadcast."""
+"""The broadcasts of a workload in plain SimPy: as documented, one event per message, one event per broadcast."""
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -15,7 +15,7 @@ from scenarios.peers.workloads import TICK, Arrivals, Outcome, Table, Turns, Wor
 
 
 class PlainSimPy:
-    """What these ways share: time in seconds, and a latency drawn for each message."""
+    """The common part of these ways: time in seconds, and a latency drawn for each message."""
 
     def __init__(self, workload: Workload):
         self.work = workload
@@ -27,11 +27,11 @@ class PlainSimPy:
         self.env.process(self.turns())
 
     def run(self) -> None:
-        """Run to the end; this is what is timed."""
+        """Run to the end; the benchmark times this call."""
         self.env.run(until=self.work.end)
 
     def turns(self) -> Turns:
-        """Let one node after the other read and broadcast."""
+        """Let the nodes read and broadcast, one after the other."""
         for number in range(self.work.turns):
             node = number % self.work.size
             yield from self.read(node)
@@ -52,21 +52,21 @@ class PlainSimPy:
             yield node, rng.lognormal(mean, deviation)
 
     def outcome(self) -> Outcome:
-        """Return what the run came to; beside the next turn, every timeout ahead is a message in flight."""
+        """Return the outcome; each pending timeout but that of the next turn is a message in flight."""
         ahead = sum(isinstance(event, simpy.Timeout) for *_, event in self.env._queue)
         return Outcome(self.sent - (ahead - 1), self.tables)
 
     def read(self, node: int) -> Turns:
-        """Bring the table of a node up to date."""
+        """Update the table of a node with the messages it has received."""
         yield from ()
 
     def broadcast(self, src: int, number: int) -> None:
-        """Tell the neighbours of a node a number."""
+        """Broadcast a number to the neighbours of a node."""
         raise NotImplementedError
 
 
 class Documented(PlainSimPy):
-    """SimPy as its documentation writes it (example "Event Latency"): a store per node, a process per message."""
+    """SimPy as in its documentation (example "Event Latency"): a store per node, a process per message."""
 
     def __init__(self, workload: Workload):
         super().__init__(workload)
@@ -83,7 +83,7 @@ class Documented(PlainSimPy):
             self.env.process(self.latency(self.stores[dst], delay, (src, number)))
 
     def latency(self, store: simpy.Store, delay: float, message: tuple[int, int]) -> Turns:
-        """Put a message in a store after a while."""
+        """Put a message into a store after a delay, s."""
         yield self.env.timeout(delay)
         yield store.put(message)
 
@@ -116,20 +116,20 @@ class PerMessageDrawnAtOnce(PerMessage):
 
 
 class PerBroadcast(PlainSimPy):
-    """One event per broadcast, which writes into the tables of all that it reaches."""
+    """One event per broadcast, which writes into the tables of all its receivers."""
 
     def __init__(self, workload: Workload):
         super().__init__(workload)
         self.reached = [[self.tables[node] for node in each] for each in workload.neighbours()]
         self.delivered = 0
         self.look = 0.0
-        """When somebody reads next, s: what arrives until then may be entered together."""
+        """Time at which a node reads next, s: all arrivals until then can be written at once."""
 
     def turns(self) -> Turns:
         return self.together() if isinstance(self.work.latency, Constant) else self.one_by_one()
 
     def together(self) -> Turns:
-        """Let a timeout per broadcast write into all tables; nothing overtakes."""
+        """Use one timeout per broadcast for constant latency: messages cannot overtake each other."""
         env, deliver, latency = self.env, self.deliver, self.work.latency
         assert isinstance(latency, Constant)
         for number in range(self.work.turns):
@@ -137,7 +137,7 @@ class PerBroadcast(PlainSimPy):
             yield env.timeout(TICK)
 
     def deliver(self, event: simpy.Event) -> None:
-        """Write a number that reaches all neighbours together into their tables."""
+        """Write a number into the tables of all neighbours, which it reaches at the same time."""
         number: int = event.value  # type: ignore[assignment]
         src = number % self.work.size
         tables = self.reached[src]
@@ -146,7 +146,7 @@ class PerBroadcast(PlainSimPy):
         self.delivered += len(tables)
 
     def one_by_one(self) -> Turns:
-        """Let an event per broadcast visit its receivers in the order of arrival."""
+        """Use one event per broadcast, which visits the receivers in the order of arrival."""
         env, end, size, arrivals = self.env, self.work.end, self.work.size, Arrivals(self.work)
         for number in range(self.work.turns):
             now = env.now
@@ -159,7 +159,7 @@ class PerBroadcast(PlainSimPy):
 
 
 class _Visits(simpy.Event):
-    """A broadcast on its way: it happens at its next arrival, over and over."""
+    """A broadcast in flight: an event that is scheduled again for each next arrival."""
 
     def __init__(self, way: PerBroadcast, number: int, arrivals: Iterator[tuple[float, int]]):
         self.env, self._ok, self._value = way.env, True, None
@@ -168,12 +168,12 @@ class _Visits(simpy.Event):
         self.wait(*next(arrivals))
 
     def wait(self, when: float, node: int) -> None:
-        """Happen again as the next receiver is reached."""
+        """Schedule this event at `when` (s), the arrival at `node`."""
         self.node, self.callbacks = node, self.always
         self.env.schedule(self, delay=when - self.env.now)
 
     def visit(self, _: simpy.Event) -> None:
-        """Write into the tables of all that are reached before anybody looks."""
+        """Write into the tables of all receivers that are reached before a node reads."""
         way, src, number, tables, visited = self.way, self.src, self.number, self.way.tables, 1
         table = tables[self.node]
         if table.get(src, -1) < number:
@@ -190,6 +190,6 @@ class _Visits(simpy.Event):
 
 
 def _deliver(table: Table, src: int, number: int, _: simpy.Event) -> None:
-    """Write a message that arrives into a table."""
+    """Write an arriving number into the table of its receiver."""
     if table.get(src, -1) < number:
         table[src] = number

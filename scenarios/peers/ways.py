@@ -1,4 +1,4 @@
-"""The ways to deliver the broadcasts of a workload that need nothing but desim and SimPy."""
+"""The ways to deliver the broadcasts of a workload that need no other simulator."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

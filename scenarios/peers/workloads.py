@@ -1,7 +1,7 @@
-"""The broadcasts that are delivered: who tells whom, when, and how long it takes.
+"""The workloads: senders, receivers, times and latencies of broadcasts.
 
-In every workload the nodes take turns, one a millisecond: a node reads what it has heard and broadcasts the number of
-the turn. A table holds the newest number heard from each other node.
+In each workload the nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the
+number of the turn. Its table contains the newest number received from each other node.
 """
 
 from collections.abc import Generator
@@ -21,34 +21,34 @@ from desim.kernel.seeds import stream
 TICK = 0.001
 """Time between two turns, s."""
 Table = dict[int, int]
-"""The newest number heard from each node."""
+"""The newest number received from each node, by the id of the sender."""
 Turns = Generator[simpy.Event, Any, None]
 
 
 @dataclass(frozen=True)
 class Workload:
-    """Who broadcasts to whom, how often, and how long it takes."""
+    """A graph of nodes, the number of their broadcasts, and the latency of messages."""
 
     name: str
     graph: "nx.Graph[int]"
     turns: int
     latency: Constant | Lognormal
     links: Links | None = None
-    """What the links of desim are like if not ideal but for the latency; the other ways know latencies only."""
+    """Links for the ways of desim, if they have more than a latency; the other ways use the latency only."""
     seed: int = 0
 
     @property
     def size(self) -> int:
-        """How many nodes there are."""
+        """The number of nodes."""
         return len(self.graph)
 
     @property
     def end(self) -> float:
-        """When the run is over, s: half a tick after the last broadcast, with messages still in flight."""
+        """The end of the run, s: half a tick after the last broadcast, with messages still in flight."""
         return (self.turns - 0.5) * TICK
 
     def neighbours(self) -> list[list[int]]:
-        """Return whom each node tells, ascending."""
+        """Return the neighbours of each node in ascending order."""
         return [sorted(self.graph.adj[node]) for node in range(self.size)]
 
 
@@ -57,7 +57,7 @@ LOGNORMAL = Lognormal(mean=0.02, cv=0.5)
 
 
 def disk_graph(size: int, degree: float, seed: int) -> "nx.Graph[int]":
-    """Return the graph of random points in a square that are near each other, of a given mean degree."""
+    """Return a random geometric graph in a square, with a radius that gives a mean degree."""
     distances = pdist(np.random.default_rng(seed).random((size, 2)))
     near = distances <= np.quantile(distances, degree / (size - 1))
     return nx.from_numpy_array(squareform(near))
@@ -75,20 +75,20 @@ def workloads() -> list[Workload]:
 
 
 class Outcome(NamedTuple):
-    """What a run comes to: the number of messages delivered, and every node's table."""
+    """The outcome of a run: the number of delivered messages, and the table of each node."""
 
     delivered: int
     tables: list[Table]
 
 
 def note(table: Table, src: int, number: int) -> None:
-    """Enter a number in a table unless a newer one of the same node is there."""
+    """Write a number into a table unless it has a newer one from the same node."""
     if table.get(src, -1) < number:
         table[src] = number
 
 
 class Arrivals:
-    """When a broadcast reaches whom, in order of arrival: random latencies, drawn in blocks as desim draws them."""
+    """The arrivals of broadcasts with random latencies, drawn in blocks as in desim."""
 
     def __init__(self, work: Workload):
         assert isinstance(work.latency, Lognormal)
@@ -98,7 +98,7 @@ class Arrivals:
         self._block, self._next = np.empty(0), 0
 
     def __call__(self, src: int, now: float) -> "zip[tuple[float, int]]":
-        """Return the arrivals (s) of a broadcast that leaves now, and who is reached."""
+        """Return the arrival times, s, and the receivers of a broadcast sent now, in the order of arrival."""
         dst = self._neighbours[src]
         start, end = self._next, self._next + len(dst)
         if end > len(self._block):
