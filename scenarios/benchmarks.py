@@ -74,7 +74,7 @@ class Laps:
         if name in self._missing or self._seconds.get(name, [0.0])[0] > LONG:
             return
         try:
-            deliveries, seconds = self._here(name) if name in WAYS else self._elsewhere(name)
+            deliveries, seconds = self._run_here(name) if name in WAYS else self._run_program(name)
         except UnavailableError as reason:
             self._missing[name] = f"{self._work.name}: {reason}"
             self._seconds.pop(name, None)
@@ -89,7 +89,7 @@ class Laps:
             for name, laps in self._seconds.items()
         ]
 
-    def _here(self, name: str) -> tuple[int, float]:
+    def _run_here(self, name: str) -> tuple[int, float]:
         way = WAYS[name](self._work)
         gc.collect()
         begin = time.process_time()
@@ -101,7 +101,7 @@ class Laps:
         self._expected = outcome
         return outcome.delivered, seconds
 
-    def _elsewhere(self, name: str) -> tuple[int, float]:
+    def _run_program(self, name: str) -> tuple[int, float]:
         return PEERS[name].run(self._commands[name], self._work)
 
 
@@ -151,10 +151,10 @@ def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
     heads = [short(work) for work in works]
     speeds, ratios = [["", *heads]], [["", *(f"{head} {ours}" for head in heads for ours in OURS)]]
     for way in ways:
-        speeds.append([way, *(_told(found.get((work, way)), 1e3, 0) for work in works)])
+        speeds.append([way, *(_quotient(found.get((work, way)), 1e3, 0) for work in works)])
         if way not in OURS:
             line = [(found.get((work, ours)), found.get((work, way))) for work in works for ours in OURS]
-            ratios.append([way, *(_told(own, other, 2) if other else "-" for own, other in line)])
+            ratios.append([way, *(_quotient(own, other, 2) if other else "-" for own, other in line)])
     return "\n".join(
         [
             f"Thousand deliveries per second of CPU time, medians of {laps} laps",
@@ -167,7 +167,7 @@ def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
     )
 
 
-def _told(value: float | None, unit: float, digits: int) -> str:
+def _quotient(value: float | None, unit: float, digits: int) -> str:
     return "-" if value is None else f"{value / unit:,.{digits}f}"
 
 
@@ -194,7 +194,7 @@ def picture(rates: Sequence[Rate]) -> "Figure":
     return figure
 
 
-def _chosen(allowed: Sequence[str]) -> Any:
+def _names_from(allowed: Sequence[str]) -> Any:
     """Return the callback of an option that takes a list of names, separated by commas."""
 
     def check(_: click.Context, __: click.Parameter, given: str | None) -> list[str]:
@@ -214,12 +214,12 @@ SHORT = [short(work.name) for work in workloads()]
     "benchmarks",
     __doc__,
     3,
-    click.Option(["--only"], callback=_chosen([*WAYS, *PEERS]), help="Ways, separated by commas; default: all."),
-    click.Option(["--workloads"], callback=_chosen(SHORT), help=f"Some of {','.join(SHORT)}; default: all."),
+    click.Option(["--only"], callback=_names_from([*WAYS, *PEERS]), help="Ways, separated by commas; default: all."),
+    click.Option(["--workloads"], callback=_names_from(SHORT), help=f"Some of {','.join(SHORT)}; default: all."),
     click.Option(["--peers/--no-peers"], default=True, show_default=True, help="Include other simulators."),
     click.Option(
         ["--parts"],
-        callback=_chosen([BROADCASTS, *costs.PARTS]),
+        callback=_names_from([BROADCASTS, *costs.PARTS]),
         help=f"Some of {','.join([BROADCASTS, *costs.PARTS])}; default: all.",
     ),
 )
@@ -228,18 +228,18 @@ def main(options: Options) -> None:
     own = options.own
     ways = [name for name in own["only"] if own["peers"] or name not in PEERS]
     document: dict[str, Any] = {}
-    said, rates = [], list[Rate]()
+    tables, rates = [], list[Rate]()
     if BROADCASTS in own["parts"]:
         works = [work for work in workloads() if short(work.name) in own["workloads"]]
         rates, missing = measure(options, works, ways)
         document |= {BROADCASTS: [asdict(each) for each in rates], "missing": missing}
-        said.append(table(rates, missing, options.runs))
+        tables.append(table(rates, missing, options.runs))
     asked = [name for name in costs.PARTS if name in own["parts"]]
     found = {name: costs.PARTS[name](options) for name in tqdm(asked, desc="costs", unit="part", disable=None)}
     if found:
         document["costs"] = {name: [asdict(each) for each in part] for name, part in found.items()}
-        said.append(measuring.table(found))
-    options.show(document, "\n\n".join(said), (lambda: picture(rates)) if rates else None)
+        tables.append(measuring.table(found))
+    options.show(document, "\n\n".join(tables), (lambda: picture(rates)) if rates else None)
 
 
 if __name__ == "__main__":

@@ -76,22 +76,22 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 def claims(cells: Sequence[Cell]) -> list[str]:
     """Return whether fleeing from active pursuers only pays against Spatial Adaptive Play, a line per network."""
-    told = []
+    lines = []
     for each in cells:
         if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):
             low, high = each.difference - each.difference_half_width, each.difference + each.difference_half_width
             verdict = (
                 "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "shows no significant difference"
             )
-            told.append(
+            lines.append(
                 f"{each.protocol}: an evader that flees only the active {verdict} ({low:+.2f} .. {high:+.2f} s)"
             )
-    return told
+    return lines
 
 
-def _grid(cells: Sequence[Cell], said: Callable[[Cell], str]) -> str:
+def _grid(cells: Sequence[Cell], text: Callable[[Cell], str]) -> str:
     """Return a table of the texts of the cells, with a row per strategy and a column per protocol."""
-    here = {(each.strategy, each.protocol): said(each) for each in cells}
+    here = {(each.strategy, each.protocol): text(each) for each in cells}
     names = dict.fromkeys(each.strategy for each in cells)
     return aligned([("", *PROTOCOLS), *((name, *(here[name, each] for each in PROTOCOLS)) for name in names)])
 

@@ -205,13 +205,13 @@ def measure_sight(options: Options, latency: float) -> list[Sighted]:
 
 def observe(result: Result) -> Watched:
     """Return the numbers of one run with limited sensing."""
-    told = [
+    reports = [
         event
         for event in result.trace.of(Sent)
         if isinstance(event.body, tuple) and any(isinstance(each, Sighting) for each in event.body)
     ]
     sensing, period = result.scenario.sensing, result.scenario.record.trajectory
-    seen = [_seen(sample, sensing.radius) for sample in result.trace.of(Sampled)]
+    seen = [_is_seen(sample, sensing.radius) for sample in result.trace.of(Sampled)]
     since = seen[seen.index(True) :] if any(seen) else []
     longest = max((len(list(part)) for here, part in groupby(since) if not here), default=0)
     return Watched(
@@ -220,12 +220,12 @@ def observe(result: Result) -> Watched:
         active_time(result),
         not since,
         longest * period > sensing.track_timeout,
-        len(told),
-        len({event.flight for event in told}),
+        len(reports),
+        len({event.flight for event in reports}),
     )
 
 
-def _seen(sample: Sampled, radius: float) -> bool:
+def _is_seen(sample: Sampled, radius: float) -> bool:
     """Return whether any pursuer is within the radius (m) of the evader."""
     gaps = np.array(sample.pursuers) - np.array(sample.evader)
     return bool(np.hypot(gaps[:, 0], gaps[:, 1]).min() <= radius)

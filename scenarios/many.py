@@ -44,7 +44,7 @@ def table(games: Sequence[Negotiation], moved: Sequence[Pursuits], runs: int) ->
             _by_size(games, runs),
             _by_cooling(games, GAMES_PER_RUN * runs),
             _by_temperature(games, GAMES_PER_RUN * runs),
-            _moved(moved, runs),
+            _pursuit_tables(moved, runs),
         ]
     )
 
@@ -62,7 +62,7 @@ def _by_size(games: Sequence[Negotiation], runs: int) -> str:
 
 
 def _by_cooling(games: Sequence[Negotiation], runs: int) -> str:
-    here = {(each.slots, each.protocol): each for each in games if _hard(each)}
+    here = {(each.slots, each.protocol): each for each in games if _is_hard(each)}
     rows = [("", *(f"{slots} slots" for slots in BUDGETS))]
     for name in COOLED:
         line = [here[slots, name] for slots in BUDGETS]
@@ -81,7 +81,7 @@ def _by_temperature(games: Sequence[Negotiation], runs: int) -> str:
     return f"Welfare of the final profile / optimum at constant temperatures: {what}\n{aligned(rows)}"
 
 
-def _moved(moved: Sequence[Pursuits], runs: int) -> str:
+def _pursuit_tables(moved: Sequence[Pursuits], runs: int) -> str:
     here = {(each.pursuers, each.evaders, each.protocol): each for each in moved}
     heads = [f"{n} to {m}" for n, m in SIZES]
     times, paired, caught = [("", *heads)], [("", *heads)], [("", *heads)]
@@ -99,7 +99,7 @@ def _moved(moved: Sequence[Pursuits], runs: int) -> str:
     )
 
 
-def _hard(game: Negotiation) -> bool:
+def _is_hard(game: Negotiation) -> bool:
     return (game.pursuers, game.evaders) == HARD and game.temperature is None
 
 
@@ -109,7 +109,7 @@ def picture(games: Sequence[Negotiation], moved: Sequence[Pursuits]) -> "Figure"
 
     with plots.styled(figsize=(plots.COLUMN, 7.2), font=8.0) as figure:
         cooling, temperature, time = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 1.25))
-        draw_cooling(cooling, [each for each in games if _hard(each)])
+        draw_cooling(cooling, [each for each in games if _is_hard(each)])
         draw_temperatures(temperature, [each for each in games if each.temperature is not None])
         draw_pursuits(time, moved)
     return figure

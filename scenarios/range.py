@@ -97,12 +97,12 @@ class Pursuits:
 def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
     """Return the scenario of the paper with a team whose members communicate up to a range, m."""
     chosen, dissemination = PROTOCOLS[protocol]
-    said = {} if dissemination is None else {"dissemination": dissemination}
+    settings = {} if dissemination is None else {"dissemination": dissemination}
     return Scenario(
         name=f"{protocol}, R = {range:g} m",
         team=TEAMS[team],
         protocol=chosen,
-        announce=Announcements(heartbeat=HEARTBEAT, **said),
+        announce=Announcements(heartbeat=HEARTBEAT, **settings),
         network=Links(range=range, latency=Constant(value=0.005)),
     )
 

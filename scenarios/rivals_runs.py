@@ -78,8 +78,8 @@ def contender(kind: str) -> object:
 
 def scenario(world: str, protocol: str, latency: float) -> Scenario:
     """Return the scenario of one protocol in one world at one latency, s."""
-    said = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
-    announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | said)
+    sending = {"trigger": "never", "warm_start": False} if protocol == SILENT else {"trigger": "heartbeat"}
+    announce = WORLDS[world].announce.model_copy(update={"heartbeat": PERIOD} | sending)
     return WORLDS[world].model_copy(
         update={
             "protocol": contender(REFERENCE if protocol == SILENT else protocol),

@@ -71,17 +71,17 @@ def configuration(count: int) -> Scenario:
 
 def centralised(base: Scenario, delta: float) -> Scenario:
     """Return a configuration under Algorithm 3."""
-    return _with(base, Centralised(slot=delta), delta)
+    return _with_protocol(base, Centralised(slot=delta), delta)
 
 
 def decentralised(base: Scenario, delta: float, active_at_start: float = 1.0) -> Scenario:
     """Return a configuration under Algorithm 2."""
     start = base.team.model_copy(update={"active_at_start": active_at_start})
     protocol = SpatialAdaptivePlay(schedule=SharedSeed(slot=delta))
-    return _with(base.model_copy(update={"team": start}), protocol, delta)
+    return _with_protocol(base.model_copy(update={"team": start}), protocol, delta)
 
 
-def _with(base: Scenario, protocol: Behaviour, delta: float) -> Scenario:
+def _with_protocol(base: Scenario, protocol: Behaviour, delta: float) -> Scenario:
     once = Announcements(trigger="change")  # no message is lost, and Algorithm 2 repeats none
     return base.model_copy(update={"protocol": protocol, "motion": Motion(step=delta), "announce": once})
 

@@ -47,20 +47,20 @@ class Peer:
         return self._build(folder) if self.program.endswith(".cpp") else self._install(folder)
 
     def _install(self, folder: Path) -> list[str]:
-        _done([sys.executable, "-m", "venv", str(folder)])
+        _run_command([sys.executable, "-m", "venv", str(folder)])
         python = str(folder / ("Scripts" if sys.platform == "win32" else "bin") / "python")
-        _done([python, "-m", "pip", "install", "-q", *self.packages])
+        _run_command([python, "-m", "pip", "install", "-q", *self.packages])
         return [python, str(PROGRAMS / self.program)]
 
     def _build(self, folder: Path) -> list[str]:
-        _done(["apt-get", "download", *self.packages], folder)
+        _run_command(["apt-get", "download", *self.packages], folder)
         for package in sorted(folder.glob("*.deb")):
-            _done(["dpkg", "-x", str(package), "."], folder)
+            _run_command(["dpkg", "-x", str(package), "."], folder)
         found = sorted((folder / "usr" / "lib").glob("*-linux-gnu"))
         where = [f"-I{folder}/usr/include", *(f"-L{each}" for each in found)]
         there = ["-Wl,--disable-new-dtags", *(f"-Wl,-rpath,{each}" for each in found)]  # also for dependencies
         what = [str(PROGRAMS / self.program), *(f"-l{each}" for each in self.libraries)]
-        _done(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
+        _run_command(["g++", "-O3", "-DNDEBUG", "-std=c++17", "-o", "program", *where, *there, *what], folder)
         return [str(folder / "program")]
 
     def run(self, command: Sequence[str], work: Workload) -> tuple[int, float]:
@@ -70,12 +70,12 @@ class Peer:
             UnavailableError: if it fails or delivers a wrong number of messages.
         """
         work = replace(work, turns=max(1, round(self.share * work.turns)))
-        said = json.loads(_done(command, told=text(work)).splitlines()[-1])
+        answer = json.loads(_run_command(command, stdin=text(work)).splitlines()[-1])
         neighbours = work.neighbours()
         due = sum(len(neighbours[number % work.size]) for number in range(work.turns))
-        if said["deliveries"] != due:
-            raise UnavailableError(f"{said['deliveries']} deliveries instead of {due}")
-        return due, said["seconds"]
+        if answer["deliveries"] != due:
+            raise UnavailableError(f"{answer['deliveries']} deliveries instead of {due}")
+        return due, answer["seconds"]
 
 
 PEERS: Mapping[str, Peer] = MappingProxyType(
@@ -109,7 +109,7 @@ def text(work: Workload) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _done(command: Sequence[str], folder: Path | None = None, told: str = "") -> str:
+def _run_command(command: Sequence[str], folder: Path | None = None, stdin: str = "") -> str:
     """Run a command, with some text on stdin, and return its output.
 
     Raises:
@@ -117,7 +117,7 @@ def _done(command: Sequence[str], folder: Path | None = None, told: str = "") ->
     """
     try:
         ended = subprocess.run(
-            command, cwd=folder, input=told, capture_output=True, text=True, check=True, timeout=PATIENCE
+            command, cwd=folder, input=stdin, capture_output=True, text=True, check=True, timeout=PATIENCE
         )
     except FileNotFoundError as error:
         raise UnavailableError(f"there is no {command[0]}") from error
