@@ -37,7 +37,7 @@ class Phase(IntEnum):
     RELAY = 3 << 32
     """Nodes forward received messages."""
     CAPTURE = 4 << 32
-    """The motion up to this instant is checked for capture, then the time for the horizon."""
+    """Evaders are captured; then the pursuit ends if this is the horizon."""
     DECISION = 5 << 32
     """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32

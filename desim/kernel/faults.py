@@ -130,9 +130,9 @@ class RandomCrashes(Value):
         for node, each in enumerate(rng.spawn(size)):
             t = each.exponential(1.0 / self.rate)
             while t < horizon:
-                until = t + max(each.exponential(self.mean_downtime), MIN_FAULT_DURATION)
-                yield Crash(start=t, end=until, node=node, scope=self.scope, memory=self.memory)
-                t = until + each.exponential(1.0 / self.rate)
+                end = t + max(each.exponential(self.mean_downtime), MIN_FAULT_DURATION)
+                yield Crash(start=t, end=end, node=node, scope=self.scope, memory=self.memory)
+                t = end + each.exponential(1.0 / self.rate)
 
 
 class RandomFaults(Value):

@@ -14,7 +14,7 @@ from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partitio
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-SOME = 64
+MIN_BATCH = 64
 """Minimum number of unchecked transmissions before the deliveries are checked; it grows with those in flight."""
 
 
@@ -44,7 +44,7 @@ class Conservation:
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
-        self._room = SOME
+        self._max_unchecked = MIN_BATCH
         self._notices: dict[type, Callable[[Any], None]] = {
             Broadcast: self._depart,
             Sent: self._depart,
@@ -86,9 +86,9 @@ class Conservation:
             _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
             fates = flying | fates
         self._flying[event.flight] = event, fates
-        if len(self._flying) > self._room:
+        if len(self._flying) > self._max_unchecked:
             self._settle(event.t)
-            self._room = SOME + 2 * len(self._flying)
+            self._max_unchecked = MIN_BATCH + 2 * len(self._flying)
 
     def _follow(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
         for dst, arrival in fates.items():

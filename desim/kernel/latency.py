@@ -254,9 +254,9 @@ class PerPair(Value):
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        return self.own(context) + self.jitter(context, rng)
+        return self.base_latencies(context) + self.jitter(context, rng)
 
-    def own(self, context: LinkContext) -> Floats:
+    def base_latencies(self, context: LinkContext) -> Floats:
         """Return the (k,) base latencies of the links, s."""
         return np.asarray(self.base.quantile(context.uniform("pair latency", symmetric=self.symmetric)))
 
@@ -266,15 +266,15 @@ class _Pairs:
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)
-        self._own: dict[int, Floats] = {}
+        self._base: dict[int, Floats] = {}
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Floats:
         """Return (k,) base + jitter, s."""
-        if context.src not in self._own and (len(self._own) + 1) * len(self._all) <= ROOM:
-            self._own[context.src] = self._model.own(replace(context, dst=self._all))
-        kept = self._own.get(context.src)
-        own = self._model.own(context) if kept is None else kept[context.dst]
-        return own + self._model.jitter(context, rng)
+        if context.src not in self._base and (len(self._base) + 1) * len(self._all) <= ROOM:
+            self._base[context.src] = self._model.base_latencies(replace(context, dst=self._all))
+        kept = self._base.get(context.src)
+        base = self._model.base_latencies(context) if kept is None else kept[context.dst]
+        return base + self._model.jitter(context, rng)
 
 
 LATENCIES = OneOf(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
-class Departure(NamedTuple):
+class Transmission(NamedTuple):
     """One transmission: a record or a message, with its receivers."""
 
     number: int
@@ -96,7 +96,7 @@ class Network:
         self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
         self._settles_on_arrival = self._checks_arrival or fault_state is not None or links.medium.half_duplex
         self._medium = links.medium
-        self._transmitter: Transmitter[Departure] | None = None
+        self._transmitter: Transmitter[Transmission] | None = None
         if not isinstance(links.medium, Unlimited):
             self._transmitter = Transmitter(
                 env, links.medium, size, self._leave, self._wait, self._overflow, self._sampler.processing
@@ -106,7 +106,7 @@ class Network:
         self._ports: dict[str, list[Inbox]] = {}
         self._trace = trace if trace is not None and trace.wants_messages else None
         self._seq = [count(1) for _ in range(size)]
-        self._flights = count()
+        self._numbers = count()
         self._crashes: dict[int, list[int]] = {}
         self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
         self._lost: Counter[Cause] = Counter()
@@ -128,7 +128,7 @@ class Network:
             size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
             sent: the time stamp, by the clock of `src`, ns; the true time if None.
         """
-        self._hand_over(src, None, self.next_record(src, body, sent), size)
+        self._transmit(src, None, self.next_record(src, body, sent), size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
@@ -144,7 +144,7 @@ class Network:
             raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
-        self._hand_over(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
+        self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
         """Return the next record of a node, for a protocol that disseminates it without `publish`."""
@@ -215,8 +215,8 @@ class Network:
         """
         self.fault_state.crash(node)
         self._crashes.setdefault(node, []).append(self._env.now)
-        for flight in self._transmitter.flush(node) if self._transmitter is not None else ():
-            self._lose(flight, flight.receivers, "crash")
+        for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
+            self._lose(transmission, transmission.receivers, "crash")
 
     def recover(self, node: int, *, memory: bool = True) -> None:
         """End one crash of a node; without memory its received records and waiting messages are deleted."""
@@ -244,7 +244,7 @@ class Network:
         in_flight += sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
         busy = 0.0
         if self._transmitter is not None:
-            in_flight += sum(len(flight.receivers) for flight in self._transmitter.waiting())
+            in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
         by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # without causes counted 0 times
@@ -254,13 +254,11 @@ class Network:
 
     # The steps of a transmission.
 
-    def _hand_over(
-        self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = ""
-    ) -> None:
-        """Hand a transmission over to the transmitter of its node, unless the radio is down."""
+    def _transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
+        """Pass a new transmission to the transmitter of its node, unless the radio is down."""
         if self._fault_state is not None and self._fault_state.down(src):
             return
-        number, reachable, topology = next(self._flights), True, self.topology
+        number, reachable, topology = next(self._numbers), True, self.topology
         if dst is None:
             receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
         else:
@@ -268,63 +266,69 @@ class Network:
             reachable = topology.are_linked(src, dst) and not self._is_out_of_range(src, dst, number)
         if size is None:
             size = size_of(content.body)
-        flight = _new(Departure, (number, src, self._env.now, size, receivers, content, port, reachable))
+        transmission = _new(Transmission, (number, src, self._env.now, size, receivers, content, port, reachable))
         self._sent += len(receivers)
         if self._transmitter is None:
-            self._leave(flight, 0)
+            self._leave(transmission, 0)
         else:
-            self._transmitter.enqueue(flight)
+            self._transmitter.enqueue(transmission)
 
     def _is_out_of_range(self, src: int, dst: int, number: int) -> bool:
         """Return whether a range check at transmission fails for a receiver."""
         return self._checks_departure and not self.topology.reaches(src, dst, number)
 
-    def _wait(self, flight: Departure) -> None:
+    def _wait(self, transmission: Transmission) -> None:
         if self._trace is not None:
-            dst = tuple(flight.receivers)
-            self._trace.append_message(Queued(self._env.now, flight.number, flight.src, dst, flight.size))
+            dst = tuple(transmission.receivers)
+            self._trace.append_message(
+                Queued(self._env.now, transmission.number, transmission.src, dst, transmission.size)
+            )
 
-    def _overflow(self, flight: Departure) -> None:
-        self._lose(flight, flight.receivers, "queue")
+    def _overflow(self, transmission: Transmission) -> None:
+        self._lose(transmission, transmission.receivers, "queue")
 
-    def _leave(self, flight: Departure, airtime: int) -> None:
+    def _leave(self, transmission: Transmission, airtime: int) -> None:
         """Start a transmission with an airtime (ns): draw its losses and schedule its arrivals."""
-        now, receivers = self._env.now, flight.receivers
+        now, receivers = self._env.now, transmission.receivers
         self._transmissions += 1
-        self._bytes_sent += flight.size
-        arrival = self._sampler.arrivals(flight.src, receivers, now, airtime, flight.size)
-        causes = self._losses(flight) if self._may_lose or not flight.reachable else {}
+        self._bytes_sent += transmission.size
+        arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
+        causes = self._losses(transmission) if self._may_lose or not transmission.reachable else {}
         reached = receivers
         if causes:
             reached = [node for node in receivers if node not in causes]
             if not isinstance(arrival, int):
                 arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
         if self._sampler.keeps_order:
-            arrival = self._sampler.in_order(flight.src, reached, arrival)
+            arrival = self._sampler.in_order(transmission.src, reached, arrival)
         if self._trace is not None:
-            self._record(flight, causes, arrival)
+            self._record(transmission, causes, arrival)
         for node, cause in causes.items():
-            self._lose(flight, [node], cause)
+            self._lose(transmission, [node], cause)
         if self._settles_on_arrival:
-            self._schedule_arrivals(flight, reached, arrival, airtime)
-        elif isinstance(flight.content, Record):
-            self._records.schedule(flight.content, reached, arrival)
+            self._schedule_arrivals(transmission, reached, arrival, airtime)
+        elif isinstance(transmission.content, Record):
+            self._records.schedule(transmission.content, reached, arrival)
         else:
-            deliver(flight.content, self._boxes(flight.port), reached, arrival, flight.number)
+            deliver(transmission.content, self._boxes(transmission.port), reached, arrival, transmission.number)
 
-    def _losses(self, flight: Departure) -> dict[int, Cause]:
+    def _losses(self, transmission: Transmission) -> dict[int, Cause]:
         """Return the receivers for which a transmission is lost at its start, with the causes."""
-        src, receivers, causes = flight.src, flight.receivers, dict[int, Cause]()
-        lost = self._sampler.losses(src, receivers, self._env.now, flight.size)
+        src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
+        lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
         if lost is not None:
             causes |= dict.fromkeys(compress(receivers, lost), "loss")
         if self._fault_state is not None:
             causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
-        if flight.created < self._env.now:  # it waited, and its receivers may have moved out of range
-            causes |= {node: "out_of_range" for node in receivers if self._is_out_of_range(src, node, flight.number)}
-        return causes if flight.reachable else dict.fromkeys(receivers, "out_of_range")
+        if transmission.created < self._env.now:  # it waited, and its receivers may have moved out of range
+            causes |= {
+                node: "out_of_range" for node in receivers if self._is_out_of_range(src, node, transmission.number)
+            }
+        return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
 
-    def _schedule_arrivals(self, flight: Departure, reached: list[int], arrival: Arrival, airtime: int) -> None:
+    def _schedule_arrivals(
+        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
+    ) -> None:
         """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
         self._arriving += len(reached)
         nodes_by_arrival: dict[int, list[int]] = {}
@@ -335,47 +339,49 @@ class Network:
                 nodes_by_arrival.setdefault(when, []).append(node)
         for when, nodes in nodes_by_arrival.items():
             Instant(self._env, when, Phase.DELIVERY).callbacks.append(
-                partial(self._land, flight, nodes, (self._env.now, self._env.now + airtime))
+                partial(self._land, transmission, nodes, (self._env.now, self._env.now + airtime))
             )
 
-    def _land(self, flight: Departure, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
+    def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
         """Deliver a transmission that was on the air for an interval (start, end), ns, to nodes, or lose it there."""
         self._arriving -= len(nodes)
         for node in nodes:
-            cause = self._obstacle(flight, node, interval)
+            cause = self._obstacle(transmission, node, interval)
             if cause is not None:
-                self._lose(flight, [node], cause)
-            elif isinstance(flight.content, Record):
-                self._records.insert(node, flight.content)
+                self._lose(transmission, [node], cause)
+            elif isinstance(transmission.content, Record):
+                self._records.insert(node, transmission.content)
             else:
-                deliver(flight.content, self._boxes(flight.port), [node], self._env.now, flight.number)
+                deliver(
+                    transmission.content, self._boxes(transmission.port), [node], self._env.now, transmission.number
+                )
 
-    def _obstacle(self, flight: Departure, node: int, interval: tuple[int, int]) -> Cause | None:
+    def _obstacle(self, transmission: Transmission, node: int, interval: tuple[int, int]) -> Cause | None:
         """Return the cause for which a message that arrives now is lost, or None."""
         faults, (begin, end) = self._fault_state, interval
         if faults is not None:
-            if faults.down(node) or any(begin <= t < end for t in self._crashes.get(flight.src, ())):
+            if faults.down(node) or any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
                 return "crash"
-            if faults.cut(flight.src, node):
+            if faults.cut(transmission.src, node):
                 return "partition"
             if faults.jammed(node):
                 return "jamming"
-        if self._checks_arrival and not self.topology.reaches(flight.src, node, flight.number):
+        if self._checks_arrival and not self.topology.reaches(transmission.src, node, transmission.number):
             return "out_of_range"
         left = self._env.now - self._sampler.processing
         transmitting = self._transmitter is not None and self._transmitter.transmitted(node, left, end - begin)
         return "half_duplex" if transmitting else None
 
-    def _lose(self, flight: Departure, nodes: list[int], cause: Cause) -> None:
+    def _lose(self, transmission: Transmission, nodes: list[int], cause: Cause) -> None:
         self._lost[cause] += len(nodes)
         if self._trace is not None:
             for node in nodes:
-                self._trace.append_message(Lost(self._env.now, flight.number, flight.src, node, cause))
+                self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
 
-    def _record(self, flight: Departure, causes: Mapping[int, Cause], arrival: Arrival) -> None:
+    def _record(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
         """Append a transmission to the trace, with its arrival times, or `LOST` where it is lost at transmission."""
         assert self._trace is not None
-        number, src, created, size, receivers, content = flight[:6]
+        number, src, created, size, receivers, content = transmission[:6]
         now, fates = self._env.now, arrival
         if causes:
             arrivals = iter(per_receiver(arrival, len(receivers)))

@@ -83,9 +83,9 @@ class LogDistance(Value):
         return ranges * range
 
 
-def bound(reach: ReceptionModel, range: float) -> float:  # noqa: A002
+def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
     """Return the distance beyond which no message is ever received, m; inf if the model has no bound."""
-    ends = getattr(reach, "bound", None)
+    ends = getattr(reception, "bound", None)
     return inf if ends is None else float(ends(range))
 
 

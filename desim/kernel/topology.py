@@ -31,7 +31,7 @@ class Topology:
         graph: the communication graph.
         range: the communication range of every node, m.
         positions: the current positions of the nodes; required if the range is finite.
-        reach: the probability of reception as a function of distance; a disk if None.
+        reception: the probability of reception as a function of distance; a disk if None.
         per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
         seed: the seed of these draws.
         now: returns the time, s; if given, a cell list of nodes with bounded speed is updated less often.
@@ -45,7 +45,7 @@ class Topology:
         graph: "nx.Graph[int]",
         range: float = inf,  # noqa: A002
         positions: PositionSource | None = None,
-        reach: ReceptionModel | None = None,
+        reception: ReceptionModel | None = None,
         *,
         per_link: bool = True,
         seed: int = 0,
@@ -61,7 +61,7 @@ class Topology:
         self._lists: list[list[int]] | _AllOthers = (
             _AllOthers(size) if self._complete else [sorted(graph.adj[node]) for node in nodes.tolist()]
         )
-        self._range, self._reception = range, reach or Disk()
+        self._range, self._reception = range, reception or Disk()
         self._certain = isinstance(self._reception, Disk)
         self._per_link, self._seed = per_link, seed
         self._uniform: dict[int, Floats] = {}  # by sender, the draws of its pairs with all nodes; up to `ROOM` numbers
@@ -82,8 +82,8 @@ class Topology:
         if self._complete:
             return src != dst
         linked = self._lists[src]
-        place = bisect_left(linked, dst)
-        return place < len(linked) and linked[place] == dst
+        index = bisect_left(linked, dst)
+        return index < len(linked) and linked[index] == dst
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
         """Return the nodes that a message of `node` reaches now, ascending; `message` is the index of its draws."""

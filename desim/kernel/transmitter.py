@@ -12,7 +12,7 @@ from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.medium import Medium
 
 
-class Transmission(Protocol):
+class Transmittable(Protocol):
     """An item that can be transmitted."""
 
     @property
@@ -26,7 +26,7 @@ class Transmission(Protocol):
         ...
 
 
-Item = TypeVar("Item", bound=Transmission)
+Item = TypeVar("Item", bound=Transmittable)
 
 
 class Transmitter(Generic[Item]):

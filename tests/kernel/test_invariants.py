@@ -255,9 +255,9 @@ class Deaf(Network):
 class Talkative(Network):
     """Who is down may speak."""
 
-    def _hand_over(self, src, *rest, **options):
+    def _transmit(self, src, *rest, **options):
         fault_state, self._fault_state = self._fault_state, None
-        super()._hand_over(src, *rest, **options)
+        super()._transmit(src, *rest, **options)
         self._fault_state = fault_state
 
 

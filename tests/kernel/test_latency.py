@@ -269,7 +269,7 @@ def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monke
         for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
     ]
     assert [run(hop, ours).tolist() for hop in context] == [model(hop, theirs).tolist() for hop in context]
-    assert len(run._own) == min(room // 30, 3)
+    assert len(run._base) == min(room // 30, 3)
     assert model.start_run(30)(LinkContext(4, np.array([7]), seed=8), ours) != model(
         LinkContext(4, np.array([7]), seed=9), ours
     )
