@@ -86,7 +86,9 @@ def study(
         @click.option("--runs", type=click.IntRange(min=1), default=runs, show_default=True, help="Runs per cell.")
         @click.option("--jobs", type=click.IntRange(min=0), default=0, help="Worker processes; 0 = one per core.")
         @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first run.")
-        @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
+        @click.option(
+            "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Output folder."
+        )
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
         def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **own: Any) -> None:
             run(Options(name, runs, jobs, seed, out, as_json, own))

@@ -120,7 +120,7 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
     monkeypatch.setattr(benchmarks, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful})
     laps = benchmarks.Laps(TINY[0], {}, {})
     laps.lap("simpy-message")
-    with pytest.raises(RuntimeError, match="forgetful does not end with the tables"):
+    with pytest.raises(RuntimeError, match="the final tables of forgetful differ"):
         laps.lap("forgetful")
 
 
