@@ -28,7 +28,7 @@ Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 PAPER = Mean()
 """The utility of Lee & Bakolas."""
-NEVER = " (a protocol with nothing left to wait for returns)"
+RETURN_HINT = " (a protocol with nothing left to wait for returns)"
 """Hint in error messages about an infinite waiting time."""
 
 
@@ -59,7 +59,7 @@ class Agent:
         pursuer: its id.
         env: the clock of the simulation.
         world: its view of the world, which it senses and acts on.
-        whole: the true state of the world.
+        global_state: the true state of the world.
         network: the network that carries its messages.
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
@@ -219,12 +219,8 @@ class Agent:
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
         """Return the gain of chasing an evader over staying, given its beliefs, s; see `desim.pursuit.game.gain`."""
         own, rivals, times = self._beliefs.rivals(evader)
-        counted_teammates = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
-        others = [
-            phi
-            for j, phi in zip(rivals, times, strict=True)
-            if phi < inf and (counted_teammates is None or j in counted_teammates)
-        ]
+        counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
+        others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
         return utility(own, others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
@@ -304,11 +300,11 @@ class Agent:
     def announcement(self) -> Any:
         """Return the body that it would announce now."""
         payload = self._announced.payload
-        return PAYLOADS[self._announcements.payload].said_by(self.id, self._world) if payload is None else payload
+        return PAYLOADS[self._announcements.payload].announced_by(self.id, self._world) if payload is None else payload
 
     def located(self) -> LocatedAssignment:
         """Return the body that it would announce now if the payload were "state"."""
-        return LocatedAssignment.said_by(self.id, self._world)
+        return LocatedAssignment.announced_by(self.id, self._world)
 
     def record(self, body: Any) -> Record:
         """Return its next record with this body, for a dissemination that does not use `publish`."""
@@ -330,9 +326,9 @@ class Agent:
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
-        Use it for events, each of which wakes a receiver that waits at this port (`arrival`, `mail`). The body is
-        copied at sending: changing a list, a dict or an array afterwards has no effect on the message. All receivers
-        get the same object and must not change it. A tuple or a NamedTuple is never copied.
+        Use it for events, each of which wakes a receiver that waits at this port (`arrival`, `mail`). A body
+        that contains a list, a dict or an array is copied at sending: changing it afterwards has no effect on the
+        message. All receivers get the same object and must not change it.
 
         Raises:
             ValueError: if the receiver is the sender, or there is no such teammate.
@@ -354,7 +350,7 @@ class Agent:
         try:
             return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
         except (OverflowError, ValueError) as error:
-            raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{NEVER}") from error
+            raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
     def sleep(self, duration: float) -> simpy.Event:
         """Return an event a duration (s, by its own clock) from now.
@@ -365,7 +361,7 @@ class Agent:
         try:
             return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
         except (OverflowError, ValueError) as error:
-            text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{NEVER}"
+            text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
             raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object]) -> None:

@@ -20,7 +20,7 @@ class Assignment(NamedTuple):
     """The evader that it chases, 1 .. M, or 0."""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
         return cls(world.action(pursuer))
 
@@ -33,7 +33,7 @@ class TimedAssignment(NamedTuple):
     """Capture time of the evader that it chases or, if it stays, the least over all evaders, s."""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
         action = world.action(pursuer)
         phi = [world.capture_times_of([pursuer], evader)[0] for evader in ([action] if action else world.evaders())]
@@ -52,7 +52,7 @@ class LocatedAssignment(NamedTuple):
     """m/s"""
 
     @classmethod
-    def said_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
         place = world.place(pursuer)
         return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
@@ -74,7 +74,7 @@ class Forwarded(NamedTuple):
     """Number of hops that it may still travel, the present one included."""
 
 
-def tells_of_chase(body: Any) -> bool:
+def announces_chase(body: Any) -> bool:
     """Return whether a body announces a chase; other bodies that protocols publish do not."""
     return bool(getattr(body, "active", False))
 
@@ -97,8 +97,8 @@ def one_hop() -> Any:
     return made()
 
 
-def _form(value: Any) -> str:
-    return "word" if isinstance(value, str) and value != "Infinity" else "number"
+def _form_of_timeout(value: Any) -> str:
+    return "text" if isinstance(value, str) and value != "Infinity" else "number"
 
 
 class Announcements(Value):
@@ -114,7 +114,7 @@ class Announcements(Value):
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
     belief_timeout: Annotated[
-        Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("word")], Discriminator(_form)
+        Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
     """Time after its last announcement arrived for which a teammate is believed active, s; "auto" is 3 heartbeats plus
     twice the typical latency and airtime of an announcement, or inf without heartbeats."""

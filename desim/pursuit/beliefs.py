@@ -80,12 +80,12 @@ class Beliefs:
         Args:
             period: time between two announcements of a teammate, s, if it is not the heartbeat.
         """
-        oldest = self._clock.true - (self._memory if period is None else self._remembers(period))
+        oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
         return {j: record for j, (arrival, record) in self.latest_records().items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return its own capture time of an evader, s, the trusted teammates believed to chase it, and their times."""
-        oldest, matching = self._clock.true - self._memory, self._network.matching(self._id)
+        oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self.senses_others:
             own, *times = self._world.capture_times_of([self._id, *chasing], evader)
@@ -128,16 +128,16 @@ class Beliefs:
         return np.array([self._world.speed(pursuer) for pursuer in range(self._world.size)])
 
     @cached_property
-    def _memory(self) -> float:
+    def _timeout(self) -> float:
         """How long an announcement is believed, ns of true time."""
-        return self._remembers(self._announcements.heartbeat if self._announcements.beats else inf)
+        return self._timeout_for(self._announcements.heartbeat if self._announcements.beats else inf)
 
-    def _remembers(self, period: float) -> float:
+    def _timeout_for(self, period: float) -> float:
         """Return how long announcements repeated every period (s) are believed, ns of true time."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
-            flight = self._network.typical_latency + self._network.airtime(self._announcement())
-            limit = 3.0 * period + 2.0 * flight if period < inf else inf
+            delay = self._network.typical_latency + self._network.airtime(self._announcement())
+            limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run is longer
 
     def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
@@ -163,9 +163,9 @@ class Beliefs:
             return place
         now = self._clock.stamp
         since = min(record.sent, now)
-        legs = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
+        segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
-        for (begun, action), (end, _) in pairwise([*legs, (now, 0)]):
+        for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
             if action and begun < now:
                 ended = max(now - end, 0)
                 place = self._world.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)

@@ -25,12 +25,12 @@ class TrackSegment(NamedTuple):
     """Position of the evader at the start of the step, m."""
     aim: complex
     """The point that pursuers aim at, m."""
-    flight: complex
+    velocity: complex
     """The observed velocity of the evader, m/s."""
 
     def at(self, t: int) -> complex:
         """Return the observed position of the evader at an instant (ns), m."""
-        return self.evader + self.flight * seconds(t - self.begun)
+        return self.evader + self.velocity * seconds(t - self.begun)
 
 
 class EvaderTrack:
@@ -46,14 +46,14 @@ class EvaderTrack:
 
     def __init__(self, law: Guidance, *, remembers: bool = True):
         self._law, self._remembers = law, remembers
-        self._legs: list[TrackSegment] = []
+        self._segments: list[TrackSegment] = []
         self._retracings: dict[tuple[complex, float, int], tuple[int, complex]] = {}
 
-    def see(self, t: int, evader: complex, aim: complex, flight: complex) -> None:
+    def see(self, t: int, evader: complex, aim: complex, velocity: complex) -> None:
         """Append a motion step at its start; the arguments are those of `TrackSegment`."""
-        self.last = TrackSegment(t, evader, aim, flight)
+        self.last = TrackSegment(t, evader, aim, velocity)
         if self._remembers:
-            self._legs.append(self.last)
+            self._segments.append(self.last)
 
     def place(self, position: complex, speed: float, since: int, now: int) -> complex:
         """Return the position at `now` (ns) of a pursuer that was at `position` (m) at `since` (ns) and has chased, m.
@@ -64,13 +64,13 @@ class EvaderTrack:
         assert self._remembers
         known = (position, speed, since)
         began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
-        first = bisect_right(self._legs, t, key=itemgetter(0)) - 1
-        last = bisect_left(self._legs, now, key=itemgetter(0))  # the evader may have been captured since
-        ends = [leg.begun for leg in self._legs[first + 1 : last]] + [now]
-        for leg, end in zip(self._legs[first:], ends, strict=False):  # no segment yet at the start
+        first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
+        last = bisect_left(self._segments, now, key=itemgetter(0))  # the evader may have been captured since
+        ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
+        for segment, end in zip(self._segments[first:], ends, strict=False):  # no segment yet at the start
             began, origin = t, place
-            velocity = guided_velocity(self._law, leg.at(t) - place, leg.aim - place, leg.flight, speed)
-            place += velocity * seconds(end - t)
+            gap, aim = segment.at(t) - place, segment.aim - place
+            place += guided_velocity(self._law, gap, aim, segment.velocity, speed) * seconds(end - t)
             t = end
         self._retracings[known] = (began, origin)
         if len(self._retracings) > MAX_RETRACINGS:

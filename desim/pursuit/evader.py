@@ -32,7 +32,7 @@ class EvaderController:
         speed: its speed, m/s.
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
-        sight: range up to which it senses pursuers, m.
+        sensing_range: range up to which it senses pursuers, m.
         reaction_delay: age of the state that it perceives, s.
     """
 
@@ -153,7 +153,7 @@ class EvaderBody:
     Args:
         number: 1 .. M, the action of a pursuer that chases it.
         speed: its speed, m/s.
-        mind: its controller, which chooses its heading.
+        controller: its controller, which chooses its heading.
         path: its path, as pursuers observe it.
         players: positions and velocities of all players: the N pursuers, then the evaders in order.
         speeds: (N,) speeds of the pursuers, m/s.
@@ -236,7 +236,7 @@ class EvaderBody:
         """Return the capture time of each pursuer, given (N,) distances (m), s."""
         return tuple(self._radial_time(distances).tolist())
 
-    def flight(self, state: State, *, handover: bool) -> complex:
+    def choose_velocity(self, state: State, *, handover: bool) -> complex:
         """Return the velocity that it chooses in the present state, m/s; 0 once it has been captured.
 
         Args:

@@ -18,18 +18,21 @@ EvaderVelocity = complex | Points
 
 
 class Guidance(Protocol):
-    """A guidance law: `guidance(gaps, aims, flight, speeds)` returns the (N,) velocities, m/s, within the speeds.
+    """A guidance law: `guidance(gaps, aims, evader_velocity, speeds)` returns the (N,) velocities, m/s.
 
     Args:
-        gaps: (N,) from each pursuer to the observed position of its evader, m; it moves at `flight` during the step.
+        gaps: (N,) from each pursuer to the observed position of its evader, which moves at `evader_velocity` during
+            the step, m.
         aims: (N,) from each pursuer to the position of its evader at the end of the motion step if the evader moves
             first, else to its position at the beginning of the step (`motion.order`), m.
-        flight: observed velocity of the evader: that of the present step if the evader moves first, else that of the
-            step before, m/s; (N,) if pursuers chase different evaders.
-        speeds: (N,) speeds, m/s, 0 for pursuers that stay.
+        evader_velocity: observed velocity of the evader: that of the present step if the evader moves first, else that
+            of the step before, m/s; (N,) if pursuers chase different evaders.
+        speeds: (N,) speeds, m/s, 0 for pursuers that stay; no velocity exceeds them.
     """
 
-    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points: ...  # noqa: D102
+    def __call__(  # noqa: D102
+        self, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
+    ) -> Points: ...
 
 
 class PurePursuit(Value):
@@ -37,7 +40,7 @@ class PurePursuit(Value):
 
     kind: Literal["pure_pursuit"] = "pure_pursuit"
 
-    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         return toward(aims, speeds)
 
@@ -53,32 +56,35 @@ class ConstantBearing(Value):
 
     kind: Literal["constant_bearing"] = "constant_bearing"
 
-    def __call__(self, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
+    def __call__(self, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats) -> Points:
         """Return the (N,) velocities, m/s."""
         distances = lengths(gaps)
         bearings = gaps / np.maximum(distances, SMALLEST)
         x, y = bearings.real, bearings.imag
-        away, across = flight.real * x + flight.imag * y, flight.imag * x - flight.real * y  # of the line of sight
+        w = evader_velocity
+        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y  # of the line of sight
         rest = speeds**2 - across**2
         along = np.sqrt(np.maximum(rest, 0.0))
         meets = (rest >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)
         return np.where(meets, bearings * along + bearings * (1j * across), toward(aims, speeds))
 
 
-def guided_velocities(law: Guidance, gaps: Points, aims: Points, flight: EvaderVelocity, speeds: Floats) -> Points:
+def guided_velocities(
+    law: Guidance, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
+) -> Points:
     """Return the (N,) velocities given by a law, m/s; the arguments are those of `Guidance`.
 
     Raises:
         ValueError: if the law exceeds the speed of a pursuer.
     """
-    velocities = law(gaps, aims, flight, speeds)
+    velocities = law(gaps, aims, evader_velocity, speeds)
     if not isinstance(law, PurePursuit | ConstantBearing) and not (lengths(velocities) <= speeds * (1.0 + 1e-9)).all():
         raise ValueError(f"velocities should be within the speeds {speeds} m/s, got {velocities} from {law!r}")
     return velocities
 
 
-def guided_velocity(law: Guidance, gap: complex, aim: complex, flight: complex, speed: float) -> complex:
+def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
     """Return the velocity given by a law to one pursuer, m/s; see `guided_velocities`."""
     if isinstance(law, PurePursuit):  # the same result, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
-    return complex(guided_velocities(law, np.array([gap]), np.array([aim]), flight, np.array([speed]))[0])
+    return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])

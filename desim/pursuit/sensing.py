@@ -99,7 +99,7 @@ class TeamSensor:
     """The sensors of the whole team, sampled once every motion step for all pursuers and evaders together.
 
     Attributes:
-        sights: (N,) the sensed view of each pursuer.
+        views: (N,) the sensed view of each pursuer.
     """
 
     def __init__(self, sensing: Sensing, world: GlobalState, network: Network, clocks: Iterable[NodeClock]):
@@ -108,7 +108,7 @@ class TeamSensor:
         self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
         self._places: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
-        self.sights = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.views = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
 
     def look(self, now: int) -> None:
         """Record the evaders in the sensing range of each pursuer that is not down, at an instant, ns."""
@@ -145,14 +145,14 @@ class SensedView:
 
     Args:
         pursuer: its id.
-        watch: the sensors of the team, with its own sightings.
+        sensor: the sensors of the team, with its own sightings.
         world: the true state of the world.
         network: the network that delivers reports.
         clock: its own clock.
     """
 
-    def __init__(self, pursuer: int, watch: TeamSensor, world: GlobalState, network: Network, clock: NodeClock):
-        self._id, self._watch, self._sensing = pursuer, watch, watch.sensing
+    def __init__(self, pursuer: int, sensor: TeamSensor, world: GlobalState, network: Network, clock: NodeClock):
+        self._id, self._sensor, self._sensing = pursuer, sensor, sensor.sensing
         self._world, self._network, self._clock = world, network, clock
         self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
         self.speed, self.place, self.places = world.speed, world.place, world.places
@@ -172,7 +172,7 @@ class SensedView:
         reported = self._reported.get(evader)
         if self.sees(evader):
             return _sighting(evader, self._clock.now, self._world.evader(evader), self._world.velocity(evader))
-        when, place, velocity = self._watch.last(self._id, evader)
+        when, place, velocity = self._sensor.last(self._id, evader)
         if when == NEVER:
             return reported
         own = self._clock.at(when)
@@ -203,8 +203,8 @@ class SensedView:
     def report(self) -> None:
         """Report the newest sightings that have not expired to the neighbours."""
         oldest = self._clock.now - self._sensing.track_timeout
-        news = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
-        reports = tuple(each for each in news if self._sensing.relay or each is not self._reported.get(each.evader))
+        newest = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
+        reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
         if reports:
             self._network.send(self._id, None, reports, port=PORT)
 
@@ -213,7 +213,7 @@ class SensedView:
         self._read_reports()
         self._reported.clear()
         if not heard_only:
-            self._watch.forget(self._id)
+            self._sensor.forget(self._id)
 
     def _read_reports(self) -> None:
         """Process the reports that have arrived."""

@@ -30,7 +30,7 @@ class Steering:
         evader_first: whether pursuers aim at the evader's position at the end of the step, or at its beginning.
 
     Attributes:
-        watch: the sensor of the team; None if sensing is unlimited.
+        sensor: the sensor of the team; None if sensing is unlimited.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Steering:
         self._speeds, self._speed = speeds, speeds.tolist()
         self._evader_first = evader_first
         self._stillness: Points = np.zeros(len(speeds) + len(targets), dtype=complex)
-        self.watch: TeamSensor | None = None
+        self.sensor: TeamSensor | None = None
 
     def set_actions(self, actions: Actions) -> None:
         """Set the actions of all pursuers from now on."""
@@ -62,20 +62,20 @@ class Steering:
         velocities = self._stillness.copy()
         for target in self._targets:
             state = target.state(now)
-            flight, place = target.flight(state, handover=handover), state.evader
+            evader_velocity, place = target.choose_velocity(state, handover=handover), state.evader
             if self._evader_first:
-                target.path.see(now, place, place + flight * duration, flight)
+                target.path.see(now, place, place + evader_velocity * duration, evader_velocity)
             else:
                 target.path.see(now, place, place, players.velocities.item(target.player))
-            velocities[target.player] = flight
+            velocities[target.player] = evader_velocity
         if self._chases is None:
             velocities[: len(self._actions)] = self._all_velocities()
         else:
             where, speed = players.places().item, self._speed
             for pursuer, target in self._chases:
-                here, (_, place, aim, flight) = where(pursuer), target.path.last
-                velocities[pursuer] = guided_velocity(law, place - here, aim - here, flight, speed[pursuer])
-        for pursuer in self.watch.blind(self._actions) if self.watch is not None else ():
+                here, (_, place, aim, evader_velocity) = where(pursuer), target.path.last
+                velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
+        for pursuer in self.sensor.blind(self._actions) if self.sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, duration)
         players.go(velocities)
 
@@ -90,32 +90,32 @@ class Steering:
         velocities, evader = self._players.velocities.copy(), self._actions.item(pursuer)
         if not evader:
             velocities[pursuer] = 0j
-        elif self.watch is not None and not self.watch.sights[pursuer].sees(evader):
+        elif self.sensor is not None and not self.sensor.views[pursuer].sees(evader):
             velocities[pursuer] = self._blind_velocity(pursuer, seconds(until - now))
         else:
-            here, leg = self._players.place(pursuer), self._targets[evader - 1].path.last
-            gap, speed = leg.at(now) - here, self._speed[pursuer]
-            velocities[pursuer] = guided_velocity(self._law, gap, leg.aim - here, leg.flight, speed)
+            here, segment = self._players.place(pursuer), self._targets[evader - 1].path.last
+            gap, speed = segment.at(now) - here, self._speed[pursuer]
+            velocities[pursuer] = guided_velocity(self._law, gap, segment.aim - here, segment.velocity, speed)
         self._players.go(velocities)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities of the pursuers at the beginning of a step, with all evaders in view, m/s."""
-        actions, legs = self._actions, [target.path.last for target in self._targets]
+        actions, segments = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.places()[: len(actions)], self._paces
-        if len(legs) == 1:
-            _, place, aim, flight = legs[0]
-            return guided_velocities(self._law, place - pursuers, aim - pursuers, flight, paces)
+        if len(segments) == 1:
+            _, place, aim, evader_velocity = segments[0]
+            return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, paces)
         chased = np.maximum(actions, 1) - 1
-        places, aims, flights = (np.array([leg[k] for leg in legs])[chased] for k in (1, 2, 3))
-        return guided_velocities(self._law, places - pursuers, aims - pursuers, flights, paces)
+        places, aims, evader_velocities = (np.array([segment[k] for segment in segments])[chased] for k in (1, 2, 3))
+        return guided_velocities(self._law, places - pursuers, aims - pursuers, evader_velocities, paces)
 
     def _blind_velocity(self, pursuer: int, duration: float) -> complex:
         """Return the velocity of a pursuer whose evader is out of sensing range, m/s.
 
         It stops at the estimated position of the evader at the end of the step, in `duration` s.
         """
-        assert self.watch is not None
-        estimate = self.watch.sights[pursuer].estimate(self._actions.item(pursuer))
+        assert self.sensor is not None
+        estimate = self.sensor.views[pursuer].estimate(self._actions.item(pursuer))
         if estimate is None:
             return 0j
         gap = estimate.place - self._players.place(pursuer)

@@ -95,9 +95,9 @@ class Team(Value):
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
     """Probability p0 that a pursuer is active at the start, in [0, 1]; a pursuer without a choice (`prune`) stays."""
-    guidance: Annotated[Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "flight", "speeds"))] = (
-        PurePursuit()
-    )
+    guidance: Annotated[
+        Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
+    ] = PurePursuit()
     """Guidance law of active pursuers."""
 
     @model_validator(mode="before")

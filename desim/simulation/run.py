@@ -16,7 +16,7 @@ from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
 from desim.kernel.positions import Nodes
 from desim.pursuit.agent import Agent, Behaviour, Process
-from desim.pursuit.announcements import tells_of_chase
+from desim.pursuit.announcements import announces_chase
 from desim.pursuit.evader import Eavesdropper
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.sensing import TeamSensor
@@ -97,7 +97,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         positions=positions,
         trace=trace,
         fault_state=FaultState(positions) if faults else None,
-        predicate=tells_of_chase,
+        predicate=announces_chase,
     )
     team = _Team(env, scenario, world, network, seed)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
@@ -140,10 +140,10 @@ class _Team:
             NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
         ]
         blind = scenario.sensing.limited and not getattr(scenario.protocol, "omniscient", False)
-        self._watch = TeamSensor(scenario.sensing, world, network, clocks) if blind else None
-        if self._watch is not None:
-            world.attach_sensing(self._watch)
-        views: Sequence[PursuerView] = [world] * world.size if self._watch is None else self._watch.sights
+        self._sensor = TeamSensor(scenario.sensing, world, network, clocks) if blind else None
+        if self._sensor is not None:
+            world.attach_sensing(self._sensor)
+        views: Sequence[PursuerView] = [world] * world.size if self._sensor is None else self._sensor.views
         self._agents = [
             Agent(pursuer, env, view, world, network, seed, scenario.announce, clock)
             for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
@@ -166,9 +166,9 @@ class _Team:
             beating = agent.in_phase(Phase.HEARTBEAT)
             if self._scenario.speaks and announce.beats:
                 env.process(beating.repeat(beating.broadcast, announce.heartbeat, "heartbeat"))
-            if self._watch is not None:
-                sight, period = self._watch.sights[pursuer], self._watch.sensing.period
-                env.process(beating.repeat(sight.report, period, "sightings"))
+            if self._sensor is not None:
+                view, period = self._sensor.views[pursuer], self._sensor.sensing.period
+                env.process(beating.repeat(view.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer if its robot, not only its radio, breaks down."""
@@ -195,8 +195,8 @@ class _Team:
                 self._world.recover(node)
                 self._recoveries[node].succeed(remembers)
         self._agents[node].recovered(restarted=not remembers)
-        if self._watch is not None and not crash.memory:
-            self._watch.sights[node].forget(heard_only=remembers)
+        if self._sensor is not None and not crash.memory:
+            self._sensor.views[node].forget(heard_only=remembers)
 
 
 class RestartableProcess(simpy.Process):

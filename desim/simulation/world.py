@@ -85,17 +85,17 @@ class World:
         self._step, self._step_end = nanoseconds(scenario.motion.step), 0
         self._capture_ahead: simpy.Event | None = None
         self._broken = np.zeros(self.size, dtype=bool)
-        self._watch: TeamSensor | None = None
+        self._sensor: TeamSensor | None = None
         chased: Actions = scenario.team.start_profile(seed).astype(np.int64)
         if not self._single:
             chased = chased * stream(seed, "start targets").integers(1, len(self._targets) + 1, size=self.size)
         self._act(chased)
         self._prune_actions()
 
-    def attach_sensing(self, watch: TeamSensor) -> None:
+    def attach_sensing(self, sensor: TeamSensor) -> None:
         """Limit the sensing of pursuers, so that they chase the estimated positions of unseen evaders."""
-        self._watch = self._steering.watch = watch
-        watch.look(self._env.now)
+        self._sensor = self._steering.sensor = sensor
+        sensor.look(self._env.now)
         self._prune_actions()
 
     def _prune_actions(self) -> None:
@@ -159,7 +159,7 @@ class World:
 
     def _may_choose(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader, by its own view of the world."""
-        view = self if self._watch is None else self._watch.sights[pursuer]
+        view = self if self._sensor is None else self._sensor.views[pursuer]
         return view.may_chase(pursuer, evader)
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
@@ -331,8 +331,8 @@ class World:
         handover = self._radio is not None and self._radio.hands_over(now)
         self._steering.step(now, self._step_end, handover=handover)
         self._foresee_capture()
-        if self._watch is not None:
-            self._watch.look(now)
+        if self._sensor is not None:
+            self._sensor.look(now)
         self._at(self._step_end, Phase.MOTION, self._move)
 
     def _foresee_capture(self) -> None:

@@ -309,7 +309,7 @@ def test_without_a_group_nothing_is_looked_up(monkeypatch):
         ({"protocol": {"kind": "desim.pursuit.geometry:within"}}, "called with (me)"),
         (
             {"team": {"guidance": {"kind": "desim.pursuit.geometry:within"}}},
-            "called with (gaps, aims, flight, speeds)",
+            "called with (gaps, aims, evader_velocity, speeds)",
         ),
         ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:toward"}}}, None),
         ({"evader": {"strategy": {"kind": "desim.pursuit.geometry:first_contact"}}}, "called with (state, rng)"),

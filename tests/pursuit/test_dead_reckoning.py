@@ -16,12 +16,12 @@ numbers = st.floats(-10.0, 10.0).map(lambda x: round(x, 6))
 plane = st.builds(complex, numbers, numbers)
 
 
-def straight_run(law, evader, flight, until, *, ahead=True):
+def straight_run(law, evader, evader_velocity, until, *, ahead=True):
     """Return what is seen in steps of 0.25 s of an evader that keeps its velocity; aimed at is where a step ends."""
     path = EvaderTrack(law)
     for t in range(0, until + 1, STEP):
-        at = evader + flight * seconds(t)
-        path.see(t, at, at + (flight * seconds(STEP) if ahead else 0.0), flight)
+        at = evader + evader_velocity * seconds(t)
+        path.see(t, at, at + (evader_velocity * seconds(STEP) if ahead else 0.0), evader_velocity)
     return path
 
 
@@ -30,9 +30,9 @@ def turning(seed, until):
     rng = np.random.default_rng(seed)
     at = 50.0 + 50.0j
     for t in range(0, until + 1, STEP):
-        flight = complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
-        yield t, at, at + flight * seconds(STEP), flight
-        at += flight * seconds(STEP)
+        evader_velocity = complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
+        yield t, at, at + evader_velocity * seconds(STEP), evader_velocity
+        at += evader_velocity * seconds(STEP)
 
 
 def fresh(law, seed, question, now):
@@ -63,7 +63,7 @@ def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
     path = EvaderTrack(PurePursuit(), remembers=False)
     for k in range(100):
         path.see(k, 0j, 0j, 0j)
-    assert not path._legs
+    assert not path._segments
     assert path.last.begun == 99
     with pytest.raises(AssertionError):
         path.place(1j, 1.0, 0, 5)
@@ -131,8 +131,8 @@ def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece(
     """At 0.125 s and 0.25 s: the evader runs from (3, 0) north at 4 m/s and is aimed at where a step ends, 1 m on."""
     told = []
 
-    def law(gaps, aims, flight, speeds):
-        told.append((gaps.tolist(), aims.tolist(), flight, speeds.tolist()))
+    def law(gaps, aims, evader_velocity, speeds):
+        told.append((gaps.tolist(), aims.tolist(), evader_velocity, speeds.tolist()))
         return toward(gaps, speeds) * 0.0 + speeds
 
     now = 2 * STEP - 1
@@ -169,7 +169,7 @@ def test_going_on_looks_at_no_step_that_is_over():
     """Twelve steps the first time, one the second, in the same step, and two in the next: the last and the new one."""
     asked = []
 
-    def law(gaps, aims, flight, speeds):
+    def law(gaps, aims, evader_velocity, speeds):
         asked.append(1)
         return toward(aims, speeds)
 

@@ -288,10 +288,10 @@ class Rig:
         self.clock = Clock()
         self.world = World(self.clock, base, 0, Trace())
         self.network = Network(self.clock, nx.complete_graph(2), Links())
-        watch = TeamSensor(sensing, self.world, self.network, [NodeClock(self.clock, *clock), NodeClock(self.clock)])
-        self.world.attach_sensing(watch)
+        sensor = TeamSensor(sensing, self.world, self.network, [NodeClock(self.clock, *clock), NodeClock(self.clock)])
+        self.world.attach_sensing(sensor)
         self.world.begin()
-        self.one, self.other = watch.sights
+        self.one, self.other = sensor.views
 
     def until(self, time):
         """Let time go on until just before an instant, s."""

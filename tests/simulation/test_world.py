@@ -312,7 +312,7 @@ def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payloa
 
     def protocol(me):
         yield me.at(2.4)
-        remembered.append(len(me._world._targets[0].path._legs))
+        remembered.append(len(me._world._targets[0].path._segments))
 
     run(still(protocol=protocol, announce=Announcements(payload=payload, reckoning=reckoning)))
     assert remembered == [steps, steps]
