@@ -94,7 +94,7 @@ def evaders(dice, **changes):
             "box": (2.0, 8.0),
             "speed": dice.number(0.0, 2.0),
             "strategy": dice.kind(STRATEGIES),
-            "sight": dice.one([np.inf, 4.0]),
+            "sensing_range": dice.one([np.inf, 4.0]),
             "reaction_delay": dice.one([0.0, 0.07]),
         }
         | changes
@@ -181,7 +181,7 @@ def anything(seed):
 def calm_at_last(seed):
     """Return a scenario in which nothing breaks any more from 1 s on, nothing is lost, and all hear each other."""
     dice = Dice(seed, "calm at last")
-    schedule = {"kind": dice.one(["token_ring", "token_walk"]), "hold": 0.02}
+    schedule = {"kind": dice.one(["token_ring", "token_walk"]), "holding_time": 0.02}
     learning = [kind for kind, model in KINDS.items() if "schedule" in model.model_fields]
     table = anything(seed)
     size = table["team"]["count"]

@@ -107,7 +107,7 @@ def test_a_token_that_takes_long_is_as_bad_as_one_that_is_held_as_long_and_no_wo
     """
     slow, held = (
         outcome(12, {"kind": "best_response", "schedule": {"kind": kind} | hold}, **late(latency))
-        for latency, hold in ((1.0, {}), (0.0, {"hold": 1.0}))
+        for latency, hold in ((1.0, {}), (0.0, {"holding_time": 1.0}))
     )
     assert abs(slow.captured - held.captured) < 0.1
     assert abs(slow.idle - held.idle) < 4.0

@@ -333,9 +333,9 @@ def plain(me):
 def other_process(file: Path, seed: int) -> dict[str, str]:
     """Return the identity of a scenario with each of some protocols, as another process finds it."""
     script = (
-        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import identity\n"
+        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import config_hash\n"
         "for kind in sys.argv[2:]:\n"
-        "    print(identity(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)))"
+        "    print(config_hash(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(file), *KINDS],
