@@ -1,9 +1,9 @@
-"""Synchronous revisions in the slots of a schedule with turns: a control that shows the cost of taking turns.
+"""All pursuers revise at once in the slots of a schedule that takes turns: a baseline for the cost of taking turns.
 
-Paper: none; the synchronous learning of Marden & Shamma 2012 in the slots of another schedule.
+Paper: none for this combination: synchronous learning (Marden & Shamma 2012) in the slots of another schedule.
 Parameters: schedule, the other schedule.
 Assumes: equal clocks.
-Messages: none; those of the other schedule are not sent.
+Messages: none; in particular, the messages of the other schedule are not sent.
 Robust to loss: yes, for nothing is sent.
 """
 
@@ -20,19 +20,21 @@ from protocols.token import TokenRing, TokenWalk
 class Synchronous(Value):
     """All pursuers revise in each slot in which another schedule lets one pursuer revise.
 
-    Each pursuer therefore revises N times as often. Temperatures cool as under the other schedule, with its slot.
+    Each of the N pursuers therefore revises N times as often. Temperatures cool as fast as under the other schedule,
+    because `mean_slot` is the same.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     at_once: ClassVar[bool] = True
+    """All pursuers revise at the same instant."""
     kind: Literal["synchronous"] = "synchronous"
     schedule: Annotated[
         Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))
     ] = SharedSeed()
-    """The other schedule; there is one round in each of its slots."""
+    """The other schedule; all pursuers revise once in each of its slots."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return the slot of the other schedule, s."""
+        """Return the mean length of a slot of the other schedule, s."""
         return self.schedule.mean_slot(me)
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:

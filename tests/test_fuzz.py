@@ -32,7 +32,7 @@ from pydantic.fields import FieldInfo
 from desim.analysis.metrics import COMMON, Summary
 from desim.cli import main
 from desim.config.choice import OneOf, kind_of
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.kernel.events import Trace
 from desim.kernel.invariants import Conservation
 from desim.results import run_folder
@@ -292,7 +292,7 @@ def check_refusal(file: Path, said: str, overrides: tuple[str, ...] = ()) -> Non
     """Check that each line tells the file, the line and the key of a fault, or the override."""
     faults = [line for line in said.splitlines() if not line.startswith("warning: ")]
     assert faults
-    starts = [re.escape(visible(f"--set {each}")) for each in overrides] + [rf"{re.escape(str(file))}:\d+"]
+    starts = [re.escape(escaped(f"--set {each}")) for each in overrides] + [rf"{re.escape(str(file))}:\d+"]
     for line in faults:
         assert re.match(rf"({'|'.join(starts)}): ({NO_KEY}|\S.*: )", line), line
         told = re.sub(r"--set .*?: |\(got .*|'.*?'|\".*?\"", "", line.replace(str(file), ""))

@@ -16,7 +16,7 @@ from desim import Scenario
 from desim.analysis.plots import save, trajectory
 from desim.cli import main
 from desim.config import choice
-from desim.config.trust import fresh, visible
+from desim.config.trust import escaped, without_symlink
 from desim.kernel.latency import Empirical
 from desim.kernel.links import Links
 from desim.results import run_folder
@@ -589,9 +589,9 @@ def test_a_store_is_no_link(written, precious, tmp_path):
 def test_a_name_that_is_fresh_is_a_file_s_own(tmp_path):
     (tmp_path / "file").write_text("kept")
     (tmp_path / "link").symlink_to(tmp_path / "file")
-    assert fresh(tmp_path / "link") == tmp_path / "link"
+    assert without_symlink(tmp_path / "link") == tmp_path / "link"
     assert not (tmp_path / "link").is_symlink()
-    assert fresh(tmp_path / "file").read_text() == "kept"
+    assert without_symlink(tmp_path / "file").read_text() == "kept"
 
 
 # Names that strangers give.
@@ -605,11 +605,11 @@ def harmless(text: str) -> bool:
 
 
 def test_what_cannot_be_printed_is_escaped_as_toml_and_json_do():
-    assert visible("a\tb\n\u00e9 \u6f22 \U0001f600") == "a\tb\n\u00e9 \u6f22 \U0001f600"
-    assert visible("\x1b[2J\x9b\u202e\r\x00") == "\\u001b[2J\\u009b\\u202e\\u000d\\u0000"
-    assert visible("\U000e0001") == "\\U000e0001"
-    assert json.loads(f'"{visible(WORST[:20])}"') == WORST[:20]
-    assert harmless(visible(WORST).replace("\t", ""))
+    assert escaped("a\tb\n\u00e9 \u6f22 \U0001f600") == "a\tb\n\u00e9 \u6f22 \U0001f600"
+    assert escaped("\x1b[2J\x9b\u202e\r\x00") == "\\u001b[2J\\u009b\\u202e\\u000d\\u0000"
+    assert escaped("\U000e0001") == "\\U000e0001"
+    assert json.loads(f'"{escaped(WORST[:20])}"') == WORST[:20]
+    assert harmless(escaped(WORST).replace("\t", ""))
 
 
 @pytest.mark.slow

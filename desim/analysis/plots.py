@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from desim.analysis.trace_index import captures, sampled
-from desim.config.file_names import PICTURES, files
-from desim.config.trust import fresh, visible
+from desim.config.file_names import PICTURE_SUFFIXES, files
+from desim.config.trust import escaped, without_symlink
 from desim.kernel.clock import seconds
 from desim.simulation.run import Result
 
@@ -77,17 +77,17 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
 
     Args:
         figure: a figure made by `styled`.
-        path: with a suffix of `PICTURES`, or without.
+        path: with a suffix of `PICTURE_SUFFIXES`, or without.
         dpi: dots per inch of a PNG.
 
     Raises:
-        ValueError: if the suffix is not one of `PICTURES`.
+        ValueError: if the suffix is not one of `PICTURE_SUFFIXES`.
     """
-    paths = files(path, PICTURES, PICTURES[:2])
+    paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
     with mpl.rc_context(STYLE):
         for each in paths:
             kind = each.suffix.lower()
-            figure.savefig(fresh(each), format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
+            figure.savefig(without_symlink(each), format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
     return paths
 
 
@@ -100,7 +100,7 @@ def trajectory(result: Result) -> Figure:
     with styled(figsize=(5.2, 5.2)) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
-        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)
     return figure
 

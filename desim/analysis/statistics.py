@@ -1,16 +1,21 @@
 """Means with their uncertainty, and the number of runs for a target precision.
 
-Intervals are of 95 %. Their coverage of a known mean in %, from 200,000 simulated samples each (s.e. at most 0.11) for
-fixed numbers of values, and from 40,000 sequences (s.e. at most 0.22) that stop at the half width that 20 runs have:
+All intervals are 95 % intervals. A *look* checks in the course of a study whether its runs so far suffice.
 
-    distribution                               t of 2     of 5    of 30    looks from 3    from 30
-    normal                                       94.9     95.0     95.0            91.6       95.2
-    exponential                                  91.1     88.3     92.6            79.9       92.6
-    lognormal, sigma = 1                         89.4     82.2     88.3            73.6       88.4
-    0, but exponential in one of ten runs        18.6     36.8     75.4             25.7       75.6
-    a probability (Wilson), all equally likely   95.7     95.5     95.2
+The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
+from 200,000 simulated samples each (s.e. at most 0.11). The last two are for studies that stop at the first look at
+which the half width is at most 1.96 sigma / sqrt(20), what 20 runs would have; their first look is at 3 or at 30 values
+(40,000 studies each, s.e. at most 0.22).
 
-Skewed distributions need more runs. The last but one resembles a paired difference that is 0 for most seeds.
+    distribution                             2 values   5 values   30 values   looks from 3   looks from 30
+    normal                                       94.9       95.0        95.0           91.6            95.2
+    exponential                                  91.1       88.3        92.6           79.9            92.6
+    lognormal, sigma = 1                         89.4       82.2        88.3           73.6            88.4
+    exponential with probability 0.1, else 0     18.6       36.8        75.4           25.7            75.6
+    true or false (Wilson interval)              95.7       95.5        95.2
+
+In the last row, the probability of true is uniform in [0, 1]. The row before it resembles a paired difference that is
+0 for most seeds. Skewed distributions need more runs.
 """
 
 from collections.abc import Sequence
@@ -25,8 +30,8 @@ NORMAL_975 = 1.959963984540054
 FIRST_LOOK = 30
 """Number of values at which `next_look` first judges their precision.
 
-A few values may lie close together by chance. Looks from 3 values on stop too early: an interval of 95 % then covers
-the mean of normal values 92 times in 100, of exponential ones 80 times.
+A few values may lie close together by chance, so a study whose first look is at 3 values often stops too early: its
+95 % interval covers the mean of normal values 92 times in 100, and that of exponential values 80 times.
 """
 
 
@@ -67,35 +72,37 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
     positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
-    then holds for the seeds with both values; report it with the number of values of each. Without any pair the count
-    is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
+    then holds for the seeds with both values; also report how many values each of the two has. Without any pair the
+    count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
 
     If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
-    too narrow. Active time of 8 pursuers with and without a latency of 0.2 s: 30 pairs cover the difference 82 times in
-    100, 100 pairs 88, 300 pairs 93 (3000 seeds resampled).
+    too narrow. For example, for the active time of 8 pursuers with and without a latency of 0.2 s, the interval covers
+    the mean difference in 82 % of cases with 30 pairs, in 88 % with 100 and in 93 % with 300 (pairs resampled from
+    3000 seeds).
 
     Raises:
         ValueError: if the lengths differ.
     """
     if len(values) != len(others):
-        raise ValueError(f"should be pairs, got {len(values)} values and {len(others)} others")
+        raise ValueError(f"the numbers should be equal, got {len(values)} values and {len(others)} others")
     pairs = zip(values, others, strict=True)
     differences = [float(one) - float(other) for one, other in pairs if _is_present(one) and _is_present(other)]
     return estimate(differences) if differences else Estimate(nan, nan, 0)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval (low, high) of a probability, given the successes of a number of independent trials.
+    """Return the 95 % interval (low, high) of a probability, given the number of successes in independent trials.
 
-    The probabilities p with |p^ - p| <= z sqrt(p (1 - p) / n), where p^ is the share of successes and z the normal
-    quantile (Wilson 1927, "Probable Inference, the Law of Succession, and Statistical Inference"): within [0, 1], and
-    of positive width even if all trials have the same outcome.
+    It consists of the probabilities p with |s - p| <= z sqrt(p (1 - p) / n), where s is the share of successes in n
+    trials and z the 97.5 % quantile of the normal distribution (Wilson 1927, "Probable Inference, the Law of
+    Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have the same
+    outcome.
 
     Raises:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
     """
     if not 0 <= successes <= trials or not trials:
-        raise ValueError(f"should be 0 .. trials successes of at least one trial, got {successes} of {trials}")
+        raise ValueError(f"successes should be 0 .. trials, of at least one trial, got {successes} of {trials}")
     share, z2 = successes / trials, NORMAL_975**2 / trials
     middle, half = share + z2 / 2.0, sqrt(z2 * (share * (1.0 - share) + z2 / 4.0))
     low = (middle - half) / (1.0 + z2) if successes else 0.0
@@ -104,11 +111,11 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs at which the looks at a growing sequence of runs reach a half width of `target`.
+    """Return the number of runs at the first look that finds a half width of at most `target`; at most `at_most`.
 
-    If the values do not suffice, return the size of the next look: the number of runs to have before that. Looks are
-    taken at the same sizes however many runs exist already, so an interrupted study ends at the same number of runs.
-    Arguments as in `next_look`.
+    If none of the looks at the given values does, return the number of runs that the next look needs. Looks are taken
+    at the same numbers of runs however many runs exist already, so an interrupted study ends at the same number of
+    runs. The arguments are those of `next_look`.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
@@ -120,16 +127,17 @@ def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, 
 
 
 def next_look(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs to have at the next look, given the values of the first n runs; n if they suffice.
+    """Return the number of runs that the next look needs, given the values of the first n runs; n if these suffice.
 
     A sequential fixed-width confidence interval: stop as soon as the half width is at most the target (Chow & Robbins
     1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The next look is at
-    the number predicted from the values, n (half width / target)^2, limited to between 1.1 n and 2 n. A bad first
-    estimate of the variance therefore costs at most half of the runs, and there are few looks that may stop too early.
+    the number of runs predicted from the values, n (half width / target)^2, but at least at 1.1 n and at most at 2 n.
+    The upper limit bounds the effect of a bad estimate of the variance: at most half of the runs are superfluous. The
+    lower limit keeps the looks few, for each may stop too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run but not for the mean: no look stops with fewer than `first_look` values.
-    Values that are all equal have an interval of width 0, which stops.
+    If all numbers are equal, the t interval has width 0, and the look stops.
 
     Assumes independent runs in the order of their seeds, not in the order in which they end, which would favour short
     ones. The coverage is nominal only in the limit of a small target.
@@ -146,7 +154,7 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     if not target > 0.0:
         raise ValueError(f"the half width to reach should be positive, got {target}")
     if at_most < 1 or first_look < 2:
-        raise ValueError(f"should be at most 1 run or more, a first look at 2 or more, got {at_most} and {first_look}")
+        raise ValueError(f"at_most should be at least 1 and first_look at least 2, got {at_most} and {first_look}")
     count, present = len(values), [each for each in values if _is_present(each)]
     if count >= at_most:
         return count

@@ -15,7 +15,7 @@ from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.pages import replay, report
 from desim.cli.program import Program
-from desim.config.trust import sheltered
+from desim.config.trust import no_cwd_import
 
 
 class Commands(Program, click.Group):
@@ -26,7 +26,7 @@ class Commands(Program, click.Group):
 @click.version_option(package_name="pursuit-desim")
 def main() -> None:
     """Simulate multi-robot relay pursuit that is negotiated over an imperfect network."""
-    click.get_current_context().with_resource(sheltered())
+    click.get_current_context().with_resource(no_cwd_import())
     if isinstance(sys.stdout, io.TextIOWrapper):  # escape characters that the encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
 

@@ -8,7 +8,7 @@ import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail
 from desim.cli.recorded import SOURCE, result_of
-from desim.config.file_names import PICTURES, files
+from desim.config.file_names import PICTURE_SUFFIXES, files
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
@@ -107,7 +107,7 @@ def spacetime(
     overrides: tuple[str, ...],
 ) -> None:
     """Draw a line per pursuer and an arrow per message: SVG and PNG, or the format of --out (SVG, PNG or PDF)."""
-    paths = _output_files(source, out, "spacetime", PICTURES, PICTURES[:2])
+    paths = _output_files(source, out, "spacetime", PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
 
     def make() -> None:
         from desim.analysis.plots import save

@@ -22,7 +22,7 @@ from desim.cli.options import (
     working,
 )
 from desim.config.file_names import STORE
-from desim.config.trust import fresh
+from desim.config.trust import without_symlink
 
 
 @click.command()
@@ -63,8 +63,8 @@ def explain(
         with working(jobs, cluster, store) as workers:
             found = variants.carry_out(store, workers)
         text = json.dumps(found.document(), indent=2)
-        fresh(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
-        fresh(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
+        without_symlink(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
+        without_symlink(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")
         if can_plot():
             from desim.analysis.plots import save
             from desim.study.figures import waterfall

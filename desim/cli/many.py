@@ -27,7 +27,7 @@ from desim.cli.options import (
     working,
 )
 from desim.config.file_names import STORE
-from desim.config.trust import fresh
+from desim.config.trust import without_symlink
 
 if TYPE_CHECKING:
     from desim.study.result import SweepResult
@@ -235,7 +235,7 @@ def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) 
     """Write the table of a sweep and its figure, if matplotlib is installed, to the folder."""
     from desim.results.run_folder import can_plot
 
-    fresh(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
+    without_symlink(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
     if can_plot():
         from desim.analysis.plots import save
         from desim.study.figures import means

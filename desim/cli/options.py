@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from desim.config.file_names import files
-from desim.config.trust import fresh, visible
+from desim.config.trust import escaped, without_symlink
 from desim.simulation.watchdog import checked
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def make_folder(folder: Path) -> None:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        fresh(folder / ".writable").touch()
+        without_symlink(folder / ".writable").touch()
         (folder / ".writable").unlink()
     except OSError as error:
         fail(f"--out {folder}: cannot be written: {error.strerror}")
@@ -128,7 +128,7 @@ def write(page: bytes, path: Path) -> None:
     """Write a page and create missing folders; end the program if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh(path).write_bytes(page)
+        without_symlink(path).write_bytes(page)
     except OSError as error:
         fail(f"{path}: cannot be written: {error.strerror}")
 
@@ -186,7 +186,7 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
 
 def echo(text: str, *, err: bool = False, end: str = "\n") -> None:
     """Print a text that may contain untrusted parts, with control characters escaped."""
-    click.echo(visible(text) + end, nl=False, err=err)
+    click.echo(escaped(text) + end, nl=False, err=err)
 
 
 def fail(text: str) -> NoReturn:

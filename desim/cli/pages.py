@@ -1,4 +1,4 @@
-"""`desim replay` and `desim report`: a page that plays a run, and one about a sweep."""
+"""`desim replay` and `desim report`: a page that plays a run, and a page about a sweep."""
 
 import shlex
 from pathlib import Path
@@ -16,7 +16,7 @@ from desim.config.file_names import STORE
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="The page; default: replay.html in DIR, or here with the name of FILE and suffix .html.",
+    help="The page; default: replay.html in DIR; for a FILE, its name with suffix .html in the working directory.",
 )
 @SEED
 @ALLOW_IMPORT
@@ -59,7 +59,7 @@ def report(folder: Path, out: Path | None) -> None:
 
 
 def _check_merged(folder: Path) -> None:
-    """End the program if a folder has shards of a sweep but no merged store."""
+    """End the program if a folder has stores of the shards of a sweep but no merged store."""
     parts = sorted(each.name for each in folder.glob("sweep.*-of-*.sqlite"))
     if parts and not (folder / STORE).exists():
         names = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"

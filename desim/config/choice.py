@@ -17,7 +17,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.model import markers_of
-from desim.config.trust import ALLOW, is_trusted
+from desim.config.trust import ALLOW_HINT, is_trusted
 
 
 def kind_of(model: type[BaseModel]) -> str:
@@ -195,7 +195,7 @@ def names_code(kind: Any) -> bool:
 
 def refusal(kind: str) -> str:
     """Return the error message for an untrusted file that names code."""
-    return f"{kind!r} names code to be run; {ALLOW}"
+    return f"{kind!r} names code to be run; {ALLOW_HINT}"
 
 
 @cache

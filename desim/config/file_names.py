@@ -1,4 +1,4 @@
-"""Names of result files; the suffix determines the content."""
+"""Names of result files; the suffix determines the format."""
 
 import re
 from collections.abc import Sequence
@@ -8,9 +8,9 @@ TRACE = "trace.jsonl"
 """The events of a run."""
 STORE = "sweep.sqlite"
 """The runs of a sweep."""
-PICTURES = (".svg", ".png", ".pdf")
-"""Suffixes of diagrams; the first two are written by default."""
-OF_A_RUN = (
+PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
+"""Suffixes of diagrams; by default, files with the first two are written."""
+RUN_FILES = (
     *(TRACE, "summary.json", "scenario.toml", "run.json"),
     *("trajectory.svg", "trajectory.png", "replay.html"),
     *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "pursuit.gif"),
@@ -20,19 +20,20 @@ SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 
 
-def files(path: Path, kinds: Sequence[str], usual: Sequence[str]) -> list[Path]:
+def files(path: Path, allowed: Sequence[str], default: Sequence[str]) -> list[Path]:
     """Return the files to write for a path that a user gives.
 
     Args:
-        path: with an allowed suffix, that one file; without a suffix, one file per suffix in `usual`.
-        kinds: the allowed suffixes, such as ".svg", in lower or upper case.
-        usual: the suffixes of the default files.
+        path: a path with an allowed suffix stands for that one file, a path without a suffix for one file per suffix in
+            `default`.
+        allowed: the allowed suffixes in lower case, such as ".svg"; the path may have them in upper case.
+        default: the suffixes to append to a path without one.
 
     Raises:
         ValueError: if the path has another suffix.
     """
-    if path.suffix.lower() in kinds:
+    if path.suffix.lower() in allowed:
         return [path]
     if SUFFIX.fullmatch(path.suffix):
-        raise ValueError(f"{path}: should end in {' or '.join(kinds)}, or have no suffix, got {path.suffix}")
-    return [path.with_name(path.name + each) for each in usual]
+        raise ValueError(f"{path}: should end in {' or '.join(allowed)}, or have no suffix, got {path.suffix}")
+    return [path.with_name(path.name + each) for each in default]

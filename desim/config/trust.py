@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pydantic import ValidationInfo
 
-SHELTER = {"PYTHONSAFEPATH": "1"}
-"""Environment that stops a Python child process from importing from its working directory; see `sheltered`."""
+NO_CWD_IMPORT = {"PYTHONSAFEPATH": "1"}
+"""Environment that stops a Python child process from importing from its working directory; see `no_cwd_import`."""
 
 
-ALLOW = "if you trust that file, use --allow-import (in Python, allow_import=True)"
+ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_import=True)"
 """Hint in error messages: how to trust a file."""
 
 
-def visible(text: str) -> str:
-    """Return a text safe to print on a terminal: unprintable characters are escaped as in TOML and JSON."""
-    return "".join(each if each.isprintable() or each in "\n\t" else _escaped(ord(each)) for each in text)
+def escaped(text: str) -> str:
+    """Return a text with unprintable characters escaped as in TOML and JSON, safe to print on a terminal."""
+    return "".join(each if each.isprintable() or each in "\n\t" else _escape_sequence(ord(each)) for each in text)
 
 
-def fresh(path: Path) -> Path:
-    """Return a path to write to, after removing a symbolic link of that name, which could point elsewhere.
+def without_symlink(path: Path) -> Path:
+    """Return a path to write to, unchanged, after removing a symbolic link of that name, which could point elsewhere.
 
     Raises:
         OSError: if the link cannot be removed.
@@ -34,8 +34,8 @@ def fresh(path: Path) -> Path:
     return path
 
 
-def regular(path: Path) -> Path:
-    """Return a path to read from, if it is a regular file or does not exist: reading a pipe may block for ever.
+def regular_or_missing(path: Path) -> Path:
+    """Return a path that is a regular file or does not exist, unchanged; reading, say, a pipe may block for ever.
 
     Raises:
         OSError: if the path is a pipe, a device or a folder.
@@ -48,14 +48,15 @@ def regular(path: Path) -> Path:
 
 
 @contextmanager
-def sheltered() -> Iterator[None]:
+def no_cwd_import() -> Iterator[None]:
     """Stop Python processes started in this context from importing from the working directory.
 
-    This protects worker processes and the resource tracker; workers receive the parent's `sys.path` after they start.
-    Other threads should not start processes meanwhile, because child processes copy the environment.
+    This protects workers and the resource tracker, a process that `multiprocessing` starts. Workers can still import
+    what the parent can, for they receive its `sys.path` after they start. Other threads should not start processes
+    meanwhile, because child processes copy the environment.
     """
-    before = {name: os.environ.get(name) for name in SHELTER}
-    os.environ.update(SHELTER)
+    before = {name: os.environ.get(name) for name in NO_CWD_IMPORT}
+    os.environ.update(NO_CWD_IMPORT)
     try:
         yield
     finally:
@@ -66,12 +67,12 @@ def sheltered() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _escaped(number: int) -> str:
+def _escape_sequence(number: int) -> str:
     return f"\\u{number:04x}" if number < 2**16 else f"\\U{number:08x}"
 
 
 def is_trusted(info: "ValidationInfo") -> bool:
-    """Return whether validated input may run code and read any file: it comes from Python or from a trusted file."""
+    """Return whether validated input comes from Python or a trusted file, and so may run code and read any file."""
     return info.context is None or bool(info.context.get("allow_import"))
 
 
@@ -89,8 +90,8 @@ def resolve_path(path: Any, info: "ValidationInfo") -> Path:
     except (OSError, RuntimeError) as error:  # a cycle of symbolic links
         raise ValueError(f"{path} cannot be read: {error}") from error
     if not (is_within or is_trusted(info)):
-        raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW}")
+        raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW_HINT}")
     try:
-        return regular(folder / path)
+        return regular_or_missing(folder / path)
     except OSError as error:
         raise ValueError(f"{folder / path} cannot be read: {error.strerror}") from error

@@ -5,8 +5,9 @@
     8  time, s
     8  each number or boolean in the body
 
-A record that is forwarded inside a body counts with its own header. For example, an action takes 24 bytes, an action
-with a time of capture 32, and an action with a position and a speed 48.
+A record that is forwarded inside a body counts with its own header. For example, a message takes 24 bytes if its body
+is an action (one number), 32 if it is an action and a time of capture, and 48 if it is an action, a position (two
+numbers) and a speed.
 """
 
 from copy import deepcopy
@@ -25,7 +26,7 @@ COLLECTIONS = (tuple, list, set, frozenset)
 
 
 def as_sent(body: Any) -> Any:
-    """Return the body that the receivers of a message get, which later changes by the sender do not affect.
+    """Return the body as the receivers of a message get it: changes that the sender makes later do not affect it.
 
     A hashable body, such as a number, a string or a named tuple of such, counts as immutable and is not copied. A list,
     a dict or an array, or a tuple that contains one, is copied once for all receivers.

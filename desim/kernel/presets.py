@@ -1,4 +1,4 @@
-"""Named networks. They are illustrative: the order of magnitude of a technology, not measurements of a product."""
+"""Named networks. Their values show the order of magnitude of a technology, and are not measurements of a product."""
 
 from typing import Any
 
@@ -15,5 +15,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     f"lora_sf{sf}": {"medium": {"kind": "lora", "spreading_factor": sf, "shared": True, "queue_limit": 8}}
     for sf in range(7, 13)
 }
-"""Defaults of a network by name: wifi (one hop of 802.11), lte and 5g (via the base station), satellite
-(geostationary), acoustic (under water), lora_sf7 .. lora_sf12 (by spreading factor, 125 kHz)."""
+"""Default parameters of a network by the name of its preset; a scenario may override each of them.
+
+The presets are wifi (one hop of 802.11), lte and 5g (via the base station), satellite (geostationary), acoustic
+(under water), lora_sf7 .. lora_sf12 (by spreading factor, 125 kHz).
+"""

@@ -1,6 +1,6 @@
-"""The received records of each node: the newest record of each source that has arrived.
+"""The newest record of each source that has arrived at each node.
 
-Records need no SimPy event: a record is stored with its arrival time and is visible to reads from then on.
+Records need no SimPy event: when it is sent, a record is stored with its arrival time, before which reads ignore it.
 """
 
 from bisect import insort
@@ -16,15 +16,15 @@ class Record(NamedTuple):
 
     src: int
     seq: int
-    """Sequence number, from 1 on; 0 is an initial belief."""
+    """Sequence number, from 1 on; 0: an initial belief, which all nodes are given at the start without a message."""
     sent: int
     """Time stamp of the publication, by the clock of the source, ns."""
     body: Any
 
 
-ReceivedRecord = tuple[int, Record]
-"""The arrival time of a record, ns, and the record."""
-Table = dict[int, ReceivedRecord]
+TimedRecord = tuple[int, Record]
+"""The arrival time of a record, ns, and the record, whether it has arrived already or not."""
+Table = dict[int, TimedRecord]
 """The newest received record by source."""
 Arrival = int | list[int]
 """Arrival times of a transmission at its receivers, ns; one number if all are equal."""
@@ -44,23 +44,23 @@ class SharedTable:
         waiting: the waiting records, ordered by arrival.
         table: the newest record of each source at the last `apply_arrived`.
         matching: the records of the table whose body satisfies the predicate.
-        only_initial: whether the table has received only initial beliefs.
+        only_initial: whether no records but initial beliefs have been added, to the table or to those waiting.
     """
 
     def __init__(self, predicate: Predicate | None):
         self._predicate = predicate
-        self.waiting: list[ReceivedRecord] = []
+        self.waiting: list[TimedRecord] = []
         self.table: Table = {}
         self.matching: Table = {}
         self.only_initial = True
 
-    def set_initial_belief(self, received: ReceivedRecord) -> None:
+    def set_initial_belief(self, received: TimedRecord) -> None:
         """Insert an initial belief, unless the table has a record of its source."""
         if received[1].src not in self.table:
             _store(received, self.table, self.matching, self._predicate)
 
-    def schedule(self, received: ReceivedRecord) -> None:
-        """Add a record that arrives at its arrival time."""
+    def schedule(self, received: TimedRecord) -> None:
+        """Add a record to those waiting until their arrival times."""
         self.only_initial = False
         if self.waiting and received < self.waiting[-1]:
             insort(self.waiting, received)
@@ -87,18 +87,18 @@ class Records:
     Args:
         env: the clock of the simulation.
         size: number of nodes.
-        predicate: selects the bodies that `matching` returns; none if None.
+        predicate: selects, by their bodies, the records that `matching` returns; if None, it returns no records.
     """
 
     def __init__(self, env: Clock, size: int, predicate: Predicate | None):
         self._env, self._size, self._predicate = env, size, predicate
         self._shared = SharedTable(predicate)
         # Records that do not reach all nodes at one instant are kept per reader: unread records, in the order of
-        # transmission (_waiting); records still in flight at the last read (_late); and the newest record per source
-        # (_tables). Both lists are flat (arrival, record, arrival, record ...): the tuples are created only when a
-        # record is inserted into a table, so that those of a table are adjacent in memory.
+        # transmission (_waiting); records in flight at the last read (_still_in_flight); and the newest record per
+        # source (_tables). The first two are flat lists (arrival, record, arrival, record ...): the tuples (arrival,
+        # record) are created only on insertion into a table, so that the tuples of one table are adjacent in memory.
         self._waiting: list[list[Any]] = [[] for _ in range(size)]
-        self._late: dict[int, list[Any]] = {}
+        self._still_in_flight: dict[int, list[Any]] = {}
         self._tables: list[Table] = [{} for _ in range(size)]
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
@@ -106,14 +106,14 @@ class Records:
         self._forgetful: set[int] = set()  # readers that have lost the initial beliefs
 
     def set_initial_belief(self, record: Record) -> None:
-        """Give all nodes a record at the current time, unless there is another record of its source."""
+        """Give all nodes a record at the current time, unless the shared table has one of its source already."""
         self._shared.set_initial_belief((self._env.now, record))
 
     def schedule(self, record: Record, receivers: list[int], arrival: Arrival) -> None:
         """Store a record with its arrival times; O(1) if it reaches all nodes at one instant, else O(receivers).
 
         Args:
-            record: a record newer than all records of its source scheduled before.
+            record: newer than every record of its source that was scheduled before.
             receivers: the nodes it reaches.
             arrival: the arrival times, ns.
         """
@@ -131,7 +131,7 @@ class Records:
             self._merge_unread()
 
     def insert(self, node: int, record: Record) -> None:
-        """Insert a record into the table of a node now, unless it has the same or a newer record of the source."""
+        """Insert a record into the table of a node now, unless the node has this or a newer record of its source."""
         self._apply_arrived(node)
         self._out_of_order.add(node)
         received, own = (self._env.now, record), self._tables[node]
@@ -180,7 +180,9 @@ class Records:
         """Return the number of records in flight, counted once per receiver."""
         now = self._env.now
         own = sum(
-            arrival > now for pending in chain(self._waiting, self._late.values()) for arrival, _ in _pairs(pending)
+            arrival > now
+            for pending in chain(self._waiting, self._still_in_flight.values())
+            for arrival, _ in _pairs(pending)
         )
         return own + (self._size - 1) * sum(arrival > now for arrival, _ in self._shared.waiting)
 
@@ -188,7 +190,7 @@ class Records:
         """Move arrived records to the shared table and to the table of a node."""
         if self._shared.waiting:
             self._shared.apply_arrived(self._env.now)
-        if self._waiting[node] or node in self._late:
+        if self._waiting[node] or node in self._still_in_flight:
             self._merge(node)
 
     def _still_new(self, own: Table) -> Table:
@@ -200,16 +202,16 @@ class Records:
         """Move the records that have arrived at a node to its table."""
         now, table, matching, fresh = self._env.now, self._tables[node], self._matching[node], self._waiting[node]
         predicate = self._predicate
-        late = self._late.pop(node, [])
+        still_in_flight = self._still_in_flight.pop(node, [])
         if node in self._out_of_order:
-            late, fresh = late + fresh, []
-        if late:
-            late = self._compare(node, _pairs(late))
+            still_in_flight, fresh = still_in_flight + fresh, []
+        if still_in_flight:
+            still_in_flight = self._move_newer(node, _pairs(still_in_flight))
         for arrival, record in _pairs(fresh):
             if arrival > now:
-                late.append(arrival)
-                late.append(record)
-            else:  # the table has no newer record of the source
+                still_in_flight.append(arrival)
+                still_in_flight.append(record)
+            else:  # in the order of transmission, so newer than the record in the table
                 table[record[0]] = received = (arrival, record)  # src and body, by position for speed
                 if predicate is not None:
                     if predicate(record[3]):
@@ -217,23 +219,23 @@ class Records:
                     else:
                         matching.pop(record[0], None)
         self._waiting[node] = []
-        if late:
-            self._late[node] = late
+        if still_in_flight:
+            self._still_in_flight[node] = still_in_flight
 
-    def _compare(self, node: int, pending: Iterable[ReceivedRecord]) -> list[Any]:
-        """Move arrived records to the table of a node unless it has newer ones; return the rest as a flat list."""
-        late: list[Any] = []
+    def _move_newer(self, node: int, pending: Iterable[TimedRecord]) -> list[Any]:
+        """Move arrived records to the table of a node unless it has newer ones; return those in flight, flat."""
+        still_in_flight: list[Any] = []
         now, table, matching, predicate = self._env.now, self._tables[node], self._matching[node], self._predicate
         for arrival, record in pending:
             known = table.get(record[0])
             if arrival > now:
-                late.append(arrival)
-                late.append(record)
+                still_in_flight.append(arrival)
+                still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
                 table[record[0]] = received = (arrival, record)
                 if predicate is not None:
                     _store(received, table, matching, predicate)
-        return late
+        return still_in_flight
 
     def _merge_unread(self) -> None:
         """Merge long lists of unread records, to bound the memory of nodes that do not read."""
@@ -242,7 +244,7 @@ class Records:
                 self._merge(node)
 
 
-def _store(received: ReceivedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
+def _store(received: TimedRecord, table: Table, matching: Table, predicate: Predicate | None) -> None:
     """Store a record in a table, and in the table of matching records if its body satisfies the predicate."""
     src = received[1].src
     table[src] = received
@@ -253,7 +255,7 @@ def _store(received: ReceivedRecord, table: Table, matching: Table, predicate: P
             matching.pop(src, None)
 
 
-def _is_newer(received: ReceivedRecord, table: Table) -> bool:
+def _is_newer(received: TimedRecord, table: Table) -> bool:
     """Return whether a record is newer than the record of its source in a table."""
     known = table.get(received[1].src)
     return known is None or known[1].seq < received[1].seq
@@ -264,7 +266,7 @@ def per_receiver(arrival: Arrival, receivers: int) -> Iterable[int]:
     return repeat(arrival, receivers) if isinstance(arrival, int) else arrival
 
 
-def _pairs(flat: list[Any]) -> Iterator[ReceivedRecord]:
+def _pairs(flat: list[Any]) -> Iterator[TimedRecord]:
     """Return the pairs (arrival, record) of a flat list."""
     items = iter(flat)
     return zip(items, items, strict=True)

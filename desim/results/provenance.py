@@ -13,7 +13,7 @@ from types import FunctionType, NoneType
 from typing import TYPE_CHECKING, Any
 
 from desim.config.json_numbers import from_json, to_json
-from desim.config.trust import fresh, regular
+from desim.config.trust import regular_or_missing, without_symlink
 from desim.results.environment import environment
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
     """Write a document to a folder, which is created if missing; the file is replaced atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(made, indent=2, allow_nan=False)
-    part = fresh(folder / f"{name}.part")
+    part = without_symlink(folder / f"{name}.part")
     part.write_text(text + "\n", encoding="utf-8")
     try:
         part.replace(folder / name)
@@ -111,7 +111,7 @@ def read(path: Path) -> Document:
         ProvenanceError: if it is not a run.json; the message names all missing keys or wrong values.
         OSError: if it cannot be read.
     """
-    content = regular(path).read_bytes()
+    content = regular_or_missing(path).read_bytes()
     try:
         made = json.loads(content)
     except json.JSONDecodeError as error:

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from desim.analysis.metrics import Summary, plain, summary
-from desim.config.file_names import OF_A_RUN, TRACE
-from desim.config.trust import fresh, regular
+from desim.config.file_names import RUN_FILES, TRACE
+from desim.config.trust import regular_or_missing, without_symlink
 from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, MessageCounts, Queued, Sent, Trace
 from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
 from desim.kernel.records import Record
@@ -34,7 +34,7 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
     if scenario.record.messages != "file":
         return run(scenario, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    fresh(folder / f"{TRACE}.part")
+    without_symlink(folder / f"{TRACE}.part")
     with TraceFile(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
         clear(folder)  # before the trace gets its name, else it could be read with another run's run.json
@@ -88,7 +88,7 @@ def clear(folder: Path, kept: Container[str] = ()) -> None:
     Raises:
         OSError: if a file cannot be removed.
     """
-    for name in OF_A_RUN:
+    for name in RUN_FILES:
         if name not in kept:
             (folder / name).unlink(missing_ok=True)
 
@@ -101,7 +101,7 @@ def write_below(
 
 
 def _below(parent: Path, seed: int) -> Path:
-    return fresh(parent / f"seed-{seed}")
+    return without_symlink(parent / f"seed-{seed}")
 
 
 def read(folder: str | Path, *, allow_import: bool = False) -> Result:
@@ -151,7 +151,7 @@ def events(folder: str | Path) -> Iterator[Event]:
         OSError: if the trace cannot be read.
     """
     file = Path(folder) / TRACE
-    with regular(file).open(encoding="utf-8") as lines:
+    with regular_or_missing(file).open(encoding="utf-8") as lines:
         try:
             first = list(islice(lines, 1))
             for start in events_of(first, (Started,)):

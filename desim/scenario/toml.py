@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import fields_of, markers_of
-from desim.config.trust import regular
+from desim.config.trust import regular_or_missing
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
@@ -72,7 +72,7 @@ def dump(scenario: Scenario) -> str:
 
 
 def _read_text(file: Path) -> str:
-    content = regular(file).read_bytes().removeprefix(BOM_UTF8)  # written by editors on Windows
+    content = regular_or_missing(file).read_bytes().removeprefix(BOM_UTF8)  # written by editors on Windows
     try:
         return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from desim.analysis.metrics import summary
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.simulation.run import Result, run
 from desim.study.dispatch import Simulate, Task, drive
 from desim.study.workers import workers_for
@@ -45,7 +45,7 @@ def run_many(
     measured: list[Any] = [None] * len(tasks)
     bar: tqdm[Any]
     with (
-        tqdm(total=len(tasks), desc=visible(label), unit="run", disable=None) as bar,
+        tqdm(total=len(tasks), desc=escaped(label), unit="run", disable=None) as bar,
         workers_for(jobs if len(tasks) > 1 else 1) as workers,
         closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):

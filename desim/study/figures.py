@@ -18,7 +18,7 @@ from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Fig
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation
 from desim.study.result import SweepResult, text
 
@@ -55,7 +55,7 @@ def means(result: SweepResult, metric: str) -> Figure:
     height = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
     with styled(figsize=(6.4, height)) as figure:
         axes = figure.add_subplot()
-        axes.set_title(visible(f"{result.name}, 95 % intervals"), fontsize=9, parse_math=False)
+        axes.set_title(escaped(f"{result.name}, 95 % intervals"), fontsize=9, parse_math=False)
         if abscissa is None:
             axes.set_xlabel(title)
             _draw_rows(axes, result, metric)
@@ -122,7 +122,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
     over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}
     for group, found in zip(result.groups, result.estimates(metric), strict=True):
-        panel = panels.setdefault(group.in_words(but=(x, y)), np.full((len(over[y]), len(over[x])), nan))
+        panel = panels.setdefault(group.in_words(without=(x, y)), np.full((len(over[y]), len(over[x])), nan))
         panel[over[y].index(group.settings[y]), over[x].index(group.settings[x])] = found.mean
     known = np.concatenate([panel[np.isfinite(panel)] for panel in panels.values()])
     low, high = (known.min(), known.max()) if known.size else (0.0, 1.0)
@@ -136,7 +136,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
         shared = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for axes, (others, panel) in zip(shared.flat, panels.items(), strict=False):
             _draw_map(axes, panel, colours)
-            axes.set_title(visible(others), fontsize=8, parse_math=False)
+            axes.set_title(escaped(others), fontsize=8, parse_math=False)
             axes.set(xlabel=_key_with_unit(x), ylabel=_key_with_unit(y))
             axes.set_xticks(range(len(over[x])), map(text, over[x]))
             axes.set_yticks(range(len(over[y])), map(text, over[y]))
@@ -266,7 +266,7 @@ def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
 
 def _literal(name: str) -> str:
     """Return a text escaped for matplotlib, which reads "$" as mathematics and hides labels that begin with "_"."""
-    return visible(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
+    return escaped(name).replace("$", r"\$").replace("_", " _", name.startswith("_"))
 
 
 def waterfall(found: Explanation) -> Figure:
@@ -277,7 +277,7 @@ def waterfall(found: Explanation) -> Figure:
         ):
             draw_waterfall(axes, cost)
             axes.set_ylabel(EXPLAINED[metric].replace(", s", " (s)"))
-        title = f"{visible(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
+        title = f"{escaped(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
         figure.suptitle(title, fontsize=9, parse_math=False)
     return figure
 

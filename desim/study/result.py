@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from desim.analysis.metrics import COMMON, METRICS, words
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, json_number, with_half_width
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.study.store import Row, Store, StoreError
 
 if TYPE_CHECKING:
@@ -26,17 +26,17 @@ class Group:
     """The runs of one configuration."""
 
     settings: Mapping[str, Any]
-    """The value of each key of the grid, as in tables."""
+    """The value of each key of the grid, as shown in tables."""
     rows: tuple[Row, ...]
-    """In the order of replications."""
+    """The runs, in the order of replications."""
 
     def values(self, metric: str) -> list[Any]:
         """Return a metric of each run that did not fail; None for a run without a value."""
         return [getattr(row.summary, metric) for row in self.rows if row.summary is not None]
 
-    def in_words(self, but: Sequence[str] = ()) -> str:
-        """Return the settings without the keys `but` as one line of text."""
-        return ", ".join(f"{key} = {text(each)}" for key, each in self.settings.items() if key not in but)
+    def in_words(self, without: Sequence[str] = ()) -> str:
+        """Return the settings as one line of text, without those of the keys in `without`."""
+        return ", ".join(f"{key} = {text(each)}" for key, each in self.settings.items() if key not in without)
 
     @property
     def failed(self) -> list[Row]:
@@ -52,13 +52,13 @@ class SweepResult:
     keys: tuple[str, ...]
     """The keys of the grid."""
     groups: tuple[Group, ...]
-    """In the order of the grid; its last key changes fastest."""
+    """The groups in the order of the grid, whose last key changes fastest."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
 
     @classmethod
     def of(cls, store: Store, configurations: Sequence[str] | None = None) -> Self:
-        """Return the runs in a store, of all configurations or of those with given hashes.
+        """Return the result from a store, of all configurations or of those with given hashes.
 
         Raises:
             StoreError: if the store is empty or damaged.
@@ -70,7 +70,7 @@ class SweepResult:
         settings = dict(store.configurations())
         for key, each in settings.items():
             if each.keys() != set(keys):
-                raise StoreError(f"{store.path}: configuration {key}: should have settings of {', '.join(keys)}")
+                raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(keys)}")
         chosen = settings if configurations is None else configurations
         groups = tuple(Group(settings[key], tuple(store.runs(key, root))) for key in chosen)
         return cls(name, tuple(keys), groups, seeds == "common")
@@ -89,8 +89,8 @@ class SweepResult:
 
         Args:
             metric: the name of the metric.
-            reference: the position of the reference; None = for each configuration, the first one that differs from it
-                at most in the first key that has several values.
+            reference: the position of the reference in `groups`; None = a reference for each configuration: the first
+                configuration that has the same values of all keys but, at most, the first key with several values.
 
         Raises:
             ValueError: if the configurations do not share their seeds.
@@ -105,12 +105,12 @@ class SweepResult:
 
     @property
     def _compared_by(self) -> str | None:
-        """The first key that has several values."""
+        """The first key that has several values; None if there is none."""
         return next((key for key in self.keys if len({repr(each.settings[key]) for each in self.groups}) > 1), None)
 
     @property
     def _references(self) -> list[int]:
-        """The position of the reference of each configuration; see `differences`."""
+        """The position in `groups` of the default reference of each configuration; see `differences`."""
         key, first = self._compared_by, dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
         return [first.setdefault(other, k) for k, other in enumerate(others)]
@@ -123,7 +123,7 @@ class SweepResult:
     def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return each table as its title and rows of text; the first row is the header."""
         metrics = [metrics] if isinstance(metrics, str) else metrics
-        return [(self._head(metrics), self._mean_rows(metrics)), *self._compared(metrics)]
+        return [(self._head(metrics), self._mean_rows(metrics)), *self._difference_tables(metrics)]
 
     def __str__(self) -> str:
         return self.table()
@@ -145,7 +145,7 @@ class SweepResult:
             f" interval, captured with Wilson's{'; (n): defined in n runs only' if some_lack else ''}"
         )
 
-    def _compared(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
+    def _difference_tables(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
         """Yield the title and the rows of the table of differences, if configurations can be compared."""
         key = self._compared_by
         if self.common and key is not None:
@@ -183,7 +183,7 @@ class SweepResult:
 
     @property
     def _measured(self) -> tuple[str, ...]:
-        """The names of the metrics; those of several evaders only if some run had several."""
+        """The names of the metrics, including those that need several evaders only if a run had several."""
         several = any(each is not None for group in self.groups for each in group.values("captures"))
         return tuple(METRICS) if several else COMMON
 
@@ -196,19 +196,19 @@ class SweepResult:
         measured = self._measured
         for group in self.groups:
             for row in group.rows:
-                numbers = dict.fromkeys(measured) if row.summary is None else _numbers(row, measured)
+                metrics = dict.fromkeys(measured) if row.summary is None else _metric_values(row, measured)
                 yield {
                     **group.settings,
                     "replication": row.replication,
                     "status": row.status,
-                    **(numbers | {"seed": row.seed}),
+                    **(metrics | {"seed": row.seed}),
                     "error": row.error,
                 }
 
     def document(self, metrics: Sequence[str] = SHOWN) -> dict[str, Any]:
         """Return means, half widths and paired differences as JSON-compatible values; None where undefined."""
         means = {metric: self.estimates(metric) for metric in metrics}
-        gaps = {metric: self.differences(metric) for metric in metrics} if self.common else {}
+        differences = {metric: self.differences(metric) for metric in metrics} if self.common else {}
         configurations = []
         for k, group in enumerate(self.groups):
             captured = group.values("captured")
@@ -222,7 +222,7 @@ class SweepResult:
                         "interval": wilson(sum(captured), len(captured)) if captured else None,
                     },
                     "metrics": {metric: as_json(found[k]) for metric, found in means.items()},
-                    "difference": {metric: as_json(found[k]) for metric, found in gaps.items()},
+                    "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
                 }
             )
         return {"name": self.name, "grid": self.keys, "configurations": configurations}
@@ -244,8 +244,8 @@ class SweepResult:
     def write(self, file: str | Path) -> None:
         """Write a row per run to a file: .csv, or .parquet (needs the extra `frame`).
 
-        In CSV, control characters of texts are escaped, and a text that a spreadsheet would read as a formula gets a
-        leading '.
+        In CSV, control characters of texts are escaped, and a text that a spreadsheet would read as a formula is
+        prefixed with an apostrophe.
 
         Raises:
             ValueError: if the file has another suffix.
@@ -267,17 +267,18 @@ class SweepResult:
 def _cell(value: Any) -> Any:
     """Return a value as a cell of a CSV file that is safe in spreadsheets and terminals; numbers are unchanged.
 
-    A text that begins with = + - @, a tab or a line break gets a leading ': OWASP, "CSV Injection".
+    A text that begins with = + - @, a tab or a line break is prefixed with an apostrophe (see OWASP, "CSV Injection").
     """
     if not isinstance(value, str):
         return value
-    text = visible(value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\n")) else text
+    shown = escaped(value)
+    return f"'{shown}" if shown.startswith(("=", "+", "-", "@", "\t", "\n")) else shown
 
 
-def _numbers(row: Row, measured: Sequence[str]) -> dict[str, Any]:
-    numbers = {name: getattr(row.summary, name) for name in measured}
-    return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in numbers.items()}
+def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
+    """Return metrics of a run by name; one that is a dict, as JSON text."""
+    values = {name: getattr(row.summary, name) for name in measured}
+    return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in values.items()}
 
 
 def _mean(values: Sequence[float]) -> Estimate:
@@ -313,11 +314,11 @@ def _counted(number: int, what: str) -> str:
 def _typed(values: list[Any]) -> tuple[list[Any], None, str]:
     """Return the arguments of a pandas series for a column, with one type for all values; integers stay integers."""
     kinds = {type(each) for each in values} - {type(None)}
-    gaps = None in values
+    some_missing = None in values
     if kinds == {bool}:
-        return values, None, "boolean" if gaps else "bool"
+        return values, None, "boolean" if some_missing else "bool"
     if kinds == {int} and all(each is None or abs(each) < 2**63 for each in values):
-        return values, None, "Int64" if gaps else "int64"
+        return values, None, "Int64" if some_missing else "int64"
     if kinds <= {int, float} and kinds != {int}:
         return values, None, "float64"
     return [each if each is None else text(each) for each in values], None, "str"

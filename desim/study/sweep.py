@@ -1,4 +1,4 @@
-"""Sweeps: many runs of each configuration of a grid, on any workers, with a store from which a sweep resumes."""
+"""Sweeps: many runs of each configuration of a grid, on any workers; an interrupted sweep resumes from its store."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from desim.analysis.metrics import METRICS
 from desim.analysis.statistics import runs_needed
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.results import environment
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
@@ -28,13 +28,13 @@ from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 
 Job = tuple[Configuration, int]
-"""A configuration and the number of one of its runs."""
+"""A configuration and the number of one of its runs (its replication), from 0 on."""
 MAX_RUNS = 10_000
-"""The default maximum number of runs of a configuration with `until`."""
+"""The maximum number of runs of a configuration if `until` is given without `reps`."""
 
 
 class RunError(RuntimeError):
-    """Raised when a failed run ends a sweep or an explanation."""
+    """Raised when a failed run ends a sweep or `desim explain`."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,10 @@ class SweepPlan:
         keys = list(self.configurations[0].settings)
         swept = tuple(f"{key}." for key in keys)
         codes = {
-            name: each for cell in self.configurations for name, each in code(cell.scenario).items() if "<" not in name
+            name: each
+            for configuration in self.configurations
+            for name, each in code(configuration.scenario).items()
+            if "<" not in name
         }
         return {
             "name": self.base.name,
@@ -95,16 +98,16 @@ class SweepPlan:
             **{f"the code of {name}": each for name, each in codes.items()},
         }
 
-    def seed(self, cell: Configuration, replication: int) -> int:
+    def seed(self, configuration: Configuration, replication: int) -> int:
         """Return the seed of a run: `root` plus its number, or a hash if the configurations do not share seeds."""
         if self.common:
             return self.root + replication
-        text = f"{self.root}/{cell.key}/{replication}"
+        text = f"{self.root}/{configuration.key}/{replication}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
     def check(self, store: Store) -> None:
         """Raise StoreError if a store belongs to another sweep."""
-        store.check_same(self._written())
+        store.check_same(self._properties_as_json())
 
     def register(self, store: Store) -> None:
         """Record the properties and the configurations of the sweep in a store.
@@ -112,21 +115,21 @@ class SweepPlan:
         Raises:
             StoreError: if the store belongs to another sweep, or cannot be written.
         """
-        store.record_properties(self._written())
+        store.record_properties(self._properties_as_json())
         store.register(self.configurations)
 
-    def _written(self) -> dict[str, str]:
+    def _properties_as_json(self) -> dict[str, str]:
         return {name: json.dumps(each) for name, each in self.about.items()}
 
     def shard(self, part: int, parts: int) -> list[Job]:
-        """Return the runs of one of several disjoint parts that make up the sweep; the first part is 1.
+        """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
 
         Raises:
-            ValueError: if the part does not exist.
+            ValueError: if `part` is not in 1 .. `parts`.
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
-        jobs = [(cell, k) for cell in self.configurations for k in range(self.reps)]
+        jobs = [(configuration, k) for configuration in self.configurations for k in range(self.reps)]
         return jobs[part - 1 :: parts]
 
 
@@ -159,10 +162,10 @@ def sweep(
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the seed of the first run; None = that of the scenario.
         store: the file that receives each run as it ends; runs that it has are not repeated; None = no file.
-        until: a metric and the target half width of its 95 % interval, at which a configuration has enough runs; it is
-            first checked after 30 runs, and `reps` (10,000 if None) is the maximum.
+        until: a metric and a target: each configuration is run until the 95 % interval of the mean of the metric has at
+            most this half width. It is first checked after 30 runs, and `reps` (10,000 if None) is the maximum number.
         fail_fast: whether the first run that fails ends the sweep.
-        timeout: the wall time after which a run has failed, s; see `desim.simulation.watchdog`.
+        timeout: the wall time after which a run counts as failed, s; see `desim.simulation.watchdog`.
 
     Raises:
         ScenarioError: with all faults of the grid.
@@ -191,41 +194,46 @@ def carry_out(
 ) -> SweepResult:
     """Perform the runs of a plan that its store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout`, s, has failed.
+    A run that takes longer than `timeout`, s, counts as failed.
     """
     if until is not None:
         check_target(*until)
         if shard != (1, 1):
-            raise ValueError("`until` and a shard exclude each other: the number of runs depends on all of them")
+            raise ValueError("`until` and a shard exclude each other: `until` needs the results of all shards")
     done = {
-        (cell.key, row.replication) for cell in plan.configurations for row in store.runs(cell.key, plan.root) if row.ok
+        (configuration.key, row.replication)
+        for configuration in plan.configurations
+        for row in store.runs(configuration.key, plan.root)
+        if row.ok
     }
     while True:
         jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until)
-        jobs = [(cell, k) for cell, k in jobs if (cell.key, k) not in done]
+        jobs = [(configuration, k) for configuration, k in jobs if (configuration.key, k) not in done]
         if not jobs:
-            return SweepResult.of(store, [cell.key for cell in plan.configurations])
+            return SweepResult.of(store, [configuration.key for configuration in plan.configurations])
         _run(jobs, plan, store, workers, fail_fast, timeout)
-        done |= {(cell.key, k) for cell, k in jobs}
+        done |= {(configuration.key, k) for configuration, k in jobs}
 
 
 def _run(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
 ) -> None:
     """Perform some runs, and add each to the store as it ends."""
-    seeds = [plan.seed(cell, k) for cell, k in jobs]
-    tasks = [(cell.scenario, seed) for (cell, _), seed in zip(jobs, seeds, strict=True)]
+    seeds = [plan.seed(configuration, k) for configuration, k in jobs]
+    tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
     bar: tqdm[Any]
     with (
-        tqdm(total=len(jobs), desc=visible(plan.base.name), unit="run", disable=None) as bar,
+        tqdm(total=len(jobs), desc=escaped(plan.base.name), unit="run", disable=None) as bar,
         closing(drive(tasks, workers, simulate=simulation(timeout))) as outcomes,
     ):
         for at, outcome in outcomes:
-            (cell, k), seed = jobs[at], seeds[at]
-            store.add(cell.key, plan.root, Row(k, seed, outcome.status, outcome.value, outcome.traceback))
+            (configuration, k), seed = jobs[at], seeds[at]
+            store.add(configuration.key, plan.root, Row(k, seed, outcome.status, outcome.value, outcome.traceback))
             bar.update()
             if fail_fast and outcome.status != "ok":
-                raise RunError(f"the run of {cell} with seed {seed} failed ({outcome.status})\n{outcome.traceback}")
+                raise RunError(
+                    f"the run of {configuration} with seed {seed} failed ({outcome.status})\n{outcome.traceback}"
+                )
 
 
 def check_target(metric: str, half_width: float) -> None:
@@ -238,11 +246,12 @@ def check_target(metric: str, half_width: float) -> None:
 
 
 def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
-    """Return the runs that a precision needs, estimated from the runs in the store, which are included."""
+    """Return the runs needed to reach a half width, predicted from those in the store; the latter are included."""
     jobs: list[Job] = []
-    for cell in plan.configurations:
-        rows = {row.replication: row for row in store.runs(cell.key, plan.root)}
-        first = takewhile(rows.__contains__, count())  # no gaps: short runs end first, a bias
+    for configuration in plan.configurations:
+        rows = {row.replication: row for row in store.runs(configuration.key, plan.root)}
+        # Only the runs before the first that is missing count: short runs end first, so the others would be biased.
+        first = takewhile(rows.__contains__, count())
         values = [getattr(rows[k].summary, metric, None) for k in first]
-        jobs += [(cell, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
+        jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
     return jobs

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Self, TypeVar
 
-from desim.config.trust import SHELTER
+from desim.config.trust import NO_CWD_IMPORT
 from desim.simulation.interrupts import SIGNALS
 from desim.study.serialization import Call, called, packed
 
@@ -203,7 +203,7 @@ def _pool(count: int) -> Executor:
             resource_tracker.ensure_running()  # else a later `_block_signals` starts it, which unblocks the signals
     with _block_signals():  # the executor starts a process that tracks its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
-            max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=SHELTER
+            max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
         )
 
 

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
 from desim.analysis.trace_index import Bools, Floats, Integers, captures, ended, messages_recorded, started
-from desim.config.trust import fresh
+from desim.config.trust import without_symlink
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries
@@ -80,7 +80,7 @@ def animate(
         )
     first, *rest = frames(result, times)
     pauses = [pause] * len(rest) + [HOLD]
-    first.save(fresh(path), "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
+    first.save(without_symlink(path), "GIF", save_all=True, append_images=rest, duration=pauses, loop=0, optimize=False)
     return len(times)
 
 

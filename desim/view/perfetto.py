@@ -19,7 +19,7 @@ from typing import Any
 from desim.analysis.activity import action, changes, chases, decisions, moves
 from desim.analysis.trace_index import ended, has_several, messages_recorded, started
 from desim.config.json_numbers import to_json
-from desim.config.trust import fresh
+from desim.config.trust import without_symlink
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
@@ -56,7 +56,7 @@ def perfetto(result: Result) -> str:
 
 def write(result: Result, path: Path) -> None:
     """Write the timeline of a run to a file."""
-    fresh(path).write_text(perfetto(result), encoding="utf-8", newline="\n")
+    without_symlink(path).write_text(perfetto(result), encoding="utf-8", newline="\n")
 
 
 def _names(size: int, has_messages: bool) -> Iterator[Entry]:

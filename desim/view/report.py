@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from desim.analysis.metrics import METRICS
 from desim.config.file_names import STORE
-from desim.config.trust import regular
+from desim.config.trust import regular_or_missing
 from desim.results import provenance
 from desim.study.explanation import Explanation
 from desim.study.figures import unit_of
@@ -132,7 +132,7 @@ def _explanation(folder: Path) -> Explanation | None:
     for path in (folder / "explain.json", folder / "explain" / "explain.json"):
         if path.exists():
             try:
-                return Explanation.of(json.loads(regular(path).read_bytes()))
+                return Explanation.of(json.loads(regular_or_missing(path).read_bytes()))
             except (ValueError, RecursionError) as error:
                 raise ValueError(f"{path}: {error}") from error
     return None

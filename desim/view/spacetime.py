@@ -15,7 +15,7 @@ import numpy as np
 from desim.analysis.activity import changes, chases, decisions, moves
 from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
 from desim.analysis.trace_index import ended, has_several, started
-from desim.config.trust import visible
+from desim.config.trust import escaped
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
@@ -83,7 +83,7 @@ def spacetime(
         axes.spines["left"].set_visible(False)
         size = len(started(result).active)
         some = f", {len(shown)} of {size} pursuers" if len(shown) < size else ""
-        axes.set_title(visible(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
         handles, labels = axes.get_legend_handles_labels()
         found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
         figure.legend(

@@ -465,7 +465,7 @@ FORGERIES = {
     "UPDATE runs SET summary = json_set(summary, '$.active_time', 'x')": f"{FIRST_RUN}summary.active_time: Input",
     "UPDATE runs SET seed = 'x'": "runs: .*, seed x: seed: String should match pattern",
     "UPDATE configurations SET settings = '[1]'": "configurations: configuration .*: settings: Input",
-    "UPDATE configurations SET settings = '{}'": "configuration .*: should have settings of network.loss.p",
+    "UPDATE configurations SET settings = '{}'": "configuration .*: should have the settings network.loss.p",
     "UPDATE about SET value = '{' WHERE name = 'grid'": "about: name grid: value: Invalid JSON",
     "UPDATE about SET value = '7' WHERE name = 'grid'": "about: name grid: value: Input should be a valid list",
     "DELETE FROM about WHERE name = 'seeds'": "is damaged: seeds is missing in about",
