@@ -49,5 +49,5 @@ class SelectiveSAP(BinaryLogLinear):
 
     def trial(self, me: Agent, options: list[int], now: int) -> int:
         """Return the trial action: each of the options with probability 1 / (M + 1), else the present action."""
-        place = int(me.rng.integers(me.evader_count + 1))
-        return options[place] if place < len(options) else now
+        index = int(me.rng.integers(me.evader_count + 1))
+        return options[index] if index < len(options) else now

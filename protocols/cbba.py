@@ -46,7 +46,7 @@ class StampedClaim(NamedTuple):
 
 
 class CBBA(Auction):
-    """Consensus on winner, bid and time stamps; see `decision`."""
+    """Consensus on the winner, bid and time stamps of each evader (Choi, Brunet & How 2009, Table I)."""
 
     assumes: ClassVar[tuple[str, ...]] = ("connected", "announcements_repeated")
     kind: Literal["cbba"] = "cbba"

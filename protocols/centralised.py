@@ -45,10 +45,10 @@ class Centralised(Value):
             for broken in me.global_state.broken().nonzero()[0]:
                 for times in phi:
                     times[broken] = inf
-            sent = matching(phi, me.time_left())
+            assigned = matching(phi, me.time_left())
             profile = me.global_state.profile()
             wanted = [0] * len(profile)
-            for pursuer, action in sent.items():
+            for pursuer, action in assigned.items():
                 wanted[pursuer] = action
             if profile != wanted:
                 for pursuer, action in enumerate(wanted):

@@ -21,14 +21,14 @@ from desim.config.model import Time, Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
-PORT = "word"
+PORT = "announcements"
 """The port at which forwarded announcements arrive."""
 
 
 class Dissemination(Protocol):
     """How announcements spread."""
 
-    def broadcast(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send an announcement of the agent's own."""
         ...
 
@@ -42,9 +42,9 @@ class OneHop(Value):
 
     kind: Literal["one_hop"] = "one_hop"
 
-    def broadcast(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, announcement: Any) -> None:
         """Publish the announcement."""
-        me.publish(news)
+        me.publish(announcement)
 
     def __call__(self, me: Agent) -> Process:
         """Do nothing."""
@@ -64,9 +64,9 @@ class Flooding(Value):
     jitter: Time = 0.005
     """Longest random delay J before a rebroadcast, s; it keeps neighbours from transmitting at once."""
 
-    def broadcast(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement to the neighbours."""
-        me.send(None, Forwarded((me.record(news),), self.hops), PORT)
+        me.send(None, Forwarded((me.record(announcement),), self.hops), PORT)
 
     def __call__(self, me: Agent) -> Process:
         """Rebroadcast each new announcement after a random delay."""
@@ -91,10 +91,10 @@ class Gossip(Value):
 
     kind: Literal["gossip"] = "gossip"
 
-    def broadcast(self, me: Agent, news: Any) -> None:
+    def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement with all known records to the neighbours."""
         known = [record for _, record in me.latest_records().values()]
-        me.send(None, Forwarded((me.record(news), *known)), PORT)
+        me.send(None, Forwarded((me.record(announcement), *known)), PORT)
 
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""

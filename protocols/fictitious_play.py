@@ -54,10 +54,8 @@ class FictitiousPlay(LearningRule):
     def _expected(self, me: Agent, evader: int, beliefs: dict[int, Belief], frequency: dict[int, float]) -> float:
         """Return the expected utility of chasing an evader that teammates chase at these frequencies, s."""
         utility: Any = self.utility
-        counted_teammates = me.counted_teammates(utility.scope)
-        times = {
-            j: each.capture_time for j, each in beliefs.items() if j in counted_teammates and each.capture_time < inf
-        }
+        counted = me.counted_teammates(utility.scope)
+        times = {j: each.capture_time for j, each in beliefs.items() if j in counted and each.capture_time < inf}
         chances = [frequency[j] for j in times]
         gain: float = utility.expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
         return gain

@@ -32,7 +32,7 @@ from desim.pursuit.capture import intercept_time
 from desim.pursuit.state import Floats, coordinates, lengths
 from protocols.schedules import ticks
 
-Distances = Callable[[TeamEstimate], Floats]
+Measure = Callable[[TeamEstimate], Floats]
 """The measure of the n pursuers in an estimate, (n,); the pursuer of least measure is the first."""
 
 
@@ -51,7 +51,7 @@ class Geometric(Value):
         """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
-    def measure(self, me: Agent, evader: int) -> Distances:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return the measure by which pursuers are compared for an evader; it is called once a slot."""
         raise NotImplementedError
 
@@ -66,7 +66,7 @@ class Geometric(Value):
                 known = me.team_estimate(evader)
                 found = of[evader](known)
                 measures[evader] = np.where((known.capture_times < me.time_left()) & ~np.isnan(found), found, inf)
-                present[evader] = [owner.get(evader)] if me.senses_others else said_active(me, evader)
+                present[evader] = [owner.get(evader)] if me.senses_others else announced_chasers(me, evader)
             owner = owners(known.ids, measures, present, self.hysteresis)
             action = next((evader for evader, pursuer in owner.items() if pursuer == me.id), 0)
             if me.action != action:
@@ -85,7 +85,7 @@ class Voronoi(Geometric):
         """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return (*super().assumes, "places_known", "equal_speeds")
 
-    def measure(self, me: Agent, evader: int) -> Distances:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return the distance to the evader as the measure, m."""
         return lambda known: lengths(me.evader(evader) - known.places)
 
@@ -106,7 +106,7 @@ class Argmin(Geometric):
         """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
-    def measure(self, me: Agent, evader: int) -> Distances:
+    def measure(self, me: Agent, evader: int) -> Measure:
         """Return the time of capture or intercept as the measure, s."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
@@ -192,6 +192,6 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
     return ids[best]
 
 
-def said_active(me: Agent, evader: int) -> list[int]:
+def announced_chasers(me: Agent, evader: int) -> list[int]:
     """Return the pursuers that chase an evader according to their announcements, the agent itself included."""
     return [*me.believed_active(evader), *([me.id] if me.action == evader else [])]

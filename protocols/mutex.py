@@ -3,7 +3,8 @@
 Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours.
     A pursuer that wants to decide sends a request to all neighbours. A neighbour replies at once, unless it has an
     older request of its own (Lamport 1978); then it replies after its decision. Replies carry the replier's action.
-Parameters: rate (requests per second of an idle pursuer), attempts (before a neighbour is left out).
+Parameters: rate (requests per second of an idle pursuer), attempts (before a neighbour is left out), min_timeout
+    (before a request is retransmitted).
 Assumes: symmetric links; that a neighbour that does not answer `attempts` requests has crashed or is out of range. Only
     neighbours exclude each other, and only their actions are known to be up to date.
 Messages: 2 d_i per decision among d_i neighbours, which takes 2 L or longer. If it takes longer than expected, requests

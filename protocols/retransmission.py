@@ -23,12 +23,12 @@ class RetransmissionTimer:
     Args:
         me: the sender of the requests.
         on_air: airtime of a request, its answer, and the messages that may be queued in front of them, s.
-        floor: the least time-out, s.
+        min_timeout: the least time-out, s.
     """
 
-    def __init__(self, me: Agent, on_air: float, floor: float):
+    def __init__(self, me: Agent, on_air: float, min_timeout: float):
         self._on_air = 1.25 * on_air
-        self._first = max(2.5 * me.latency + self._on_air, floor)
+        self._first = max(2.5 * me.latency + self._on_air, min_timeout)
 
     def __call__(self, attempt: int = 0) -> float:
         """Return the time-out of a transmission after a number of attempts without an answer, s."""

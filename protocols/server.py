@@ -93,8 +93,8 @@ class Server(Value):
         """Decide when reports have arrived, obey the decision, and send it to the others."""
         current = Order(-1, None)
         orders: dict[int, list[tuple[int, int]]] = {}
-        flight = me.latency + me.airtime(me.located())
-        report_timeout = 3.0 * self.period + 2.0 * flight if me.team_size > 1 else 0.0
+        delay = me.latency + me.airtime(me.located())
+        report_timeout = 3.0 * self.period + 2.0 * delay if me.team_size > 1 else 0.0
         last_report = me.now
         for tick in self._ticks(me):
             alarm = me.at(tick)
@@ -111,7 +111,7 @@ class Server(Value):
                     last_report = me.now
                 changed = False
                 if reports or me.now >= last_report + report_timeout:
-                    chaser = self._chaser(me, orders, flight)
+                    chaser = self._chaser(me, orders, delay)
                     changed = current.number < 0 or chaser != current.chaser
                     # Numbered by the clock, so that they also increase after a loss of memory.
                     current = Order(max(nanoseconds(me.now), current.number + 1, 0), chaser) if changed else current
@@ -120,27 +120,27 @@ class Server(Value):
                     me.send(None, current, PORT)
                     for j, ordered in orders.items():
                         if not ordered or ordered[-1][1] != current.action(j):
-                            ordered.append((nanoseconds(me.now + flight), current.action(j)))
+                            ordered.append((nanoseconds(me.now + delay), current.action(j)))
 
     def _ticks(self, me: Agent) -> Iterator[float]:
         """Yield the times to report or to repeat the order, s: now, and then every period with a random phase."""
         yield me.now
         yield from ticks(me, self.period, phase=me.stream("reports").uniform(0.0, self.period))
 
-    def _chaser(self, me: Agent, orders: Orders, flight: float) -> int | tuple[int | None, ...] | None:
+    def _chaser(self, me: Agent, orders: Orders, delay: float) -> int | tuple[int | None, ...] | None:
         """Return the best chaser of each evader among the host and the pursuers with a recent report; see `Order`.
 
         Args:
             me: the host.
             orders: for each pursuer that has reported, the orders since its report as (time of effect in ns, action),
                 by ascending time.
-            flight: delay of an order from sending to effect, s.
+            delay: delay of an order from sending to effect, s.
         """
         now = nanoseconds(me.now)
         static = (
-            me.time_left(flight) == me.time_left()
+            me.time_left(delay) == me.time_left()
         )  # the world is static: no time passes while an order is in flight
-        effect = now if static else nanoseconds(me.now + flight)
+        effect = now if static else nanoseconds(me.now + delay)
         phi = []
         for evader in range(1, me.evader_count + 1):
             known = me.beliefs(self.period, evader, orders)
@@ -168,8 +168,8 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
         now: the present time, ns.
         effect: the time at which an order sent now takes effect, ns.
     """
-    legs = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
-    return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(legs) if action != evader)
+    segments = [(now, reported), *((max(begun, now), action) for begun, action in ordered), (effect, 0)]
+    return sum(max(end - begun, 0) for (begun, action), (end, _) in pairwise(segments) if action != evader)
 
 
 def apply_order(me: Agent, order: Order) -> None:

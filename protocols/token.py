@@ -72,5 +72,5 @@ def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
     candidates = not_absent(token, me.neighbours())
     degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
     shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]
-    place = int(np.searchsorted(np.cumsum(shares), rng.random(), side="right"))
-    return candidates[place] if place < len(candidates) else None
+    index = int(np.searchsorted(np.cumsum(shares), rng.random(), side="right"))
+    return candidates[index] if index < len(candidates) else None

@@ -2,9 +2,9 @@
 
 Paper: a regenerated token has an epoch of its own, and a node discards any token older than the newest epoch it has
     seen; Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring.
-Parameters: hold (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
+Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
 Assumes: nothing, for a single token in the end. A token is not regenerated needlessly if a round takes less than
-    3 N (L + hold).
+    3 N (L + holding_time).
 Messages: two per hop, the token and its receipt. Notices of a new token, and of a token in use for pursuers that it has
     not visited for long, are broadcast to all neighbours and forwarded to pursuers out of their range.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
@@ -86,9 +86,9 @@ Choice = Callable[[Agent, Token], int | None]
 """Returns the next holder of a token, or None to keep it."""
 
 
-def circulate(me: Agent, revise: Callable[[], None], hold: float, attempts: int, choose: Choice) -> Process:
-    """Revise whenever the pursuer has held the token for `hold` s, and forward it; regenerate it if it is lost."""
-    node = TokenNode(me, hold, attempts)
+def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attempts: int, choose: Choice) -> Process:
+    """Revise whenever the pursuer has held the token for the holding time, and forward it; regenerate a lost token."""
+    node = TokenNode(me, holding_time, attempts)
     if me.id == 0:
         node.regenerate()
     while True:
@@ -115,14 +115,14 @@ class TokenNode:
     """The circulation of the token as run by one pursuer.
 
     It is watching (no token; regenerates it after `loss_timeout` without a sign of it), holding (has the token for
-    `hold`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
+    `holding_time`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
 
     Attributes:
         token: the token while holding or forwarding, else None.
     """
 
-    def __init__(self, me: Agent, hold: float, attempts: int):
-        self._me, self._hold, self._attempts = me, hold, attempts
+    def __init__(self, me: Agent, holding_time: float, attempts: int):
+        self._me, self._holding_time, self._attempts = me, holding_time, attempts
         self.token: Token | None = None
         self._next: int | None = None  # the pursuer whose receipt is awaited
         self._newest: Age = (UNHEARD, 0)  # of the newest message about a token
@@ -133,7 +133,7 @@ class TokenNode:
         self._hop_time = hop_time(me)
         # A round trip, with the messages that may be queued in front of the token and its receipt.
         self._time_out = RetransmissionTimer(
-            me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), hold
+            me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
         )
         self._next_probe = 0.0  # earliest time of the next probe on the own clock, s
         self._deadline = me.now + self.loss_timeout
@@ -146,7 +146,7 @@ class TokenNode:
         token arrives before the next pursuer makes another.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
-        return hops * (self._hop_time + self._hold) + sum(map(self._time_out, range(self._attempts)))
+        return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
 
     # The states.
 
@@ -161,8 +161,8 @@ class TokenNode:
         self._renew(self._last_token)
 
     def keep(self, token: Token) -> Waiting:
-        """Hold the token for `hold` s; return whether it is still valid then."""
-        until = self._me.now + self._hold
+        """Hold the token for `holding_time` s; return whether it is still valid then."""
+        until = self._me.now + self._holding_time
         while self.token is token:
             if (yield from self._wait(until)):
                 return self.token is token
@@ -193,7 +193,7 @@ class TokenNode:
         """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
         me = self._me
         due = yield from wait_for_mail(me, PORT, until)
-        crashed = me.now > until + self._hold
+        crashed = me.now > until + self._holding_time
         if crashed:  # it had crashed: others may have regenerated the token
             self.token = None
             self._reassured()

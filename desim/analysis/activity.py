@@ -1,4 +1,4 @@
-"""Metrics of the actions alone: active times, changes of action, hand-overs.
+"""Metrics of the actions alone: active times, changes of action, handovers.
 
 S(t) is the set of active pursuers and n(t) their number; integrals run from 0 to the end of the run. With several
 evaders n_j(t) is the number of pursuers that chase evader j, and n the sum of all n_j. Sums over j are over the evaders
@@ -197,12 +197,12 @@ def _relays_of(pursuit: EvaderPursuit) -> list[tuple[int, int]]:
 
 
 def handovers(result: Result) -> int:
-    """Return the number of hand-overs: changes of the single pursuer of an evader (n_j = 1), over all evaders."""
+    """Return the number of handovers: changes of the single pursuer of an evader (n_j = 1), over all evaders."""
     return sum(max(len(chain) - 1, 0) for chain in _relays(result))
 
 
 def ping_pongs(result: Result, within: float = 1.0) -> int:
-    """Return the number of hand-overs i -> j less than `within` s after the hand-over j -> i.
+    """Return the number of handovers i -> j less than `within` s after the handover j -> i.
 
     The term is that of cellular networks (3GPP TR 36.839, where this minimum time of stay is 1 s).
     """

@@ -216,8 +216,8 @@ def _latency(result: Result) -> float:
     size = len(places)
     if isinstance(links.graph, Complete) and not links.link:
         size = min(size, ALIKE)
-    travel = LinkSampler(links, links.graph(size), result.seed, lambda: places)
-    return travel.typical_latency() + links.medium(TYPICAL_SIZE)
+    sampler = LinkSampler(links, links.graph(size), result.seed, lambda: places)
+    return sampler.typical_latency() + links.medium(TYPICAL_SIZE)
 
 
 def network_regret(result: Result, metric: Callable[[Result], float] = potential_gap) -> float:

@@ -256,8 +256,8 @@ COMMON = tuple(name for name, metric in METRICS.items() if not metric.of_several
 
 def summary(result: Result) -> Summary:
     """Return all metrics of one run. Use the single functions of this module if you need only one or two."""
-    read = trace_index(result)
-    return Summary(**{name: metric(read) for name, metric in METRICS.items()})
+    index = trace_index(result)
+    return Summary(**{name: metric(index) for name, metric in METRICS.items()})
 
 
 def plain(numbers: Summary) -> dict[str, Any]:

@@ -65,11 +65,11 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
     if not positions_known(result):
         raise ValueError(NO_POSITIONS)
     start, end, scenario = started(result), ended(result).t, result.scenario
-    speed, hunt = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
+    speed, pursuit = scenario.evaders[evader - 1].speed, evader_pursuits(result)[evader - 1]
     radial_time = RadialTime(np.array(start.speeds), speed, scenario.capture.radius)
-    horizon, frozen = nanoseconds(scenario.horizon), scenario.motion.static
+    horizon, static = nanoseconds(scenario.horizon), scenario.motion.static
     path, size = _Path(result, evader), len(start.active)
-    active = _Counts(hunt.start, hunt.steps)
+    active = _Counts(pursuit.start, pursuit.steps)
     broken = _Counts((False,) * size, list(_breakdowns(result)))
     acts = [each.t for each in [*changes(result), *captures(result)]]
     times = np.unique(np.concatenate([[0, end], path.t, np.array(acts, np.int64), broken.t]))
@@ -79,8 +79,8 @@ def timeline(result: Result, evader: int = 1) -> Iterator[Timeline]:
         middle = (own[:-1] + own[1:]) / 2
         phi = radial_time(path.distances(middle))
         phi[broken.during(own)] = np.inf
-        phi[own[:-1] >= hunt.end] = np.inf
-        left = (horizon - (np.zeros_like(middle) if frozen else middle)) / SECOND
+        phi[own[:-1] >= pursuit.end] = np.inf
+        left = (horizon - (np.zeros_like(middle) if static else middle)) / SECOND
         yield Timeline(own, active.during(own), phi, left)
 
 

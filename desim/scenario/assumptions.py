@@ -75,8 +75,8 @@ def messages_get_through(scenario: "Scenario") -> str | None:
         return "a pursuer that comes into range does not receive earlier announcements (`announce.trigger`)"
     by_chance = network.range < inf and network.fading == "message" and network.reception != Disk()
     drops = network.medium.half_duplex or network.medium.queue_limit < inf
-    travel = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
-    if by_chance or drops or scenario.fault or not travel.lossless:
+    sampler = LinkSampler(network, network.graph(scenario.team.count), scenario.seed, None)
+    if by_chance or drops or scenario.fault or not sampler.lossless:
         return "lost announcements are never repeated (`announce.trigger`)"
     return None
 

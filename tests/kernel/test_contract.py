@@ -295,7 +295,7 @@ def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jam
 def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(fault_state):
     """Node 1 speaks at 0 s and its mail takes 2 s; node 0 speaks at 1 s and its mail takes 1 s."""
     clock = Clock()
-    links = Links(latency=lambda hops, rng: 2.0 if hops.src else 1.0)
+    links = Links(latency=lambda context, rng: 2.0 if context.src else 1.0)
     network = Network(clock, nx.complete_graph(3), links, fault_state=fault_state)
     network.send(1, 2, "first")
     Instant(clock, SECOND, Phase.DECISION).callbacks.append(lambda _: network.send(0, 2, "second"))

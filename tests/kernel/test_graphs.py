@@ -122,7 +122,7 @@ def test_an_edge_in_json_may_have_a_whole_model(tmp_path):
 
 def test_an_edge_of_networkx_may_have_a_model_or_a_function():
     graph = nx.path_graph(2)
-    graph.edges[0, 1].update(latency=Gamma(), loss=lambda hops, rng: True)
+    graph.edges[0, 1].update(latency=Gamma(), loss=lambda context, rng: True)
     edge = Edges.of(graph)(2).edges[0, 1]
     assert edge == graph.edges[0, 1]
 

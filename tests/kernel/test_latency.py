@@ -249,9 +249,9 @@ def test_the_jitter_is_added_to_every_message_anew():
     theory = 0.045 + 0.03, 0.00025 + 0.03**2
     assert np.abs([errors(each, *theory) for each in pairs]).max() < 5
     assert np.abs(errors(off.ravel(), *theory)).min() > 5
-    hop = LinkContext(0, np.full(100_000, 7), seed=3)  # 10^5 messages to node 7
-    own = PerPair(base=BASE)(hop, None)[0]
-    messages, off = (model(hop, np.random.default_rng(4)) - own for model in models)
+    context = LinkContext(0, np.full(100_000, 7), seed=3)  # 10^5 messages to node 7
+    own = PerPair(base=BASE)(context, None)[0]
+    messages, off = (model(context, np.random.default_rng(4)) - own for model in models)
     assert np.abs(errors(messages, 0.03, 0.03**2)).max() < 5
     assert np.abs(errors(off, 0.03, 0.03**2)).min() > 5
     assert messages.min() >= 0.0
@@ -264,11 +264,11 @@ def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monke
     monkeypatch.setattr("desim.kernel.latency.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.start_run(30), np.random.default_rng(2), np.random.default_rng(2)
-    context = [
+    contexts = [
         LinkContext(src, np.array(dst), seed=9)
         for src, dst in ((4, [7]), (4, [0, 29, 7]), (7, [4]), (0, [1, 2]), (4, [7]))
     ]
-    assert [run(hop, ours).tolist() for hop in context] == [model(hop, theirs).tolist() for hop in context]
+    assert [run(each, ours).tolist() for each in contexts] == [model(each, theirs).tolist() for each in contexts]
     assert len(run._base) == min(room // 30, 3)
     assert model.start_run(30)(LinkContext(4, np.array([7]), seed=8), ours) != model(
         LinkContext(4, np.array([7]), seed=9), ours

@@ -21,7 +21,7 @@ from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import broken
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
-from protocols.geometric import Argmin, Velocity, Voronoi, first, said_active
+from protocols.geometric import Argmin, Velocity, Voronoi, announced_chasers, first
 from protocols.geometric import owners as owners_of
 from tests.many import at_rest, by_evader, chased, times
 
@@ -288,7 +288,7 @@ def test_of_several_evaders_each_has_an_owner_of_its_own_the_nearest_first():
 
 def test_who_is_said_to_own_an_evader_chases_that_one():
     me = SimpleNamespace(id=3, action=2, believed_active={1: [0], 2: [1, 4], 3: []}.get)
-    assert [said_active(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
+    assert [announced_chasers(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
 
 
 @pytest.mark.slow_but_one
