@@ -1,6 +1,6 @@
 """Auctions in which each evader is one task: the common part of `cbaa` and `cbba`.
 
-A bid is -phi, so the pursuer with the least time of capture bids highest; ties go to the lower id. A pursuer bids for
+A bid is -phi, so the pursuer with the least capture time bids highest; ties go to the lower id. A pursuer bids for
 one evader at a time: of those for which it has the highest bid, the one it would capture first. Its announcements carry
 the winner and the winning bid of each evader, as far as it knows them.
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared

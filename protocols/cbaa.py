@@ -2,7 +2,7 @@
 
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2;
     the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
-    the times of capture, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
+    the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
     overrides the claims of others about it; where positions are sensed, all bids are updated at each turn.
 Parameters: schedule. With Rounds these are the rounds of the paper.
 Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after one round of bids and one

@@ -1,4 +1,4 @@
-"""The centralised benchmark: each evader is chased by one pursuer only, the one with the least time of capture.
+"""The centralised benchmark: each evader is chased by one pursuer only, the one with the least capture time.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
@@ -60,7 +60,7 @@ def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
     """Return the evader (1 .. M) that each pursuer is to chase; pursuers that are to stay are left out.
 
     Args:
-        phi: (M, N) times of capture, s.
+        phi: (M, N) capture times, s.
         reward: the time that is left, s.
     """
     if len(phi) == 1:

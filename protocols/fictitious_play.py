@@ -5,8 +5,8 @@ Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Pro
     for Potential Games", with fading memory.
 Parameters: schedule, utility; alpha (probability of changing), rho (rate of forgetting).
 Assumes: announcements of all teammates; no order of revisions. Fictitious play converges in beliefs in every potential
-    game with constant times of capture. Frequencies of actions are averages over all turns, so it is slow to follow
-    times of capture that change.
+    game with constant capture times. Frequencies of actions are averages over all turns, so it is slow to follow
+    capture times that change.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats; the last action received counts again at each turn.
 """

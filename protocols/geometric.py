@@ -2,14 +2,14 @@
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
     Automatica 48 (from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the same
-    by time of capture, for unequal speeds, or by the time to intercept an evader of constant velocity.
+    by capture time, for unequal speeds, or by the time to intercept an evader of constant velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
 Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
     clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is less
     than that of the present owner by more than a tenth. A pursuer that would be late (phi >= r) is never an owner.
     Owners of several evaders are assigned greedily: the pair of least measure first, then the rest without that pair.
-Assumes: positions or times of capture known to all. No crashes: where positions are sensed, no pursuer notices that the
+Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
     owner has stopped. With hysteresis the present owner is a state that must be the same in all pursuers: equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
 Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
@@ -91,7 +91,7 @@ class Voronoi(Geometric):
 
 
 class Argmin(Geometric):
-    """The pursuer with the least time of capture or intercept chases the evader."""
+    """The pursuer with the least capture or intercept time chases the evader."""
 
     kind: Literal["argmin"] = "argmin"
     by: Literal["capture_time", "intercept_time"] = "capture_time"
@@ -107,7 +107,7 @@ class Argmin(Geometric):
         return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the time of capture or intercept as the measure, s."""
+        """Return the capture or intercept time as the measure, s."""
         if self.by == "capture_time":
             return lambda known: known.capture_times
         velocity = Velocity(self.time_constant)

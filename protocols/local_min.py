@@ -1,4 +1,4 @@
-"""Rules without a utility: a pursuer chases if it has the least time of capture among the teammates that count.
+"""Rules without a utility: a pursuer chases if it has the least capture time among the teammates that count.
 
 Paper: LocalMin: the greedy maximal independent set of the communication graph, in order of (phi, id); computed in
     local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: the obvious heuristic.

@@ -9,7 +9,7 @@ Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Lead
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
 Assumes: announcements of all teammates; no order of revisions. Regret matching has no regret in the long run, and the
     empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay profile in the relay game
-    with one evader and constant times of capture. The generalised one settles in a pure equilibrium.
+    with one evader and constant capture times. The generalised one settles in a pure equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """

@@ -89,7 +89,7 @@ class AdaptiveTau(Value):
     """Cooling between two surprises."""
     reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
     """Events that restart the cooling. neighbour: a teammate is heard for the first time or again; silence: a teammate
-    times out (`announce.belief_timeout`); order: an evader is captured, or its pursuer of least time of capture, among
+    times out (`announce.belief_timeout`); order: an evader is captured, or its pursuer of least capture time, among
     the known teammates and the pursuer itself, changes."""
 
     def __call__(self, eta: float) -> float:
@@ -113,7 +113,7 @@ class AdaptiveTau(Value):
 
 
 def _first(me: Agent, evader: int) -> int:
-    """Return the pursuer of least time of capture of an evader, among the agent and teammates of known time."""
+    """Return the pursuer of least capture time of an evader, among the agent and teammates of known time."""
     known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
     return min([*known, (me.capture_time(evader), me.id)])[1]
 

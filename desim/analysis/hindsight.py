@@ -1,6 +1,6 @@
-"""Hindsight: the profile compared with the optimum of the game, at the true times of capture.
+"""Hindsight: the profile compared with the optimum of the game, at the true capture times.
 
-S(t) is the set of active pursuers, phi_i(t) the time of capture of pursuer i, r(t) the time that is left, and i*(t)
+S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, r(t) the time that is left, and i*(t)
 the relay pursuer: that of least (phi, id) among those that are not broken; none ({i*} is empty) if its phi >= r.
 The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is largest for S = {i*}. Integrals
 run from 0 to the end.

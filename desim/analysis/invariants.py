@@ -156,7 +156,7 @@ class MotionWatcher:
 class PotentialWatcher:
     """A watcher of the potential, which no decision lowers under the assumptions of the theorem.
 
-    The potential is the global utility Phi of the profile, with the times of capture and the time left at the instant
+    The potential is the global utility Phi of the profile, with the capture times and the time left at the instant
     of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, a change of action changes the
     pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
 

@@ -1,7 +1,7 @@
-"""The timeline of a run: the active pursuers and the times of capture, piece by piece.
+"""The timeline of a run: the active pursuers and the capture times, piece by piece.
 
 A piece is the time between two breakpoints: changes of action, samples of positions, crashes of robots, captures. No
-action changes within a piece, so metrics of the actions are exact. The times of capture phi are those at the middle of
+action changes within a piece, so metrics of the actions are exact. The capture times phi are those at the middle of
 the piece, from positions interpolated between the samples: exact in a static game; for the error otherwise see
 `desim.analysis.hindsight`. Each evader has a timeline of its own, with the same pieces.
 """
@@ -30,7 +30,7 @@ from desim.pursuit.state import lengths
 from desim.simulation.run import Result
 
 PART = 1 << 18
-"""Number of times of capture held in memory at once."""
+"""Number of capture times held in memory at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Timeline:
     active: Bools
     """(k, N) whether each pursuer chases the evader."""
     phi: Floats
-    """(k, N) times of capture at the middle of the piece, s; inf for a broken robot, and for all after the capture."""
+    """(k, N) capture times at the middle of the piece, s; inf for a broken robot, and for all after the capture."""
     left: Floats
     """(k,) time left r at the middle of the piece, s; constant and equal to the horizon in a static game."""
 
