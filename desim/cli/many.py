@@ -218,14 +218,17 @@ def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tupl
     from desim.analysis.tables import aligned
 
     there = {
-        (cell.key, row.replication) for cell in plan.configurations for row in store.runs(cell.key, plan.root) if row.ok
+        (configuration.key, row.replication)
+        for configuration in plan.configurations
+        for row in store.runs(configuration.key, plan.root)
+        if row.ok
     }
-    wanted = [(cell.key, k) for cell, k in jobs]
+    wanted = [(configuration.key, k) for configuration, k in jobs]
     done = [each for each in wanted if each in there]
     rows = [("runs", "stored", *plan.configurations[0].settings)]
-    for cell in plan.configurations:
-        counts = (sum(key == cell.key for key, _ in each) for each in (wanted, done))
-        rows.append((*map(str, counts), *map(str, cell.columns.values())))
+    for configuration in plan.configurations:
+        counts = (sum(key == configuration.key for key, _ in each) for each in (wanted, done))
+        rows.append((*map(str, counts), *map(str, configuration.columns.values())))
     least = f" at most, at least 30 of each, until the half width of {until[0]} is {until[1]:g}" if until else ""
     head = f"{plan.base.name}: {len(plan.configurations)} configurations, {len(wanted)} runs{least}"
     return f"{head}; {len(done)} are stored, {len(wanted) - len(done)} remain\n{aligned(rows, right_from=0)}"

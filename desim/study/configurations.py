@@ -22,7 +22,7 @@ Settings = Mapping[str, Any]
 """The value of each key of a grid."""
 MAX_FAULTS = 20
 """The number of faults of a grid that an error lists."""
-MAX_CELLS = 100_000
+MAX_CONFIGURATIONS = 100_000
 """The largest number of configurations of a grid; validating one takes about 1 ms."""
 
 
@@ -62,9 +62,10 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
             f"{source.where(('sweep', 'grid'))}: sweep.grid: should have at least one key of the scenario, and a list"
             ' of values for it, "network.latency.value" = [0.0, 0.1] for instance'
         )
-    if (size := prod(map(len, grid.values()))) > MAX_CELLS:
+    if (size := prod(map(len, grid.values()))) > MAX_CONFIGURATIONS:
         where = source.where(("sweep", "grid"))
-        raise ScenarioError(f"{where}: sweep.grid: should have at most {MAX_CELLS:,} configurations, has {size:,}")
+        most = f"{MAX_CONFIGURATIONS:,} configurations"
+        raise ScenarioError(f"{where}: sweep.grid: should have at most {most}, has {size:,}")
     found: list[Configuration] = []
     faults: dict[str, list[Settings]] = {}
     for values in product(*grid.values()):
@@ -86,17 +87,19 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
     """Raise ScenarioError if two configurations are the same, or have the same name."""
     keys: dict[str, Configuration] = {}
     names: dict[str, Configuration] = {}
-    for cell in found:
-        same, namesake = keys.setdefault(cell.key, cell), names.setdefault(json.dumps(cell.columns), cell)
-        other = namesake if same is cell else same
-        if other is cell:
+    for configuration in found:
+        same = keys.setdefault(configuration.key, configuration)
+        namesake = names.setdefault(json.dumps(configuration.columns), configuration)
+        other = namesake if same is configuration else same
+        if other is configuration:
             continue
-        differing = [key for key, each in cell.settings.items() if each != other.settings[key]]
+        differing = [key for key, each in configuration.settings.items() if each != other.settings[key]]
         repeated = [key for key, values in grid.items() if any(values.count(each) > 1 for each in values)]
         why = (
-            f"'{cell}' is the same configuration as '{other}'"
-            if same is not cell
-            else f"'{cell}' names several configurations: values should be models or have distinct names (__name__)"
+            f"'{configuration}' is the same configuration as '{other}'"
+            if same is not configuration
+            else f"'{configuration}' names several configurations: values should be models or have distinct names"
+            " (__name__)"
         )
         raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
 

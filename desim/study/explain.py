@@ -72,8 +72,8 @@ class Variants:
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
         configurations = {name: Configuration({"without": name}, each) for name, each in named.items()}
         distinct: dict[str, Configuration] = {}
-        for cell in configurations.values():
-            distinct.setdefault(cell.key, cell)
+        for configuration in configurations.values():
+            distinct.setdefault(configuration.key, configuration)
         return cls(
             SweepPlan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)),
             configurations,
@@ -88,8 +88,8 @@ class Variants:
         plan = self.plan
         carry_out(plan, store, workers)
         rows = {
-            name: {row.replication: row for row in store.runs(cell.key, plan.root)}
-            for name, cell in self.configurations.items()
+            name: {row.replication: row for row in store.runs(configuration.key, plan.root)}
+            for name, configuration in self.configurations.items()
         }
         complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
         if not complete:

@@ -94,8 +94,8 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
         figure.dpi = DPI
         figure.set_layout_engine("constrained", w_pad=PAD, h_pad=PAD)
         canvas: Any = FigureCanvasAgg(figure)
-        stage = _Scene(figure, result)
-    for artist in stage.moving:  # after the layout, which accounts for them
+        scene = _Scene(figure, result)
+    for artist in scene.moving:  # after the layout, which accounts for them
         artist.set_animated(True)
     canvas.draw()
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
@@ -103,7 +103,7 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
     before = -1
     for t in tqdm(times, desc="frames", unit="frame", disable=None):
         canvas.restore_region(background)
-        for artist in stage.at(t, before):
+        for artist in scene.at(t, before):
             figure.draw_artist(artist)
         image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
         found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
@@ -147,7 +147,7 @@ class _EvaderArtists:
         mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
         (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
         (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
-        (self.evaded,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
+        (self.path,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
         (self.beside,) = axes.plot([], [], "o", mfc=pale, mec=look.alone, ms=6, label="active with others")
         (self.alone,) = axes.plot([], [], "o", mfc=look.alone, mec=look.alone, ms=9, label="active alone")
         (self.evader,) = axes.plot([], [], look.mark, color=VERMILION, label=name, **mark)
@@ -165,23 +165,23 @@ class _Scene:
         axes = figure.add_subplot()
         self._set(axes)
         left, right = axes.get_xlim()
-        self._flown = _flights(result, self._paths, SHORT * (right - left))
+        self._messages = _message_dots(result, self._paths, SHORT * (right - left))
         count = self._paths.count
-        self._quarries = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
+        self._evaders = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
         (self._dots,) = axes.plot([], [], "o", color=ORANGE, ms=2.5, mew=0, label="message")
         (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
         (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
-        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._quarries[:MAX_NAMED])]
-        shown += [self._dots] if len(self._flown.left) else []
-        shown += [self._crosses] if self._flown.lost.any() else []
+        shown = [self._inactive, *self._chasers(), *(each.evader for each in self._evaders[:MAX_NAMED])]
+        shown += [self._dots] if len(self._messages.left) else []
+        shown += [self._crosses] if self._messages.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
         """Return the legend entries of active pursuers; grey if there are several evaders, each with its own hue."""
-        first = self._quarries[0]
-        if len(self._quarries) == 1:
+        first = self._evaders[0]
+        if len(self._evaders) == 1:
             return [first.beside, first.alone]
         greys = {first.beside: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
         return [
@@ -193,9 +193,9 @@ class _Scene:
         """Return the moving artists in drawing order."""
 
         def of_each(*names: str) -> list[Artist]:
-            return [getattr(each, name) for name in names for each in self._quarries]
+            return [getattr(each, name) for name in names for each in self._evaders]
 
-        found = [*of_each("trails", "relay", "evaded"), self._inactive, *of_each("beside", "alone")]
+        found = [*of_each("trails", "relay", "path"), self._inactive, *of_each("beside", "alone")]
         found += [self._dots, self._crosses, *of_each("evader", "star", "number"), self._caption]
         return found
 
@@ -211,11 +211,11 @@ class _Scene:
         chases = self._chases(t)
         size = self._paths.pursuers.shape[1]
         places = np.array([self._paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
-        for evader, quarry in enumerate(self._quarries, start=1):
-            self._set_quarry(evader, quarry, t, places[[i for i in range(size) if chases.get(i) == evader]])
+        for evader, artists in enumerate(self._evaders, start=1):
+            self._set_evader(evader, artists, t, places[[i for i in range(size) if chases.get(i) == evader]])
         self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
-        self._dots.set_data(self._flown.under_way(t).T)
-        self._crosses.set_data(self._flown.lost_between(before, t).T)
+        self._dots.set_data(self._messages.under_way(t).T)
+        self._crosses.set_data(self._messages.lost_between(before, t).T)
         self._caption.set_text(f"{seconds(t):.2f} s: {self._status_text(t, chases)}")
         return self.moving
 
@@ -229,18 +229,18 @@ class _Scene:
             and (t < each.end or (t == each.end == end and (lone or each.evader not in self._captured)))
         }
 
-    def _set_quarry(self, evader: int, quarry: _EvaderArtists, t: int, chasers: Floats) -> None:
+    def _set_evader(self, evader: int, artists: _EvaderArtists, t: int, chasers: Floats) -> None:
         begun = [each for each in self._active_periods if each.begin <= t and each.evader == evader]
-        for line, alone in ((quarry.trails, False), (quarry.relay, True)):
+        for line, alone in ((artists.trails, False), (artists.relay, True)):
             own = [self._paths.of(s.pursuer, s.begin, min(s.end, t)) for s in begun if s.alone == alone]
             line.set_data(_joined(own))
         past = self._paths.of_evader(evader, 0, t)
-        quarry.evaded.set_data(past.T)
-        quarry.beside.set_data(chasers.T if len(chasers) > 1 else ([], []))
-        quarry.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
-        quarry.evader.set_data(past[-1:].T)
-        quarry.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))
-        quarry.number.xy = tuple(past[-1].tolist())
+        artists.path.set_data(past.T)
+        artists.beside.set_data(chasers.T if len(chasers) > 1 else ([], []))
+        artists.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
+        artists.evader.set_data(past[-1:].T)
+        artists.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))
+        artists.number.xy = tuple(past[-1].tolist())
 
     def _is_captured(self, evader: int, t: int) -> bool:
         return evader in self._captured and self._captured[evader].t <= t
@@ -297,7 +297,7 @@ class _MessageDots:
         return found
 
 
-def _flights(result: Result, paths: Paths, short: float) -> _MessageDots:
+def _message_dots(result: Result, paths: Paths, short: float) -> _MessageDots:
     """Return the messages of a run, or none if they were not recorded; for `short` see `_MessageDots`."""
     own = deliveries(result) if messages_recorded(result) else []
     left, until = (np.array(each, dtype=np.int64) for each in ([p.left for p in own], [p.until for p in own]))

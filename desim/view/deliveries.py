@@ -68,7 +68,7 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
         yield Delivery(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
 
 
-def news(body: Any) -> int | None:
+def announced_action(body: Any) -> int | None:
     """Return the action that a message announces: the evader that its sender chases, or 0; None if it has none."""
     announced = getattr(body, "active", None)
     return announced if isinstance(announced, int) else None

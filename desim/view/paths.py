@@ -61,15 +61,17 @@ class ActivePeriod(NamedTuple):
 def active_periods(result: Result) -> list[ActivePeriod]:
     """Return the active periods of all pursuers, ordered by evader and then by end."""
     return [
-        stint for evader, hunt in enumerate(evader_pursuits(result), start=1) for stint in _active_periods(evader, hunt)
+        period
+        for evader, pursuit in enumerate(evader_pursuits(result), start=1)
+        for period in _active_periods(evader, pursuit)
     ]
 
 
-def _active_periods(evader: int, hunt: EvaderPursuit) -> list[ActivePeriod]:
-    active = {pursuer: 0 for pursuer, chasing in enumerate(hunt.start) if chasing}
-    times = [0, *(t for t, _, _ in hunt.steps), hunt.end]
+def _active_periods(evader: int, pursuit: EvaderPursuit) -> list[ActivePeriod]:
+    active = {pursuer: 0 for pursuer, chasing in enumerate(pursuit.start) if chasing}
+    times = [0, *(t for t, _, _ in pursuit.steps), pursuit.end]
     found, alone = [], len(active) == 1
-    for step, (begin, end) in zip([None, *hunt.steps], pairwise(times), strict=True):
+    for step, (begin, end) in zip([None, *pursuit.steps], pairwise(times), strict=True):
         if step is not None:
             _, pursuer, by = step
             if by < 0:
@@ -81,7 +83,7 @@ def _active_periods(evader: int, hunt: EvaderPursuit) -> list[ActivePeriod]:
                 ActivePeriod(pursuer, since, begin, alone, evader) for pursuer, since in active.items() if since < begin
             ]
             active, alone = dict.fromkeys(active, begin), not alone
-    found += [ActivePeriod(pursuer, since, hunt.end, alone, evader) for pursuer, since in active.items()]
+    found += [ActivePeriod(pursuer, since, pursuit.end, alone, evader) for pursuer, since in active.items()]
     return [each for each in found if each.begin < each.end]
 
 
@@ -117,9 +119,9 @@ class Paths:
         """Return the (k, 2) positions of a pursuer, m, at (k,) times, ns."""
         return self._along(self.pursuers[:, pursuer], times)
 
-    def hands_over_at(self, takeover: Handover) -> tuple[float, float]:
+    def position_of(self, handover: Handover) -> tuple[float, float]:
         """Return the position (x, y) of the pursuer that takes over, m."""
-        x, y = self.at(takeover.pursuer, np.array([takeover.t]))[0].tolist()
+        x, y = self.at(handover.pursuer, np.array([handover.t]))[0].tolist()
         return x, y
 
     def _between(self, known: Floats, begin: int, end: int) -> Floats:
@@ -143,8 +145,8 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
     place(axes)
     axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
-    _draw_stints(axes, result, paths, looks)
-    _draw_takeovers(axes, result, paths, looks)
+    _draw_active_periods(axes, result, paths, looks)
+    _draw_handovers(axes, result, paths, looks)
     for evader, look in looks.items():
         label = "evader" if paths.count == 1 else f"evader {evader}"
         mark: dict[str, Any] = {"ms": 3} if paths.count == 1 else {"ms": 6, "mfc": look.inner, "mew": 1.2}
@@ -154,24 +156,24 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
         axes.plot(*np.transpose(places), "*", color="black", ms=7, mew=0, zorder=7, label="capture")
 
 
-def _draw_stints(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
+def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     labels: dict[bool, str | None] = {False: "active with others", True: "active alone"}
     wide: dict[bool, dict[str, Any]] = {False: {"lw": 0.8}, True: {"lw": 2.6, "zorder": 3}}
     if paths.count > 1:
         for alone, label in labels.items():
             axes.plot([], [], color=GREY, label=label, **wide[alone])
         labels = {}
-    for stint in active_periods(result):
-        path, look = paths.of(stint.pursuer, stint.begin, stint.end), looks[stint.evader]
-        colour = look.alone if stint.alone else look.beside
-        label = labels.pop(stint.alone, None)
-        axes.plot(*path.T, color=colour, **wide[stint.alone], label=label, solid_capstyle="butt")
+    for period in active_periods(result):
+        path, look = paths.of(period.pursuer, period.begin, period.end), looks[period.evader]
+        colour = look.alone if period.alone else look.beside
+        label = labels.pop(period.alone, None)
+        axes.plot(*path.T, color=colour, **wide[period.alone], label=label, solid_capstyle="butt")
 
 
-def _draw_takeovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
+def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
     label = "takes over"
     for evader, look in looks.items():
-        places = [paths.hands_over_at(each) for each in handover_events(result) if each.evader == evader]
+        places = [paths.position_of(each) for each in handover_events(result) if each.evader == evader]
         if places:
             style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
             axes.plot(*np.transpose(places), "D", ls="", label=label, **style)
@@ -186,7 +188,7 @@ def label_takeovers(axes: Axes, result: Result) -> None:
     paths, chain = Paths(result), handover_events(result)
     everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))
     ends = [tuple(path[k].tolist()) for path in everyone for k in (0, -1)]
-    named = [(paths.hands_over_at(each), str(each.pursuer), each.evader, "normal") for each in chain]
+    named = [(paths.position_of(each), str(each.pursuer), each.evader, "normal") for each in chain]
     if paths.count > 1:
         named += [(start, str(k), k, "bold") for k, start in enumerate(map(tuple, paths.evaders[0].tolist()), start=1)]
     places, names = [each[0] for each in named], [each[1] for each in named]

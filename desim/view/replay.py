@@ -42,7 +42,7 @@ from desim.view.deliveries import deliveries, handover_events, outages
 
 MAX_REPLAY_TIME = 2**32 - 1
 """The largest tick that a column holds."""
-DECIDED, HALTED, RELEASED = range(3)
+DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 ReplayData = dict[str, Any]
 """A JSON object."""
@@ -216,8 +216,8 @@ def _radii(links: Links, size: int, seed: int, farthest: float) -> Floats:
     places = np.zeros((size, 2))
     found = np.zeros((size, size))
     graph = Complete()(size)
-    frozen = links.fading == "per_link"
-    topology = Topology(graph, links.range, lambda: places, links.reception, per_link=frozen, seed=seed)
+    per_link = links.fading == "per_link"
+    topology = Topology(graph, links.range, lambda: places, links.reception, per_link=per_link, seed=seed)
     for node in range(size):
         low, high = np.zeros(size), np.full(size, farthest)
         for _ in range(64):
@@ -261,7 +261,7 @@ def _path(result: Result, ticks: _Ticks) -> ReplayData:
 def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
     """Return the decisions as columns, including those that a breakdown or the capture of the evader forces."""
     found = list(_acts(result))
-    why = {Decided: DECIDED, BrokeDown: HALTED, Released: RELEASED}
+    why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
         "t": ticks([event.t for event in found]),
         "who": _column([event.pursuer for event in found], "<u2"),
@@ -300,7 +300,7 @@ def _relays(result: Result, ticks: _Ticks) -> ReplayData:
 
 def _faults(result: Result, ticks: _Ticks) -> list[ReplayData]:
     """Return the faults with their intervals, in order of time."""
-    return [_fault(fault, spell.begin, spell.end, ticks) for fault, spell in outages(result)]
+    return [_fault(fault, interval.begin, interval.end, ticks) for fault, interval in outages(result)]
 
 
 def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:

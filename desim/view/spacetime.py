@@ -20,7 +20,7 @@ from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
-from desim.view.deliveries import Delivery, Interval, chasing, deliveries, news, outages
+from desim.view.deliveries import Delivery, Interval, announced_action, chasing, deliveries, outages
 from desim.view.paths import HALO, EvaderStyle
 
 if TYPE_CHECKING:
@@ -153,23 +153,23 @@ def _mean_latency(own: Sequence[Delivery]) -> float:
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw a thin line for each pursuer, thick while it is active; label it with its evader if there are several."""
-    spells, several = chasing(result), has_several(result)
+    chases_of, several = chasing(result), has_several(result)
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
     inside = [
-        (row, spell)
+        (row, chase)
         for pursuer, row in rows.items()
-        for spell in spells[pursuer]
-        if spell.begin <= window.end and spell.end >= window.begin
+        for chase in chases_of[pursuer]
+        if chase.begin <= window.end and chase.end >= window.begin
     ]
-    for row, spell in sorted(inside, key=lambda each: each[1].evader):  # the order of the legend
-        x = [max(spell.begin, window.begin) / SECOND, min(spell.end, window.end) / SECOND]
-        colour = _hue(spell.evader, several)
-        label = f"chases {spell.evader}" if several else "active"
+    for row, chase in sorted(inside, key=lambda each: each[1].evader):  # the order of the legend
+        x = [max(chase.begin, window.begin) / SECOND, min(chase.end, window.end) / SECOND]
+        colour = _hue(chase.evader, several)
+        label = f"chases {chase.evader}" if several else "active"
         axes.plot(x, [row, row], color=colour, lw=4.0, alpha=0.55, solid_capstyle="butt", zorder=2, label=label)
         if several:
             offset: dict[str, Any] = {"xytext": (1, 3), "textcoords": "offset points", "path_effects": HALO}
-            axes.annotate(str(spell.evader), (x[0], row), **offset, color=colour, fontsize=6, zorder=6)
+            axes.annotate(str(chase.evader), (x[0], row), **offset, color=colour, fontsize=6, zorder=6)
 
 
 def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
@@ -221,7 +221,7 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
     """Draw messages that arrive as arrows, and lost messages as dotted lines to a cross."""
 
     def kind(each: Delivery) -> tuple[str, str]:
-        announced = news(each.body)
+        announced = announced_action(each.body)
         if announced is None:
             return "#555555", "message"
         if not announced:

@@ -8,7 +8,16 @@ from desim import summary
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
 from desim.pursuit.events import Decided
-from desim.view.deliveries import Chase, Delivery, Interval, chasing, deliveries, handover_events, news, outages
+from desim.view.deliveries import (
+    Chase,
+    Delivery,
+    Interval,
+    announced_action,
+    chasing,
+    deliveries,
+    handover_events,
+    outages,
+)
 from desim.view.paths import active_periods
 from tests.view.by_hand import ACTIVE, CRASH, INACTIVE, JAMMING, MS, history, pair
 
@@ -53,8 +62,13 @@ def test_without_recorded_messages_it_is_said_how_to_record_them():
 
 
 def test_a_message_tells_of_an_action_or_of_none():
-    assert (news(ACTIVE), news(INACTIVE), news(("token", 1)), news(None)) == (1, 0, None, None)
-    assert [news(each.body) for each in deliveries(pair())] == [2, 2, 0, 0]
+    assert (
+        announced_action(ACTIVE),
+        announced_action(INACTIVE),
+        announced_action(("token", 1)),
+        announced_action(None),
+    ) == (1, 0, None, None)
+    assert [announced_action(each.body) for each in deliveries(pair())] == [2, 2, 0, 0]
 
 
 def test_spells_of_chasing_begin_with_the_run_and_end_by_decision_breakdown_or_end():
