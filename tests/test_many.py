@@ -69,26 +69,26 @@ def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(nam
     """
     found = batches(game_of_three(*LAWS[name]), 2, ORDER)
     law, error = by_batches(found)
-    mean, dissemination = by_batches(found @ WELFARES)
+    mean, error_of_mean = by_batches(found @ WELFARES)
     exact = gibbs(PHI, HORIZON, TAU)
     assert (np.abs(law - exact) < 5 * error + 1e-3).all()
     assert distance(law, exact) < 0.05
-    assert abs(mean - exact @ WELFARES) < 4 * dissemination
+    assert abs(mean - exact @ WELFARES) < 4 * error_of_mean
     for off in (0.8, 1.2):
         other = gibbs(PHI, HORIZON, off * TAU)
         assert distance(law, other) > 0.1
-        assert abs(mean - other @ WELFARES) > 5 * dissemination
+        assert abs(mean - other @ WELFARES) > 5 * error_of_mean
 
 
 @pytest.mark.slow
 def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
     """4,800 decisions in 5 batches; the controls: at temperatures of 1 s and 4 s it would be 3 s more and 5 s less."""
     found = batches(game_of_three(SpatialAdaptivePlay, SharedSeed(slot=0.005)), 1, ORDER)
-    mean, dissemination = by_batches(found @ WELFARES)
+    mean, error_of_mean = by_batches(found @ WELFARES)
     means = {tau: gibbs(PHI, HORIZON, tau) @ WELFARES for tau in (TAU / 2, TAU, 2 * TAU)}
-    assert abs(mean - means[TAU]) < 4 * dissemination
-    assert means[TAU / 2] - mean > 6 * dissemination
-    assert mean - means[2 * TAU] > 6 * dissemination
+    assert abs(mean - means[TAU]) < 4 * error_of_mean
+    assert means[TAU / 2] - mean > 6 * error_of_mean
+    assert mean - means[2 * TAU] > 6 * error_of_mean
 
 
 @pytest.mark.slow

@@ -50,11 +50,11 @@ class Caught:
 class Twice(Value):
     of: Annotated[Any, LATENCIES]
 
-    def __call__(self, hops, rng):
-        return 2 * self.of(hops, rng)
+    def __call__(self, context, rng):
+        return 2 * self.of(context, rng)
 
 
-def late(hops, rng):
+def late(context, rng):
     return 0.25
 """
 

@@ -191,8 +191,8 @@ def test_in_a_frozen_game_nobody_moves():
         watcher(sampled(2.0, (0.1, 0.0), (4.0, 0.0)))
 
 
-def hurried(flight):
-    return lambda self, state, *, handover: 1.001 * flight(self, state, handover=handover)
+def hurried(choose_velocity):
+    return lambda self, state, *, handover: 1.001 * choose_velocity(self, state, handover=handover)
 
 
 def leaping(go):
@@ -218,7 +218,12 @@ def inert(_):
 
 @pytest.mark.parametrize(
     ("owner", "method", "break_it"),
-    [(EvaderBody, "flight", hurried), (Kinematics, "go", leaping), (Steering, "turn", deaf), (World, "crash", inert)],
+    [
+        (EvaderBody, "choose_velocity", hurried),
+        (Kinematics, "go", leaping),
+        (Steering, "turn", deaf),
+        (World, "crash", inert),
+    ],
 )
 def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, monkeypatch):
     """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""

@@ -340,8 +340,8 @@ def test_what_is_remembered_is_derived_once_for_a_reading_and_anew_for_a_result(
         calls.append(result)
         return len(calls)
 
-    read = trace_index(relay)
-    assert [derived(read), derived(read), derived(trace_index(relay)), derived(relay), derived(relay)] == [
+    index = trace_index(relay)
+    assert [derived(index), derived(index), derived(trace_index(relay)), derived(relay), derived(relay)] == [
         1,
         1,
         2,

@@ -248,8 +248,8 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
 class Deaf(Network):
     """It loses what arrives, and does not say so."""
 
-    def _land(self, flight, nodes, airtime, event):
-        super()._land(flight, nodes[1:], airtime, event)
+    def _land(self, transmission, nodes, airtime, event):
+        super()._land(transmission, nodes[1:], airtime, event)
 
 
 class Talkative(Network):
@@ -264,14 +264,14 @@ class Talkative(Network):
 class Unbreakable(Network):
     """Nothing keeps a message from arriving."""
 
-    def _obstacle(self, flight, node, airtime):
+    def _obstacle(self, transmission, node, airtime):
         return None
 
 
 class Leaky(Network):
     """It counts a loss and does not record it."""
 
-    def _lose(self, flight, nodes, cause):
+    def _lose(self, transmission, nodes, cause):
         self._lost[cause] += len(nodes)
 
 
@@ -286,8 +286,8 @@ class Vague(Network):
 class Doubling(Network):
     """It lets a loss happen twice."""
 
-    def _lose(self, flight, nodes, cause):
-        super()._lose(flight, [*nodes, *nodes], cause)
+    def _lose(self, transmission, nodes, cause):
+        super()._lose(transmission, [*nodes, *nodes], cause)
 
 
 SLOW = Links(latency=Constant(value=0.05))

@@ -160,13 +160,13 @@ def test_propagation_is_distance_over_speed_and_a_fixed_part():
     """A 3-4-5 triangle of sides 300, 400 and 500 m at 1500 m/s: 0.2, 0.2667 and 0.3333 s."""
     at = np.array([[0.0, 0.0], [300.0, 0.0], [300.0, 400.0]])
     sound = Propagation(fixed=0.01)
-    assert sound(hops_at(at, 0, [1, 2]), None).tolist() == pytest.approx([0.01 + 0.2, 0.01 + 1 / 3])
-    assert sound(hops_at(at, 2, [1]), None).tolist() == pytest.approx([0.01 + 4 / 15])
+    assert sound(context_at(at, 0, [1, 2]), None).tolist() == pytest.approx([0.01 + 0.2, 0.01 + 1 / 3])
+    assert sound(context_at(at, 2, [1]), None).tolist() == pytest.approx([0.01 + 4 / 15])
 
 
 def test_propagation_follows_the_positions():
     at = np.array([[0.0, 0.0], [300.0, 0.0]])
-    context = hops_at(at, 0, [1])
+    context = context_at(at, 0, [1])
     assert Propagation()(context, None) == pytest.approx(0.2)
     at[1] = 600.0, 0.0
     assert Propagation()(context, None) == pytest.approx(0.4)
@@ -182,7 +182,7 @@ def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
     def latencies(seed, speed):
         at = np.random.default_rng(seed).uniform(-500.0, 500.0, (100_001, 2))
         at[0] = 0.0
-        return Propagation(speed=speed, fixed=0.1)(hops_at(at, 0, MANY.dst), None)
+        return Propagation(speed=speed, fixed=0.1)(context_at(at, 0, MANY.dst), None)
 
     theory = 0.1 + mean / 1.5, (1 / 6 - mean**2) / 1.5**2
     assert np.abs([errors(latencies(seed, 1500.0), *theory) for seed in SEEDS]).max() < 5
@@ -194,7 +194,7 @@ def test_propagation_needs_positions():
         Propagation()(MANY, None)
 
 
-def hops_at(at, src, dst):
+def context_at(at, src, dst):
     return LinkContext(src, np.asarray(dst), positions=lambda: at)
 
 

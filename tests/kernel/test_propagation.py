@@ -39,7 +39,7 @@ COUNTS = [1, 3, 0, 9, 4000, 200, 1, 9000, 7]
 """Receivers per transmission, so that blocks end within one."""
 
 
-def travel(links, size=4, graph=None, seed=7, positions=None):
+def sampler(links, size=4, graph=None, seed=7, positions=None):
     return LinkSampler(links, nx.complete_graph(size) if graph is None else graph, seed, positions)
 
 
@@ -50,7 +50,7 @@ def arrivals_in_order(trip, src, dst, now, airtime=0):
 
 def delays(links, src, dst, seed=7, count=1, **rest):
     """Return what `count` transmissions take, s: (count, receivers)."""
-    trip = travel(links, seed=seed, **rest)
+    trip = sampler(links, seed=seed, **rest)
     taken = [np.broadcast_to(trip.arrivals(src, dst, 0, 0, 24), len(dst)) for _ in range(count)]
     return np.array(taken) / SECOND
 
@@ -63,7 +63,7 @@ def delays(links, src, dst, seed=7, count=1, **rest):
 @pytest.mark.parametrize("own", [(), (Link(src=1, dst=2, latency=Gamma()),)])
 def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):
     """In the order in which they are needed, whatever the blocks and whatever links of their own are elsewhere."""
-    trip = travel(Links(latency=model, link=own), graph=nx.star_graph([1, *range(2, 9001), 0]))
+    trip = sampler(Links(latency=model, link=own), graph=nx.star_graph([1, *range(2, 9001), 0]))
     found = [delay for count in COUNTS for delay in trip.arrivals(0, list(range(1, count + 1)), 0, 0, 24)]
     expected = model.draw(len(found), stream(7, "latency"))
     assert len(found) > 3 * BLOCK
@@ -72,7 +72,7 @@ def test_latencies_are_exactly_the_draws_that_their_stream_gives(model, own):
 
 
 def test_losses_are_exactly_the_draws_that_their_stream_gives():
-    trip = travel(Links(loss=Bernoulli(p=0.3)), graph=nx.star_graph([1, *range(2, 9001), 0]))
+    trip = sampler(Links(loss=Bernoulli(p=0.3)), graph=nx.star_graph([1, *range(2, 9001), 0]))
     found = [lost for count in COUNTS for lost in trip.losses(0, list(range(1, count + 1)), 0, 24)]
     assert found == (stream(7, "loss").random(len(found)) < 0.3).tolist()
 
@@ -82,7 +82,7 @@ def test_losses_and_latencies_do_not_share_their_luck():
     models = [Bernoulli(), Bernoulli(p=0.5), GilbertElliott()]
     found = []
     for loss in models:
-        trip = travel(Links(latency=Gamma(), loss=loss))
+        trip = sampler(Links(latency=Gamma(), loss=loss))
         row = []
         for k in range(20):
             trip.losses(0, [1, 2, 3], k * SECOND, 24)
@@ -93,7 +93,7 @@ def test_losses_and_latencies_do_not_share_their_luck():
 
 def test_what_asks_for_positions_gets_them_at_every_message():
     at = np.array([[0.0, 0.0], [300.0, 0.0]])
-    trip = travel(Links(latency=Propagation(), loss=ByDistance(distance=600.0)), 2, positions=lambda: at)
+    trip = sampler(Links(latency=Propagation(), loss=ByDistance(distance=600.0)), 2, positions=lambda: at)
     assert trip.arrivals(0, [1], 0, 0, 24) == [SECOND // 5]
     at[1] = 600.0, 0.0
     assert trip.arrivals(0, [1], SECOND, 0, 24) == [SECOND + 2 * SECOND // 5]
@@ -138,16 +138,16 @@ def test_what_a_link_does_not_name_is_that_of_the_network():
     links = Links(latency=Constant(value=1.0), link=(Link(src=0, dst=1, loss=Bernoulli(p=1.0)),))
     assert delays(links, 0, [1, 2]).tolist() == [[1.0, 1.0]]
     links = Links(loss=Bernoulli(p=1.0), link=(Link(src=0, dst=1, latency=Constant(value=2.0)),))
-    assert travel(links).losses(0, [1, 2], 0, 24) == [True, True]
+    assert sampler(links).losses(0, [1, 2], 0, 24) == [True, True]
 
 
 @pytest.mark.parametrize("loss", [Bernoulli(), Bernoulli(p=0.2), GilbertElliott(share=0.2)])
 def test_a_link_of_its_own_loses_its_own_share(loss):
     """2000 messages: 50 % on the link from 0 to 2, 20 % or none on the others, +- sqrt(p q n); the control is 40 %."""
-    trip = travel(Links(loss=loss, link=(Link(src=0, dst=2, loss=Bernoulli(p=0.5)),)))
+    trip = sampler(Links(loss=loss, link=(Link(src=0, dst=2, loss=Bernoulli(p=0.5)),)))
     assert not trip.lossless
     lost = np.array([trip.losses(0, [1, 2, 3], 0, 24) or [False] * 3 for _ in range(2000)])
-    plain = travel(Links(loss=loss))
+    plain = sampler(Links(loss=loss))
     alike = np.array([plain.losses(0, [1, 2, 3], 0, 24) or [False] * 3 for _ in range(2000)])
     assert abs(lost[:, 1].sum() - 1000) < 5 * sqrt(500)
     assert abs(lost[:, 1].sum() - 800) > 5 * sqrt(500)
@@ -158,21 +158,21 @@ def test_bursts_of_a_link_of_its_own_go_on_from_message_to_message():
     """A burst of 10^6 messages: all or nothing within a run, and half of the runs; the control has no memory."""
     runs = []
     for seed in range(40):
-        trip = travel(Links(link=(Link(src=0, dst=1, loss=GilbertElliott(share=0.5, burst=1e6)),)), seed=seed)
+        trip = sampler(Links(link=(Link(src=0, dst=1, loss=GilbertElliott(share=0.5, burst=1e6)),)), seed=seed)
         runs.append([trip.losses(0, [1], 0, 24)[0] for _ in range(50)])
     assert all(len(set(run)) == 1 for run in runs)
     assert 5 < sum(run[0] for run in runs) < 35
-    trip = travel(Links(link=(Link(src=0, dst=1, loss=Bernoulli(p=0.5)),)))
+    trip = sampler(Links(link=(Link(src=0, dst=1, loss=Bernoulli(p=0.5)),)))
     assert len({trip.losses(0, [1], 0, 24)[0] for _ in range(50)}) == 2
 
 
 def test_an_ideal_network_loses_nothing_and_says_so():
-    assert travel(Links()).lossless
-    assert travel(Links(link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
-    assert not travel(Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])).lossless
-    assert not travel(Links(loss=Bernoulli(p=0.1), link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
-    assert travel(Links()).losses(0, [1, 2], 0, 24) is None
-    assert not travel(Links(loss=Bernoulli(p=0.1))).lossless
+    assert sampler(Links()).lossless
+    assert sampler(Links(link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
+    assert not sampler(Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])).lossless
+    assert not sampler(Links(loss=Bernoulli(p=0.1), link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
+    assert sampler(Links()).losses(0, [1, 2], 0, 24) is None
+    assert not sampler(Links(loss=Bernoulli(p=0.1))).lossless
 
 
 def test_links_of_their_own_are_those_of_a_whole_network():
@@ -199,8 +199,8 @@ MESSAGES = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 30), st.integers
 @given(MESSAGES, st.integers(0, 99), st.sampled_from([Uniform(high=1.0), PerPair(jitter=Uniform(high=1.0)), Gamma()]))
 def test_with_fifo_no_message_of_a_link_arrives_before_an_earlier_one(messages, seed, model):
     """A message waits for those of its link before it and for nothing else: it arrives with the latest of them."""
-    fifo = travel(Links(latency=model, order="fifo"), seed=seed)
-    free = travel(Links(latency=model), seed=seed)
+    fifo = sampler(Links(latency=model, order="fifo"), seed=seed)
+    free = sampler(Links(latency=model), seed=seed)
     seen = {}
     for src, t, airtime in sorted(messages, key=lambda each: each[1]):
         dst = [node for node in range(4) if node != src]
@@ -215,10 +215,10 @@ def test_with_fifo_no_message_of_a_link_arrives_before_an_earlier_one(messages, 
 
 def test_without_fifo_messages_overtake():
     """The control of the property above: of 100 messages 10 ms apart with up to 1 s of latency many overtake."""
-    trip = travel(Links(latency=Uniform(high=1.0)))
+    trip = sampler(Links(latency=Uniform(high=1.0)))
     arrivals = [trip.arrivals(0, [1], k * SECOND // 100, 0, 24)[0] for k in range(100)]
     assert (np.diff(arrivals) < 0).sum() > 20
-    trip = travel(Links(latency=Uniform(high=1.0), order="fifo"))
+    trip = sampler(Links(latency=Uniform(high=1.0), order="fifo"))
     arrivals = [arrivals_in_order(trip, 0, [1], k * SECOND // 100)[0] for k in range(100)]
     assert (np.diff(arrivals) >= 0).all()
 
@@ -240,7 +240,7 @@ def test_fifo_mail_is_read_in_the_order_in_which_it_was_sent(order, own):
 
 def test_a_link_of_its_own_keeps_its_order_too():
     own = (Link(src=0, dst=1, latency=Uniform(high=1.0)),)
-    trip = travel(Links(order="fifo", link=own))
+    trip = sampler(Links(order="fifo", link=own))
     arrivals = np.array([arrivals_in_order(trip, 0, [1, 2], k * SECOND // 100) for k in range(100)])
     assert (np.diff(arrivals, axis=0) >= 0).all()
     assert (np.diff(arrivals[:, 1]) == SECOND // 100).all()
@@ -257,21 +257,21 @@ def test_a_link_of_its_own_keeps_its_order_too():
 @pytest.mark.parametrize("own", [(), (Link(src=0, dst=1, latency=Constant(value=0.5)),)])
 def test_processing_and_airtime_are_added_once_each(model, order, own):
     """2 s of now, 10 ms to send, 0.3 s on the air, 0.5 s on the way, 7 ms to read: 2.817 s."""
-    trip = travel(Links(latency=model, order=order, link=own, processing=Processing(sender=0.010, receiver=0.007)))
+    trip = sampler(Links(latency=model, order=order, link=own, processing=Processing(sender=0.010, receiver=0.007)))
     arrival = trip.arrivals(0, [1, 2, 3], 2 * SECOND, 300_000_000, 24)
     assert np.broadcast_to(arrival, 3).tolist() == [2_817_000_000] * 3
 
 
 def test_times_are_rounded_to_the_nanosecond_and_not_cut_off():
-    assert travel(Links(latency=Constant(value=1.6e-9))).arrivals(0, [1], 0, 0, 24) == 2
-    assert travel(Links(latency=Uniform(low=1.6e-9, high=1.6e-9))).arrivals(0, [1], 0, 0, 24) == [2]
+    assert sampler(Links(latency=Constant(value=1.6e-9))).arrivals(0, [1], 0, 0, 24) == 2
+    assert sampler(Links(latency=Uniform(low=1.6e-9, high=1.6e-9))).arrivals(0, [1], 0, 0, 24) == [2]
 
 
 def test_nobody_waits_for_a_message_that_is_lost():
     """Half of the messages are lost; one that is not arrives when it would, or with the last before it that arrived."""
     clock, trace = Clock(), Trace()
     links = Links(latency=Uniform(high=1.0), loss=Bernoulli(p=0.5), order="fifo")
-    free = travel(Links(latency=Uniform(high=1.0)), size=2)
+    free = sampler(Links(latency=Uniform(high=1.0)), size=2)
     network = Network(clock, nx.complete_graph(2), links, seed=7, trace=trace)
     expected, latest = [], 0
 
@@ -293,12 +293,12 @@ def test_nobody_waits_for_a_message_that_is_lost():
 def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
     """Exponential of mean 50 ms over 4 nodes: 1,200 draws, within 5 x 50 / sqrt(1200) ms; none of the run."""
     links = Links(latency=ShiftedExponential(mean=0.05), order="fifo")
-    trip, same = travel(links), travel(links)
+    trip, same = sampler(links), sampler(links)
     typical = trip.typical_latency()
     assert typical == pytest.approx(0.05, abs=5 * 0.05 / sqrt(1200))
     assert abs(2 * typical - 0.05) > 5 * 0.05 / sqrt(1200)
     assert trip.arrivals(0, [1, 2], 0, 0, 24) == same.arrivals(0, [1, 2], 0, 0, 24)
-    fresh = travel(links)
+    fresh = sampler(links)
     run = np.array([fresh.arrivals(0, [1], 0, 0, 24)[0] / SECOND for _ in range(BLOCK)])
     means = np.cumsum(run) / np.arange(1, BLOCK + 1)
     assert abs(means - typical).min() > 1e-10
@@ -306,13 +306,13 @@ def test_the_typical_latency_is_the_mean_of_draws_of_its_own():
 
 def test_the_typical_latency_includes_the_processing_at_both_ends():
     links = Links(latency=Constant(value=0.1), processing=Processing(sender=0.02, receiver=0.03))
-    assert travel(links).typical_latency() == pytest.approx(0.15)
+    assert sampler(links).typical_latency() == pytest.approx(0.15)
 
 
 def test_the_loss_of_a_link_of_its_own_does_not_change_its_latencies():
     def latencies(p):
         own = Link(src=0, dst=1, latency=Uniform(high=1.0), loss=Bernoulli(p=p))
-        trip, found = travel(Links(link=(own,))), []
+        trip, found = sampler(Links(link=(own,))), []
         for _ in range(20):
             trip.losses(0, [1, 2], 0, 24)
             found.append(trip.arrivals(0, [1, 2], 0, 0, 24))
@@ -323,7 +323,7 @@ def test_the_loss_of_a_link_of_its_own_does_not_change_its_latencies():
 
 def test_a_link_that_is_not_in_the_graph_is_refused():
     with pytest.raises(ValueError, match="no link from 0 to 2 in the graph"):
-        travel(Links(link=(Link(src=0, dst=2, loss=Bernoulli(p=0.5)),)), graph=nx.path_graph(3))
+        sampler(Links(link=(Link(src=0, dst=2, loss=Bernoulli(p=0.5)),)), graph=nx.path_graph(3))
 
 
 # Answers of models of one's own.
@@ -336,21 +336,21 @@ def answering(answer):
 
 @pytest.mark.parametrize("answer", [0.5, np.float64(0.5), np.array(0.5), [0.5] * 3, (0.5,) * 3, np.full(3, 0.5)])
 def test_a_latency_model_may_answer_with_one_number_or_one_per_hop(answer):
-    arrival = travel(Links(latency=answering(answer))).arrivals(0, [1, 2, 3], 0, 0, 24)
+    arrival = sampler(Links(latency=answering(answer))).arrivals(0, [1, 2, 3], 0, 0, 24)
     assert np.broadcast_to(arrival, 3).tolist() == [SECOND // 2] * 3
 
 
 @pytest.mark.parametrize("order", ["fifo", "overtaking"])
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_a_latency_model_that_answers_for_another_number_of_hops_is_refused_with_both_numbers(count, order):
-    trip = travel(Links(latency=answering([0.5] * count), order=order))
+    trip = sampler(Links(latency=answering([0.5] * count), order=order))
     with pytest.raises(ValueError, match=f"one number or one for each of 3 links, got {count}"):
         trip.arrivals(0, [1, 2, 3], 0, 0, 24)
 
 
 @pytest.mark.parametrize("answer", [True, np.True_, [True] * 3, np.full(3, True)])
 def test_a_loss_model_may_answer_with_one_truth_or_one_per_hop(answer):
-    assert travel(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24) == [True] * 3
+    assert sampler(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24) == [True] * 3
 
 
 NO_TRUTHS = [None, 0.0, 1, [0.0, 1.0, 0.0], [0, 1, 0], [None] * 3, "yes", [], [True], [True] * 2, [True] * 4]
@@ -359,7 +359,7 @@ NO_TRUTHS = [None, 0.0, 1, [0.0, 1.0, 0.0], [0, 1, 0], [None] * 3, "yes", [], [T
 @pytest.mark.parametrize("answer", NO_TRUTHS, ids=repr)
 def test_a_loss_model_that_answers_with_anything_but_one_truth_or_one_per_hop_is_refused(answer):
     with pytest.raises(ValueError, match=r"one boolean or one for each of 3 links, got (None|'yes'|[\d.\[])"):
-        travel(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24)
+        sampler(Links(loss=answering(answer))).losses(0, [1, 2, 3], 0, 24)
 
 
 @pytest.mark.parametrize("as_attribute", [True, False], ids=["edge", "link"])
@@ -370,8 +370,8 @@ def test_a_link_of_its_own_answers_for_a_single_hop(as_attribute):
         graph = nx.complete_graph(4)
         if as_attribute:
             graph.edges[0, 2].update(model)
-            return travel(Links(), graph=graph)
-        return travel(Links(link=(Link(src=0, dst=2, **model),)))
+            return sampler(Links(), graph=graph)
+        return sampler(Links(link=(Link(src=0, dst=2, **model),)))
 
     for answer in (0.5, [0.5]):
         assert trip(latency=answering(answer)).arrivals(0, [1, 2, 3], 0, 0, 24) == [0, SECOND // 2, 0]
@@ -394,7 +394,7 @@ def test_a_link_may_keep_an_order_of_its_own(order, by_edge):
     if by_edge:
         graph.edges[0, 1]["order"] = order
     own = () if by_edge else (Link(src=0, dst=1, order=order),)
-    trip = travel(Links(latency=Uniform(high=1.0), order=other, link=own), graph=graph)
+    trip = sampler(Links(latency=Uniform(high=1.0), order=other, link=own), graph=graph)
     found = np.array([arrivals_in_order(trip, 0, [1, 2], k * SECOND // 100) for k in range(100)])
     kept = (np.diff(found, axis=0) >= 0).all(axis=0)
     assert kept.tolist() == [order == "fifo", other == "fifo"]

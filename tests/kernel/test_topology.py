@@ -98,13 +98,13 @@ def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
     """With fading per message, messages 0 to 4 are heard by different nodes, and each by the same again."""
     at = np.column_stack([np.arange(50.0), np.zeros(50)])
 
-    def latest_records(seed):
+    def hearers_of_each(seed):
         topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), per_link=False, seed=seed)
         return [topology.hearers(0, message) for message in range(5)]
 
-    assert latest_records(1) == latest_records(1)
-    assert latest_records(1) != latest_records(2)
-    assert len(set(map(tuple, latest_records(1)))) == 5
+    assert hearers_of_each(1) == hearers_of_each(1)
+    assert hearers_of_each(1) != hearers_of_each(2)
+    assert len(set(map(tuple, hearers_of_each(1)))) == 5
 
 
 # Many nodes: who may be near is looked up, and the answers are those of all distances.

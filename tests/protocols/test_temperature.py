@@ -108,9 +108,9 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
     return seen
 
 
-def since(turns, reheat_on):
+def since(turns, surprises):
     """Return how many slots have passed at each turn since the last of the surprises, or since 0 s."""
-    return [(turn - max([0.0, *(s for s in reheat_on if s <= turn)])) / SLOT for turn in turns]
+    return [(turn - max([0.0, *(s for s in surprises if s <= turn)])) / SLOT for turn in turns]
 
 
 def eventful(me):

@@ -253,9 +253,9 @@ class Drop:
     def __init__(self, *numbers):
         self._numbers, self._next = numbers, 0
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         self._next += 1
-        return np.full(len(hops.dst), self._next - 1 in self._numbers)
+        return np.full(len(context.dst), self._next - 1 in self._numbers)
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.1])
@@ -282,8 +282,8 @@ def test_a_receipt_that_is_lost_is_given_again_and_the_duplicate_not_accepted(la
 def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hold():
     """The first token takes 0.34 s; its repetition, sent after 2.5 L, comes 0.01 s later."""
 
-    def late(hops, rng):
-        return np.full(len(hops.dst), 0.34 if 0.04 < hops.now < 0.06 else 0.1)
+    def late(context, rng):
+        return np.full(len(context.dst), 0.34 if 0.04 < context.now < 0.06 else 0.1)
 
     result = run(frozen(flips(TokenRing(holding_time=0.05)), latency=late), 0)
     assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2

@@ -64,5 +64,5 @@ class Storm:
     def __init__(self, p, until):
         self._p, self._until = p, until
 
-    def __call__(self, hops, rng):
-        return rng.random(len(hops.dst)) < (self._p if hops.now < self._until else 0.0)
+    def __call__(self, context, rng):
+        return rng.random(len(context.dst)) < (self._p if context.now < self._until else 0.0)

@@ -164,7 +164,7 @@ class Dicing:
     def __init__(self, drawn):
         self._drawn = drawn
 
-    def broadcast(self, me, news):
+    def broadcast(self, me, announcement):
         """Say nothing."""
 
     def __call__(self, me):

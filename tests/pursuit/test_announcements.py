@@ -400,9 +400,9 @@ def test_after_a_warm_start_everybody_knows_who_is_active_at_first(payload, acti
 # Overtaking.
 
 
-def late_at_first(hops, rng):
+def late_at_first(context, rng):
     """The latency: 1 s until 0.25 s, 0.1 s from then on."""
-    return 1.0 if hops.now < 0.25 else 0.1
+    return 1.0 if context.now < 0.25 else 0.1
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)

@@ -34,15 +34,15 @@ def test_intercept_time_is_the_first_time_at_which_the_evader_can_be_reached(eva
     """|x_e + w t - x_i| <= v t + eps holds at phi and at no sampled earlier time."""
     phi = float(intercept_time(evader, velocity, [at], [speed], eps)[0])
 
-    def uncertainty(t):
+    def slack(t):
         gap = np.array(evader) + np.array(velocity) * t - np.array(at)
         return speed * t + eps - np.hypot(*gap)
 
     scale = 1e-6 * (1 + np.hypot(*velocity)) * (1 + min(phi, 1e6))
     horizon = 100.0 if phi == inf else phi
     if phi < 1e6:
-        assert uncertainty(phi) >= -scale
-    assert phi == 0.0 or all(uncertainty(t) < scale for t in np.linspace(0.0, min(horizon, 100.0), 200)[:-1])
+        assert slack(phi) >= -scale
+    assert phi == 0.0 or all(slack(t) < scale for t in np.linspace(0.0, min(horizon, 100.0), 200)[:-1])
 
 
 def test_a_closing_speed_that_is_nothing_but_rounding_counts_as_none():

@@ -39,7 +39,7 @@ def named(strategy):
     return strategy.kind
 
 
-def outlook(*pursuers, evader=0j, active=True, speeds=1.5, t=0, **knowledge):
+def observation(*pursuers, evader=0j, active=True, speeds=1.5, t=0, **knowledge):
     """Return what an evader of speed 1 m/s knows; the radius of capture is 0.1 m."""
     count = len(pursuers)
     state = State(t, np.array(pursuers, dtype=complex), complex(evader), np.broadcast_to(active, count).copy())
@@ -47,7 +47,7 @@ def outlook(*pursuers, evader=0j, active=True, speeds=1.5, t=0, **knowledge):
 
 
 def heading_of(strategy, *pursuers, seed=0, **knowledge):
-    return strategy(outlook(*pursuers, **knowledge), np.random.default_rng(seed))
+    return strategy(observation(*pursuers, **knowledge), np.random.default_rng(seed))
 
 
 def walk(strategy, step, duration, *pursuers, evader=0j, seed=0):
@@ -55,7 +55,7 @@ def walk(strategy, step, duration, *pursuers, evader=0j, seed=0):
     rng = np.random.default_rng(seed)
     heading, elapsed = 0j, 0.0
     for k in range(round(duration / step)):
-        now = outlook(*pursuers, evader=evader, t=round(k * step * 1e9), heading=heading, elapsed=elapsed)
+        now = observation(*pursuers, evader=evader, t=round(k * step * 1e9), heading=heading, elapsed=elapsed)
         heading, elapsed = strategy(now, rng), step
         yield evader, heading
         evader += heading * step
@@ -122,10 +122,10 @@ def test_a_turned_and_moved_pursuit_has_a_turned_heading(strategy, team, evader,
     distances = np.sort(np.abs(np.array(team) - evader))
     assume(distances[0] > 1e-3 and (len(team) == 1 or distances[1] > distances[0] * (1 + 1e-6)))
     turn = rect(1.0, angle)
-    here = outlook(*team, evader=evader)
+    here = observation(*team, evader=evader)
     if isinstance(strategy, WeightedFlee):
         assume(abs((here.offsets / here.distances**3).sum()) * distances[0] ** 2 > 1e-3)
-    there = outlook(*(turn * (place - shift) for place in team), evader=turn * (evader - shift))
+    there = observation(*(turn * (place - shift) for place in team), evader=turn * (evader - shift))
     rng = np.random.default_rng(0)
     assert strategy(there, rng) == pytest.approx(turn * strategy(here, rng), abs=1e-8)
 
@@ -194,7 +194,7 @@ def test_pushes_that_cancel_leave_it_where_it_is():
 @given(crowds, points, st.floats(0.0, 3.0))
 def test_max_min_is_at_least_as_good_as_pure_evasion_by_its_own_measure(team, evader, speed):
     """And than any of its candidates: the grid begins with pure evasion."""
-    here = outlook(*team, evader=evader, speeds=speed)
+    here = observation(*team, evader=evader, speeds=speed)
     rng = np.random.default_rng(0)
     pure, best = PureEvasion()(here, rng), MaxMin()(here, rng)
     assume(pure)
@@ -218,7 +218,7 @@ def test_max_min_escapes_between_two_pursuers():
 
 def test_first_captures_are_those_of_the_first():
     """Towards a pursuer of 1.5 m/s at 5 m, at 1 m/s: 4.9 / 2.5 s; away from it 4.9 / 0.5 s; the other is far."""
-    times = first_captures(outlook(5 + 0j, 1e3 + 0j), np.array([1 + 0j, -1 + 0j]))
+    times = first_captures(observation(5 + 0j, 1e3 + 0j), np.array([1 + 0j, -1 + 0j]))
     assert times == pytest.approx([4.9 / 2.5, 4.9 / 0.5])
 
 

@@ -133,7 +133,7 @@ def games_on_graphs(draw, most=6):
     return phi, nx.gnp_random_graph(count, draw(st.floats(0.0, 1.0)), seed=draw(st.integers(0, 1000)))
 
 
-def latest_records(graph):
+def neighbourhoods(graph):
     """Return for each pursuer whom it hears."""
     return [list(graph.adj[i]) for i in range(len(graph))]
 
@@ -151,7 +151,7 @@ def maximal_independent_sets(phi, reward, graph):
 @given(games_on_graphs())
 def test_with_a_penalty_on_edges_the_equilibria_are_the_maximal_independent_sets(game):
     phi, graph = game
-    assert set(equilibria(phi, 10.0, EdgePenalty(), latest_records(graph))) == maximal_independent_sets(
+    assert set(equilibria(phi, 10.0, EdgePenalty(), neighbourhoods(graph))) == maximal_independent_sets(
         phi, 10.0, graph
     )
 
@@ -160,7 +160,7 @@ def test_with_a_penalty_on_edges_the_equilibria_are_the_maximal_independent_sets
 def test_the_greedy_set_is_a_maximal_independent_one_and_the_only_fixed_point_of_local_min(game):
     """A fixed point: who is active is in time and hears nobody active of smaller phi, and who is not is or does not."""
     phi, graph = game
-    greedy = greedy_maximal_independent_set(phi, 10.0, latest_records(graph))
+    greedy = greedy_maximal_independent_set(phi, 10.0, neighbourhoods(graph))
     assert greedy in maximal_independent_sets(phi, 10.0, graph)
 
     def chases(profile, i):
@@ -183,9 +183,9 @@ def test_in_the_greedy_set_whom_one_hears_counts_and_not_by_whom_one_is_heard():
 
 def test_on_a_path_of_three_the_local_mean_has_no_equilibrium():
     """j - i - k with phi = (1, 2, 4): by enumeration. Where all hear all it has one; with a penalty on edges two."""
-    hearing = latest_records(nx.path_graph(3))
+    hearing = neighbourhoods(nx.path_graph(3))
     assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), hearing) == []
-    assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), latest_records(nx.complete_graph(3))) == [
+    assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), neighbourhoods(nx.complete_graph(3))) == [
         (True, False, False)
     ]
     assert equilibria([1.0, 2.0, 4.0], 25.0, EdgePenalty(), hearing) == [(False, True, False), (True, False, True)]

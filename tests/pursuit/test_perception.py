@@ -55,14 +55,14 @@ class Witness:
         return next(self._headings, 1 + 0j)
 
 
-def mind(strategy, *, seed=0, **settings):
+def controller(strategy, *, seed=0, **settings):
     return Evader(strategy=strategy, **settings).controller(np.random.default_rng(seed), SPEEDS, 0.1)
 
 
 def told(states, **settings):
     """Return the outlooks of an evader that is asked in these states."""
     witness = Witness()
-    whole = mind(witness, **settings)
+    whole = controller(witness, **settings)
     for each in states:
         whole.heading(each)
     return witness.outlooks
@@ -77,7 +77,7 @@ def told(states, **settings):
     ids=lambda strategy: strategy.kind,
 )
 def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit(strategy):
-    whole, rng, heading = mind(strategy, seed=3), np.random.default_rng(3), 0j
+    whole, rng, heading = controller(strategy, seed=3), np.random.default_rng(3), 0j
     for k in range(40):
         now = state(50 * k * MS, evader=0.1 * k + 0j)
         expected = strategy(EvaderObservation(now, SPEEDS, 0.9, 0.1, heading, 0.05 if k else 0.0), rng)
@@ -86,16 +86,16 @@ def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit
 
 
 def test_an_outlook_is_the_state_and_what_the_evader_knows_of_itself():
-    (outlook,) = told([now := state(7 * MS)], speed=0.9)
+    (observation,) = told([now := state(7 * MS)], speed=0.9)
     for name, value in vars(now).items():
-        assert getattr(outlook, name) is value
-    assert (outlook.speed, outlook.radius, outlook.speeds.tolist()) == (0.9, 0.1, SPEEDS.tolist())
+        assert getattr(observation, name) is value
+    assert (observation.speed, observation.radius, observation.speeds.tolist()) == (0.9, 0.1, SPEEDS.tolist())
 
 
 @pytest.mark.parametrize("sight", [inf, 2.5])
 def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sight):
     witness = Witness(1j, 0j, 0.5 + 0j)
-    whole = mind(witness, sensing_range=sight)
+    whole = controller(witness, sensing_range=sight)
     chosen = [whole.heading(state(t * MS), handover=t == 40) for t in (0, 10, 40, 45)]
     assert chosen == [1j, 0j, 0.5 + 0j, 1 + 0j]
     assert [each.heading for each in witness.outlooks] == [0j, 1j, 0j, 0.5 + 0j]
@@ -106,7 +106,7 @@ def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sigh
 
 def test_only_who_listens_has_to_be_told_of_hand_overs():
     assert [Evader(strategy=each).listens for each in (PureEvasion(), Witness(), Listener())] == [False, False, True]
-    listening = mind(Listener())
+    listening = controller(Listener())
     assert [listening.heading(state(0), handover) for handover in (True, False)] == [1 + 0j, 0j]
 
 
@@ -116,7 +116,7 @@ def test_a_heading_of_more_than_1_is_refused(heading):
         return heading
 
     with pytest.raises(ValueError, match=r"a heading should have length at most 1, got .* from <function"):
-        mind(wrong).heading(state(0))
+        controller(wrong).heading(state(0))
 
 
 # Late.
@@ -127,12 +127,12 @@ def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k)
     """And the evader where it is; in the first k steps, the pursuers as they were at first."""
     states = [state(10 * n * MS, evader=0.3j * n, active=(n % 2 == 0, n % 3 == 0, True)) for n in range(20)]
     late = told(states, reaction_delay=k * 0.01)
-    for n, outlook in enumerate(late):
+    for n, observation in enumerate(late):
         before = states[max(n - k, 0)]
-        assert (outlook.t, outlook.evader) == (states[n].t, states[n].evader)
-        assert outlook.pursuers.tolist() == before.pursuers.tolist()
-        assert outlook.active.tolist() == before.active.tolist()
-        assert outlook.offsets.tolist() == (states[n].evader - before.pursuers).tolist()
+        assert (observation.t, observation.evader) == (states[n].t, states[n].evader)
+        assert observation.pursuers.tolist() == before.pursuers.tolist()
+        assert observation.active.tolist() == before.active.tolist()
+        assert observation.offsets.tolist() == (states[n].evader - before.pursuers).tolist()
 
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=30), st.integers(1, 10**9))
@@ -185,18 +185,18 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
 def test_it_sees_who_is_within_its_sight_in_the_order_of_the_team():
     """At 2, 3 and 7.07 m."""
     for sight, count in ((0.0, 0), (1.99, 0), (2.0, 1), (3.0, 2), (7.0, 2), (7.1, 3), (inf, 3)):
-        (outlook,) = told([state(0)], sensing_range=sight)
-        assert outlook.pursuers.tolist() == TEAM[:count].tolist()
-        assert outlook.speeds.tolist() == SPEEDS[:count].tolist()
-        assert outlook.active.tolist() == [True, True, False][:count]
-        assert outlook.nearest == (0 if count else -1)
-    (outlook,) = told([state(0, evader=5 + 4j)], sensing_range=5.5)
-    assert (outlook.pursuers.tolist(), outlook.nearest) == (TEAM[1:].tolist(), 1)
+        (observation,) = told([state(0)], sensing_range=sight)
+        assert observation.pursuers.tolist() == TEAM[:count].tolist()
+        assert observation.speeds.tolist() == SPEEDS[:count].tolist()
+        assert observation.active.tolist() == [True, True, False][:count]
+        assert observation.nearest == (0 if count else -1)
+    (observation,) = told([state(0, evader=5 + 4j)], sensing_range=5.5)
+    assert (observation.pursuers.tolist(), observation.nearest) == (TEAM[1:].tolist(), 1)
 
 
 @pytest.mark.parametrize("flees_from", ["all", "active"])
 def test_nobody_in_sight_is_nobody_to_flee_from(flees_from):
-    whole = mind(PureEvasion(flees_from=flees_from), sensing_range=1.0)
+    whole = controller(PureEvasion(flees_from=flees_from), sensing_range=1.0)
     assert [whole.heading(state(t * MS)) for t in (0, 900, 1000)] == [0j, 0j, 1 + 0j]
 
 

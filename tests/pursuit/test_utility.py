@@ -164,8 +164,8 @@ EXACT = {
 
 def gain_in(utility, phi, active, reward, graph, i):
     """Return what pursuer i gains by being active, if the others do as they do, s."""
-    counted_teammates = graph.adj[i] if utility.scope == "neighbours" else set(graph) - {i}
-    return utility(phi[i], [phi[j] for j in sorted(counted_teammates) if active[j]], reward)
+    counted = graph.adj[i] if utility.scope == "neighbours" else set(graph) - {i}
+    return utility(phi[i], [phi[j] for j in sorted(counted) if active[j]], reward)
 
 
 @st.composite

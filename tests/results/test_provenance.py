@@ -111,7 +111,7 @@ def test_it_loads_nothing_that_takes_time_to_import():
 class Delay:
     value: float
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return self.value
 
 
@@ -121,7 +121,7 @@ class Slotted:
     def __init__(self):
         self.other = 1.0
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return self.other
 
 
@@ -129,23 +129,23 @@ class Stateful:
     def __init__(self):
         self.other = 1.0
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return self.other
 
 
 class Stateless:
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return 0.5
 
 
 class Own(Value):
     value: float = 0.5
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return self.value
 
 
-def half_a_second(hops, rng):
+def half_a_second(context, rng):
     return 0.5
 
 

@@ -172,12 +172,12 @@ def upwards(state, rng):
     return 1j
 
 
-def half_a_second(hops, rng):
+def half_a_second(context, rng):
     return 0.5
 
 
-def to_even_nodes(hops, rng):
-    return hops.dst % 2 == 0
+def to_even_nodes(context, rng):
+    return context.dst % 2 == 0
 
 
 @pytest.fixture(scope="module")

@@ -512,7 +512,7 @@ from typing import Literal
 from desim.config.model import Positive, Value
 
 
-def slow(hops, rng):
+def slow(context, rng):
     return 0.5
 
 
@@ -530,7 +530,7 @@ class Steady(Value):
 class Doubled(Value):
     value: Positive = 1.0
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return 2 * self.value
 
 
@@ -538,7 +538,7 @@ class Plain:
     def __init__(self, value=1.0):
         self.value = value
 
-    def __call__(self, hops, rng):
+    def __call__(self, context, rng):
         return self.value
 
 

@@ -308,7 +308,7 @@ def test_a_store_does_not_return_the_results_of_another_model(tmp_path):
     def times(heading, store):
         table = np.zeros(2000)
         table[1000] = heading
-        scenario = Scenario(horizon=1.0, evader={"strategy": lambda outlook, rng: table[1000]})
+        scenario = Scenario(horizon=1.0, evader={"strategy": lambda state, rng: table[1000]})
         (group,) = sweep(scenario, {"team.count": [4]}, reps=2, store=store).groups
         return group.values("potential_gap")
 
