@@ -17,7 +17,7 @@ def described(
     Models in `known` are only named; the models described are added to it.
     """
     known = set() if known is None else known
-    yield f"{indent}{title}: {(model.__doc__ or '').strip().splitlines()[0]}"
+    yield f"{indent}{title}: {_summary(model)}"
     if model in known:
         return
     known.add(model)
@@ -54,7 +54,9 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
 
 
 def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[BaseModel]]) -> Iterator[str]:
-    yield f"{indent}{name}{_default_of(field)}: {' '.join((field.description or '').split())}"
+    plain = next(models_in(field.annotation), None)
+    text = field.description or (_summary(plain) if plain is not None else "")
+    yield f"{indent}{name}{_default_of(field)}: {' '.join(text.split())}"
     for choice in choices_of(field):
         choices = choice.choices()
         if known.issuperset(choices.values()):
@@ -62,8 +64,13 @@ def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[B
             continue
         for kind, chosen in choices.items():
             yield from described(chosen, kind, indent + "    ", known)
-    for plain in models_in(field.annotation):
-        yield from list(described(plain, name, indent, known))[1:]
+    for model in models_in(field.annotation):
+        yield from list(described(model, name, indent, known))[1:]
+
+
+def _summary(model: type[BaseModel]) -> str:
+    """Return the first line of the docstring of a model; "" without a docstring."""
+    return (model.__doc__ or "").strip().partition("\n")[0]
 
 
 def _default_of(field: FieldInfo) -> str:

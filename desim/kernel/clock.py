@@ -41,7 +41,7 @@ class Phase(IntEnum):
     DECISION = 5 << 32
     """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32
-    """Nodes repeat their last announcement."""
+    """Nodes repeat their last announcement, and pursuers announce the decisions of a round."""
     MOTION = 7 << 32
     """Headings are recomputed."""
     SAMPLE = 8 << 32

@@ -49,7 +49,8 @@ class Inbox:
         """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
-            priority: the SimPy priority of the event; that of a decision of the node if None.
+            priority: the SimPy priority of the event; that of the call before if None, at first that of a decision of
+                the node.
         """
         if priority is not None:
             self._priority = priority

@@ -27,7 +27,9 @@ def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
 
 
 class Strategy(Protocol):
-    """An evader's strategy: `strategy(state, rng)` returns a unit heading (a complex number), or 0 to stand still.
+    """An evader's strategy: `strategy(state, rng)` returns a heading, a complex number of length at most 1.
+
+    The velocity is the heading times the speed; 0 stands still.
 
     A strategy that reads `state.handover` has an attribute `listens = True`.
     """

@@ -86,4 +86,4 @@ class Ended(NamedTuple):
     t: Nanoseconds
     reason: Literal["captured", "horizon", "stopped"]
     capturer: NodeId | None
-    """The pursuer that captured the evader, or the last of several; None without a capture."""
+    """The pursuer that captured the evader, or the last of several; None if the pursuit did not end with a capture."""

@@ -214,7 +214,7 @@ class Motion(Value):
 
 
 class Recording(Value):
-    """The records of a run beside decisions and captures."""
+    """The recordings of a run in addition to decisions and captures."""
 
     trajectory: Annotated[Time, AfterValidator(_never_or_period), Recurring] = 0.05
     """Time between samples of all positions, s; 0 = none."""
