@@ -83,11 +83,11 @@ class Voronoi(Geometric):
     @property
     def assumes(self) -> tuple[str, ...]:
         """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
-        return (*super().assumes, "places_known", "equal_speeds")
+        return (*super().assumes, "positions_known", "equal_speeds")
 
     def measure(self, me: Agent, evader: int) -> Measure:
         """Return the distance to the evader as the measure, m."""
-        return lambda known: lengths(me.evader(evader) - known.places)
+        return lambda known: lengths(me.evader(evader) - known.positions)
 
 
 class Argmin(Geometric):
@@ -104,7 +104,7 @@ class Argmin(Geometric):
     @property
     def assumes(self) -> tuple[str, ...]:
         """The assumptions of the rule about the scenario; see `desim.scenario.assumptions`."""
-        return (*super().assumes, "times_known" if self.by == "capture_time" else "places_known")
+        return (*super().assumes, "times_known" if self.by == "capture_time" else "positions_known")
 
     def measure(self, me: Agent, evader: int) -> Measure:
         """Return the capture or intercept time as the measure, s."""
@@ -115,7 +115,7 @@ class Argmin(Geometric):
         def intercept(known: TeamEstimate) -> Floats:
             place = me.evader(evader)
             x_e, w = (coordinates(np.array([each]))[0] for each in (place, velocity(me.now, place)))
-            return intercept_time(x_e, w, coordinates(known.places), known.speeds, me.radius)
+            return intercept_time(x_e, w, coordinates(known.positions), known.speeds, me.radius)
 
         return intercept
 

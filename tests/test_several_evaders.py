@@ -214,7 +214,7 @@ def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sen
         me.assign(2)
         me.broadcast()
         yield me.at(1.0)
-        seen.append((me.id, me.team_estimate(1).places[0]))
+        seen.append((me.id, me.team_estimate(1).positions[0]))
 
     team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
     evaders = (
@@ -244,13 +244,13 @@ def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
     world.begin()
     world.set_action(0, 1), world.set_action(1, 1)
     clock.run(until=SECOND)
-    told = world.places()
+    told = world.positions()
     clock.run(until=8 * SECOND)
     assert world.evaders() == (2,)
     for pursuer in (0, 1) if exact else (0,):
         for place, age in ((team.positions[pursuer], 8), ((told[pursuer].real, told[pursuer].imag), 7)):
             reckoned = world.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
-            assert abs(reckoned - world.place(pursuer)) < 1e-9
+            assert abs(reckoned - world.position(pursuer)) < 1e-9
         # Who told it after the capture has not moved since.
         assert world.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
 

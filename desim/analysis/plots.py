@@ -29,8 +29,8 @@ __all__ = [
     "Axes",
     "Figure",
     "draw_trajectory",
-    "place",
     "save",
+    "set_plane",
     "styled",
     "trajectory",
 ]
@@ -105,7 +105,7 @@ def trajectory(result: Result) -> Figure:
     return figure
 
 
-def place(axes: Axes) -> None:
+def set_plane(axes: Axes) -> None:
     """Set axes to the plane: equal scales, labels in metres, and the same tick spacing on both."""
     axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
     for axis in (axes.xaxis, axes.yaxis):
@@ -120,7 +120,7 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     captured = captures(result)
     capturers = list(dict.fromkeys(each.capturer for each in captured))
     others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
-    place(axes)
+    set_plane(axes)
     axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
     for i in others:
         label = "pursuer that chased for a while" if i == others[0] else None

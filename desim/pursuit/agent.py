@@ -153,9 +153,9 @@ class Agent:
         """Return whether it may choose to chase an evader (`Scenario.prune`)."""
         return self._world.may_chase(self.id, evader)
 
-    def place(self) -> complex:
+    def position(self) -> complex:
         """Return its own position, m."""
-        return self._world.place(self.id)
+        return self._world.position(self.id)
 
     @property
     def speed(self) -> float:

@@ -54,7 +54,7 @@ class LocatedAssignment(NamedTuple):
     @classmethod
     def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
-        place = world.place(pursuer)
+        place = world.position(pursuer)
         return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
 
 

@@ -37,7 +37,7 @@ class TeamEstimate(NamedTuple):
 
     ids: list[int]
     """(n,) ids, ascending, its own included."""
-    places: Points
+    positions: Points
     """(n,) positions, m; nan if unknown."""
     speeds: Floats
     """(n,) speeds while chasing, m/s"""
@@ -105,10 +105,10 @@ class Beliefs:
         """
         world = self._world
         if self.senses_others:
-            return TeamEstimate(self._everyone, world.places(), self._speeds, np.array(world.capture_times(evader)))
+            return TeamEstimate(self._everyone, world.positions(), self._speeds, np.array(world.capture_times(evader)))
         records = self.trusted()
         ids = sorted({*records, self._id})
-        places = [self._place(records[j]) if j in records else world.place(j) for j in ids]
+        places = [self._position(records[j]) if j in records else world.position(j) for j in ids]
         phi = [
             self._time(records[j], evader)
             if j in records and isinstance(records[j].body, TimedAssignment)
@@ -147,16 +147,16 @@ class Beliefs:
             return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
         if not isinstance(body, LocatedAssignment):
             return self._world.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._world.capture_time_from(record.src, self._place(record, orders), evader)
+        return self._world.capture_time_from(record.src, self._position(record, orders), evader)
 
-    def _place(self, record: Record, orders: Orders = UNORDERED) -> complex:
+    def _position(self, record: Record, orders: Orders = UNORDERED) -> complex:
         """Return the position of a teammate, m: extrapolated from its record, or sensed; nan if neither is possible.
 
         The teammate is assumed to continue its announced action until an order changes it.
         """
         body = record.body
         if not isinstance(body, LocatedAssignment):
-            return self._world.place(record.src) if self.senses_others else complex(nan, nan)
+            return self._world.position(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
         ordered = orders.get(record.src, ())
         if not body.active and not any(action for _, action in ordered):

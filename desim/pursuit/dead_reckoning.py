@@ -36,7 +36,7 @@ class TrackSegment(NamedTuple):
 class EvaderTrack:
     """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
 
-    Calls of `see` and of `place` must be in the order of time.
+    Calls of `see` and of `position` must be in the order of time.
 
     Attributes:
         last: the present step.
@@ -55,7 +55,7 @@ class EvaderTrack:
         if self._remembers:
             self._segments.append(self.last)
 
-    def place(self, position: complex, speed: float, since: int, now: int) -> complex:
+    def position(self, position: complex, speed: float, since: int, now: int) -> complex:
         """Return the position at `now` (ns) of a pursuer that was at `position` (m) at `since` (ns) and has chased, m.
 
         The previous result for the same start is cached, so the cost is O(motion steps since the previous call). There

@@ -191,9 +191,9 @@ class EvaderBody:
         self._times: tuple[float, ...] | None = None
 
     @property
-    def place(self) -> complex:
+    def position(self) -> complex:
         """Its present position, m."""
-        return self._players.place(self.player)
+        return self._players.position(self.player)
 
     def set_chasers(self, chasers: NDArray[np.bool_]) -> None:
         """Set the (N,) mask of the pursuers that chase it from now on."""
@@ -202,7 +202,7 @@ class EvaderBody:
 
     def state(self, now: int) -> State:
         """Return the state of the pursuit of this evader at `now` (ns)."""
-        places = self._players.places()
+        places = self._players.positions()
         if self._state is None or places is not self._read:
             self._state = State(now, places[: self._size], places.item(self.player), self._chasers)
             self._read, self._times = places, None

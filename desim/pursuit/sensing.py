@@ -74,7 +74,7 @@ class Sighting(NamedTuple):
     """m/s"""
 
     @property
-    def place(self) -> complex:
+    def position(self) -> complex:
         """Position of the evader at the sighting, m."""
         return complex(self.x, self.y)
 
@@ -87,12 +87,12 @@ class Sighting(NamedTuple):
 class EvaderEstimate(NamedTuple):
     """The estimated position of an evader."""
 
-    place: complex
+    position: complex
     """m"""
     velocity: complex = 0j
     """m/s"""
     uncertainty: float = 0.0
-    """Upper bound of the distance of the evader from `place`, m; 0 if the estimate gives none."""
+    """Upper bound of the distance of the evader from `position`, m; 0 if the estimate gives none."""
 
 
 class TeamSensor:
@@ -106,7 +106,7 @@ class TeamSensor:
         self.sensing, self._world = sensing, world
         shape = world.evader_count, world.size
         self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
-        self._places: Points = np.full(shape, NOWHERE)
+        self._positions: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
         self.views = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
 
@@ -117,7 +117,7 @@ class TeamSensor:
             seeing = able & (self._world.distances(evader) <= self.sensing.radius)
             row = evader - 1
             self._seen[row, seeing] = now
-            self._places[row, seeing] = self._world.evader(evader)
+            self._positions[row, seeing] = self._world.evader(evader)
             self._velocities[row, seeing] = self._world.velocity(evader)
 
     def blind(self, actions: NDArray[np.int64]) -> list[int]:
@@ -131,7 +131,7 @@ class TeamSensor:
     def last(self, pursuer: int, evader: int) -> tuple[int, complex, complex]:
         """Return the last sighting of an evader by a pursuer: time (ns, or `NEVER`), position (m), velocity (m/s)."""
         cell = evader - 1, pursuer
-        return int(self._seen[cell]), complex(self._places[cell]), complex(self._velocities[cell])
+        return int(self._seen[cell]), complex(self._positions[cell]), complex(self._velocities[cell])
 
     def forget(self, pursuer: int) -> None:
         """Delete all sightings by a pursuer itself."""
@@ -155,7 +155,7 @@ class SensedView:
         self._id, self._sensor, self._sensing = pursuer, sensor, sensor.sensing
         self._world, self._network, self._clock = world, network, clock
         self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
-        self.speed, self.place, self.places = world.speed, world.place, world.places
+        self.speed, self.position, self.positions = world.speed, world.position, world.positions
         self.action, self.set_action = world.action, world.set_action
         self.evaders, self.time_left = world.evaders, world.time_left
         self._reported: dict[int, Sighting] = {}
@@ -190,14 +190,14 @@ class SensedView:
         uncertainty = self._world.evader_speed(evader) * age if worst else 0.0
         velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
         if age <= sensing.track_timeout:
-            return EvaderEstimate(sighting.place + velocity * age, velocity, uncertainty)
+            return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
         if sensing.on_lost == "stay":
             return None
         apart = 2.0 * max(sensing.radius, self._world.radius)
         arm = rect(1.0, 2.0 * pi * self._id / self.size)  # pursuers of equal speed search in different directions
         off = arm * spiral(self.speed(self._id) * (age - sensing.track_timeout), apart)
         return EvaderEstimate(
-            sighting.place + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
+            sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
         )
 
     def report(self) -> None:
@@ -228,7 +228,7 @@ class SensedView:
     def evader(self, evader: int) -> complex:
         """Return the estimated position of an evader, m; nan if unknown."""
         estimate = self.estimate(evader)
-        return NOWHERE if estimate is None else estimate.place
+        return NOWHERE if estimate is None else estimate.position
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return the capture time of each pursuer for an evader at its estimated position, s; inf if unknown."""
@@ -237,7 +237,7 @@ class SensedView:
         estimate = self.estimate(evader)
         if estimate is None:
             return (inf,) * self.size
-        return self._world.capture_times_at(estimate.place, estimate.uncertainty, evader)
+        return self._world.capture_times_at(estimate.position, estimate.uncertainty, evader)
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; see `capture_times`."""
@@ -249,7 +249,7 @@ class SensedView:
         estimate = self.estimate(evader)
         if estimate is None:
             return inf
-        return self._world.capture_time_over(pursuer, abs(estimate.place - position) + estimate.uncertainty, evader)
+        return self._world.capture_time_over(pursuer, abs(estimate.position - position) + estimate.uncertainty, evader)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
         """Return whether a pursuer may choose to chase an evader, which requires an estimate of its position."""
@@ -271,7 +271,7 @@ class SensedView:
         estimate = self.estimate(evader)
         if estimate is None or self._world.static:
             return position
-        return nearer(position, estimate.place, speed * seconds(age - ended))
+        return nearer(position, estimate.position, speed * seconds(age - ended))
 
 
 def spiral(length: float, apart: float) -> complex:

@@ -71,7 +71,7 @@ class Steering:
         if self._chases is None:
             velocities[: len(self._actions)] = self._all_velocities()
         else:
-            where, speed = players.places().item, self._speed
+            where, speed = players.positions().item, self._speed
             for pursuer, target in self._chases:
                 here, (_, place, aim, evader_velocity) = where(pursuer), target.path.last
                 velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
@@ -93,7 +93,7 @@ class Steering:
         elif self.sensor is not None and not self.sensor.views[pursuer].sees(evader):
             velocities[pursuer] = self._blind_velocity(pursuer, seconds(until - now))
         else:
-            here, segment = self._players.place(pursuer), self._targets[evader - 1].path.last
+            here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
             gap, speed = segment.at(now) - here, self._speed[pursuer]
             velocities[pursuer] = guided_velocity(self._law, gap, segment.aim - here, segment.velocity, speed)
         self._players.go(velocities)
@@ -101,7 +101,7 @@ class Steering:
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities of the pursuers at the beginning of a step, with all evaders in view, m/s."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
-        pursuers, paces = self._players.places()[: len(actions)], self._paces
+        pursuers, paces = self._players.positions()[: len(actions)], self._paces
         if len(segments) == 1:
             _, place, aim, evader_velocity = segments[0]
             return guided_velocities(self._law, place - pursuers, aim - pursuers, evader_velocity, paces)
@@ -118,6 +118,6 @@ class Steering:
         estimate = self.sensor.views[pursuer].estimate(self._actions.item(pursuer))
         if estimate is None:
             return 0j
-        gap = estimate.place - self._players.place(pursuer)
+        gap = estimate.position - self._players.position(pursuer)
         aim = gap + (estimate.velocity * duration if self._evader_first else 0j)
         return guided_velocity(self._law, gap, aim, estimate.velocity, min(self._speed[pursuer], abs(aim) / duration))

@@ -50,11 +50,11 @@ class PursuerView(Protocol):
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         ...
 
-    def place(self, pursuer: int) -> complex:
+    def position(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
         ...
 
-    def places(self) -> Points:
+    def positions(self) -> Points:
         """Return the (N,) positions of the pursuers, m."""
         ...
 
@@ -117,7 +117,7 @@ class GlobalState(PursuerView, Protocol):
         """Return the speed of an evader, m/s."""
         ...
 
-    def capture_times_at(self, place: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
+    def capture_times_at(self, position: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
         """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
         ...
 

@@ -129,7 +129,7 @@ def times_known(scenario: "Scenario") -> str | None:
     return everyone_heard(scenario) or messages_get_through(scenario)
 
 
-def places_known(scenario: "Scenario") -> str | None:
+def positions_known(scenario: "Scenario") -> str | None:
     """Every pursuer knows all positions: they are sensed, or announced to all, and the evader is seen."""
     if scenario.announce.payload == "time":
         return "announcements contain no positions (`announce.payload`)"
@@ -152,7 +152,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
             equal_speeds,
             host_in_reach,
             times_known,
-            places_known,
+            positions_known,
         )
     }
 )

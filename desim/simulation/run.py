@@ -125,10 +125,10 @@ class _PursuerPositions:
         self._world, self.fastest = world, fastest
 
     def __call__(self) -> Floats:
-        return coordinates(self._world.places())
+        return coordinates(self._world.positions())
 
     def of(self, nodes: Nodes) -> Floats:
-        return coordinates(self._world.players.places_of(nodes))
+        return coordinates(self._world.players.positions_of(nodes))
 
 
 class _Team:

@@ -107,7 +107,7 @@ class World:
         """Record the start, and start motion, sampling and the horizon."""
         evader, others = self._evaders()
         speeds = tuple(self._speeds.tolist())
-        self._trace.append(Started(0, evader, _points(self.places()), speeds, tuple(self._profile), others))
+        self._trace.append(Started(0, evader, _points(self.positions()), speeds, tuple(self._profile), others))
         self._at(self._horizon, Phase.CAPTURE + 1, lambda _: self.finish("horizon"))
         self._at(0, Phase.CAPTURE, lambda _: self._foresee_capture())
         if not self._motion.static:
@@ -128,7 +128,7 @@ class World:
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
         if self._env.now == self._step_end:  # all positions will be needed at this instant
-            self.players.places()
+            self.players.positions()
         return self._targets[evader - 1].capture_times_of(pursuers, self._env.now)
 
     def time_left(self, now: int) -> float:
@@ -166,9 +166,9 @@ class World:
         """Return the capture time of a pursuer from a hypothetical position (m), s."""
         return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
 
-    def capture_times_at(self, place: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
+    def capture_times_at(self, position: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
         """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
-        return self._targets[evader - 1].capture_times_over(lengths(place - self.places()) + uncertainty)
+        return self._targets[evader - 1].capture_times_over(lengths(position - self.positions()) + uncertainty)
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
         """Return the capture time of a pursuer at a distance (m), s."""
@@ -191,17 +191,17 @@ class World:
         """Whether all players stand still for the whole run."""
         return self._motion.static
 
-    def place(self, pursuer: int) -> complex:
+    def position(self, pursuer: int) -> complex:
         """Return the position of a pursuer, m."""
-        return self.players.place(pursuer)
+        return self.players.position(pursuer)
 
-    def places(self) -> Points:
+    def positions(self) -> Points:
         """Return the (N,) positions of the pursuers, m."""
-        return self.players.places()[: self.size]
+        return self.players.positions()[: self.size]
 
     def evader(self, evader: int) -> complex:
         """Return the position of an evader, m."""
-        return self._targets[evader - 1].place
+        return self._targets[evader - 1].position
 
     @property
     def evader_count(self) -> int:
@@ -242,7 +242,7 @@ class World:
         end = now - ended if target.captured is None else min(now - ended, max(target.captured, now - age))
         if not exact:
             return nearer(position, self.evader(evader), speed * seconds(end - now + age))
-        return target.path.place(position, speed, now - age, end)
+        return target.path.position(position, speed, now - age, end)
 
     def broken(self) -> NDArray[np.bool_]:
         """Return the (N,) mask of the pursuers that are down and follow no action."""
@@ -310,7 +310,7 @@ class World:
         """Record all positions, if `record.trajectory` is not 0."""
         if self._sampling:
             evader, others = self._evaders()
-            self._trace.append(Sampled(self._env.now, evader, _points(self.places()), others))
+            self._trace.append(Sampled(self._env.now, evader, _points(self.positions()), others))
 
     def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
         """End the pursuit at this instant; later calls have no effect."""
@@ -389,7 +389,7 @@ class World:
 
     def _evaders(self) -> tuple[tuple[float, float], tuple[tuple[float, float], ...]]:
         """Return the positions of the first evader and of the others as [x, y]."""
-        first, *others = _points(self.players.places()[self.size :])
+        first, *others = _points(self.players.positions()[self.size :])
         return first, tuple(others)
 
 

@@ -1,4 +1,4 @@
-"""A batch of runs of any scenarios, with a measurement of each, without a grid or a store."""
+"""Run a list of scenarios and seeds, and measure each run, without a grid or a store."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing

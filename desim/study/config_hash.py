@@ -1,4 +1,4 @@
-"""The hash of a configuration: of all that a run depends on except its seed, user code included."""
+"""The hash of a configuration. It covers everything that a run depends on except the seed, including user code."""
 
 import hashlib
 import inspect
@@ -22,7 +22,7 @@ UNSWEPT = MappingProxyType(
     }
 )
 """The keys that are no part of a configuration, and why they cannot be swept."""
-ADVICE = "hold plain values instead, or give the class of its owner a __getstate__ that leaves it out"
+ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
 """How to give an object a stable hash."""
 
 
@@ -64,7 +64,7 @@ def _fingerprints(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _user_objects(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted key and each object inside a value that its tables do not describe: callables, user's models."""
+    """Yield each callable and each user-defined model inside a value, with its dotted key; tables leave them out."""
     inner: Any = ()
     if isinstance(value, BaseModel) and not is_user_code(value):
         inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]
@@ -84,7 +84,7 @@ def _source(home: Any) -> str:
         text = inspect.getsource(home if home.__module__ == "__main__" else inspect.getmodule(home) or home)
     except (OSError, TypeError):  # defined at an interactive prompt
         return compiled
-    return text + compiled if "<lambda>" in home.__qualname__ else text  # its line may hold several lambdas
+    return text + compiled if "<lambda>" in home.__qualname__ else text  # the line may hold several lambdas
 
 
 def _hash(text: str) -> str:

@@ -21,7 +21,7 @@ SweepGrid = Mapping[str, Sequence[Any]]
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
 MAX_FAULTS = 20
-"""The number of faults of a grid that an error lists."""
+"""The largest number of invalid settings of a grid that an error message lists."""
 MAX_CONFIGURATIONS = 100_000
 """The largest number of configurations of a grid; validating one takes about 1 ms."""
 
@@ -52,7 +52,8 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
     """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
 
     Raises:
-        ScenarioError: with all faults of keys and values; if there are no configurations, or two are the same.
+        ScenarioError: if keys or values are invalid (the message lists them), there are no configurations, or two are
+            the same.
     """
     if grid is not None:
         source = _with_grid(source, grid)
@@ -140,9 +141,10 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
 
 
 def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
-    """Return a fault followed by the settings that cause it, unless its text names them.
+    """Return the line of a validation error followed by the settings that cause it, unless the line names them.
 
-    `among` are the settings that have the fault. A key is a cause if some of its values does not occur in them.
+    `among` holds the settings of all configurations with this error. A key is a cause if the error occurs with some of
+    its values only.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

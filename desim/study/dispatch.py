@@ -30,8 +30,8 @@ BATCH_SIZE = 64
 """The largest number of runs in a batch."""
 INNERMOST = 30
 """The number of innermost calls that a traceback keeps: an infinite recursion has a thousand."""
-CRASHED = "the worker process died during the run, which may need more memory than there is\n"
-"""The traceback of a run that crashed: the same text for each, as there is no real one."""
+CRASHED = "the worker process died during the run; the machine may have too little memory for it\n"
+"""The text in place of the traceback of a run that crashed, which has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ def _in_batches(
 
 
 def _run_alone(k: int, submit: Submit, workers: Workers) -> Outcome:
-    """Return the outcome of a run that is performed while no other run is."""
+    """Perform a run while no other run is under way, and return its outcome."""
     outcome: Outcome
     try:
         future = submit([k])
@@ -163,9 +163,9 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _picklable(error: BaseException) -> BaseException | None:
-    """Return an exception if it can be pickled, if need be without its traceback; else None.
+    """Return an exception, without its traceback if it cannot be pickled otherwise; None if it cannot be pickled.
 
-    Once distributed is imported, exceptions are pickled with their tracebacks.
+    Once Dask's package `distributed` is imported, exceptions are pickled with their tracebacks.
     """
     if not _survives_pickling(error):
         error.__traceback__ = error.__context__ = None

@@ -1,8 +1,9 @@
-"""The cost of each imperfection of a scenario: runs with the same seeds and each imperfection removed, then all.
+"""The cost of each imperfection of a scenario, such as latency or loss.
 
-The cost of an imperfection is the paired difference between the scenario as it is and the scenario without it. If the
-costs do not add up to the saving of removing all imperfections together, the imperfections interact: each of two may
-hide the other, or one may cost something only in the presence of another.
+The scenario runs with the same seeds as it is, without each imperfection, and without all of them. The cost of an
+imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not add
+up to the difference that all imperfections make together, the imperfections interact. For example, if either of two is
+enough to delay a capture, removing one alone saves nothing.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,8 @@ from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
-"""The default number of runs of each variant; differences that few seeds show need more runs (see `paired`)."""
+"""The default number of runs of each variant. Differences that occur with few seeds only need more runs; see
+`desim.analysis.statistics.paired`."""
 
 
 def explain(
@@ -56,7 +58,7 @@ class Variants:
 
     plan: SweepPlan
     configurations: Mapping[str, Configuration]
-    """By name; a variant without an imperfection that the scenario does not have equals the scenario as it is."""
+    """By name. Removing an imperfection that the scenario does not have gives the scenario as it is."""
 
     @classmethod
     def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None) -> Self:

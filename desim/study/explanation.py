@@ -21,7 +21,7 @@ AS_IT_IS, IDEAL = "as it is", "ideal"
 
 @dataclass(frozen=True)
 class Saving:
-    """The saving of removing imperfections: the mean difference between paired runs with the same seed."""
+    """The time saved by removing imperfections: the mean difference between paired runs with the same seed."""
 
     mean: Estimate
     differing: int

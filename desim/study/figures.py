@@ -24,7 +24,8 @@ from desim.study.result import SweepResult, text
 
 MARKERS = "osD^v"
 APART = 0.012
-"""The offset between points of equal abscissa, which keeps their error bars apart, as a share of its range."""
+"""The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
+error bars apart."""
 MAX_TICKS = 8
 """The largest number of values of a key that have a tick each."""
 MAX_ABREAST = 3
@@ -36,7 +37,7 @@ LETTER = 0.075
 CELL = 0.68, 0.45
 """The minimum width and the height of a cell of a phase diagram, in."""
 INK = "#111111"
-"""Text on light colours; not black, which pages replace with the colour of their text."""
+"""The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
 WIDE = 20.0
 """The minimum ratio of the largest to the smallest positive value for a logarithmic axis.
 
@@ -107,7 +108,7 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
 
 
 def phase(result: SweepResult, metric: str) -> Figure:
-    """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with its values.
+    """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
 
     The values of a key are equally spaced. Each combination of the other keys has a panel; all panels share one colour
     scale.
@@ -199,7 +200,7 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
     lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
-        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 and 6: 30 combinations
+        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # repeat after 5 * 6 lines
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)
@@ -229,7 +230,7 @@ def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
 
 
 def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
-    """Return the key of which the names of lines are values; None if there are several, which the names include."""
+    """Return the key whose values name the lines; None without such a key, or with several, which the names include."""
     others = [key for key in result.keys if key != abscissa]
     return _key_with_unit(others[0]) if len(others) == 1 else None
 

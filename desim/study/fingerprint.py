@@ -39,10 +39,10 @@ class UnstableHashError(ValueError):
 class Fingerprint:
     """The content hashes of the objects of one scenario: `fingerprint(value)`.
 
-    Two references to one mutable object differ from references to two equal objects.
+    A list that holds one mutable object twice and a list of two equal objects have different hashes.
 
     Raises:
-        UnstableHashError: if an object holds one that cannot be decomposed, such as a lock, a file or a generator.
+        UnstableHashError: if a part of an object cannot be decomposed, such as a lock, a file or a generator.
     """
 
     def __init__(self) -> None:
@@ -215,7 +215,7 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
 
     Args:
         value: a model, a list, a tuple, a partial call, or any other object, which has no parts.
-        seen: the `id` of each object visited already, since many runs share a scenario.
+        seen: the `id` of each object visited already, which is skipped; many runs share a scenario.
     """
     seen = set() if seen is None else seen
     if id(value) in seen:
@@ -235,12 +235,12 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
 
 
 def user_code(value: Any) -> Iterator[Any]:
-    """Yield the functions, and the classes of callable objects, inside a value that do not belong to desim."""
+    """Yield the user code inside a value: functions, and the classes of callable objects."""
     for each in parts(value):
         if is_user_code(each):
             yield home_of(each)
 
 
 def is_user_code(value: Any) -> bool:
-    """Return whether a function, or the class of an object, does not belong to desim."""
+    """Return whether a function, or the class of an object, is user code: it belongs to no package in `OURS`."""
     return str(home_of(value).__module__).partition(".")[0] not in OURS

@@ -109,7 +109,10 @@ def _request(made: Document) -> Document:
 
 
 def _includes(one: Document, other: Document) -> bool:
-    """Return whether a request includes all runs of another, where the sweeps differ in their extent only."""
+    """Return whether a request includes all runs of another request to the same folder.
+
+    Requests to one folder differ in the values of the grid, the number of runs, the stopping rule or the shards only.
+    """
     if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
         return False
     more = all(each in one["grid"][key] for key, values in other["grid"].items() for each in values)
@@ -118,7 +121,10 @@ def _includes(one: Document, other: Document) -> bool:
 
 
 def _shard_request(request: Document, store: Path) -> Document:
-    """Return a request with the shard in the file name of a store, if the store is of a shard."""
+    """Return a request with the number of its shard replaced by that in a file name such as sweep.2-of-4.sqlite.
+
+    The shards of a sweep share one folder and so one request. For a store that is not a shard, it is unchanged.
+    """
     if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
         return request
     part, parts = found.groups()

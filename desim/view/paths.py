@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.patheffects import withStroke
 
 from desim.analysis.activity import EvaderPursuit, evader_pursuits
-from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, place
+from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, set_plane
 from desim.analysis.trace_index import Floats, Integers, captures, sampled
 from desim.simulation.run import Result
 from desim.view.deliveries import Handover, handover_events
@@ -143,7 +143,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     """
     paths = Paths(result)
     looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
-    place(axes)
+    set_plane(axes)
     axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
     _draw_active_periods(axes, result, paths, looks)
     _draw_handovers(axes, result, paths, looks)

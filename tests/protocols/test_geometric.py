@@ -450,13 +450,13 @@ def test_its_assumptions():
     assert why(Voronoi(), fault=skew) == why(Argmin(), fault=skew) == []
     assert why(Voronoi(hysteresis=0.1), fault=skew) == why(Argmin(hysteresis=0.1), fault=skew) == ["equal_clocks"]
     told = Announcements(payload="time")
-    assert why(Voronoi(), announce=told) == why(Argmin(by="intercept_time"), announce=told) == ["places_known"]
+    assert why(Voronoi(), announce=told) == why(Argmin(by="intercept_time"), announce=told) == ["positions_known"]
     assert why(Argmin(), announce=told) == []
     near = Links(range=1.0)
     assert why(Argmin(), announce=told, network=near) == ["times_known"]
     assert why(Argmin(), network=near) == []
     silent = Announcements(payload="state", trigger="never")
-    assert why(Voronoi(), announce=silent) == ["places_known"]
+    assert why(Voronoi(), announce=silent) == ["positions_known"]
     assert why(Argmin(), announce=silent) == ["times_known"]
 
 

@@ -205,7 +205,7 @@ def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, kno
     assert found.capture_times == pytest.approx([(0.9, 1.9, 3.9)[j] for j in known])
     assert found.speeds.tolist() == [1.0] * len(known)
     if payload != "time":
-        assert found.places == pytest.approx([(1.0, 2.0, 4.0)[j] for j in known])
+        assert found.positions == pytest.approx([(1.0, 2.0, 4.0)[j] for j in known])
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_of_a_claim_nobody_learns_where_its_speaker_is():
             me.set_payload(Claim(True))
             me.broadcast()
             yield me.at(0.5)
-            seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.team_estimate().places[(me.id + 1) % 3]))
+            seen.append((me.beliefs()[(me.id + 1) % 3].capture_time, me.team_estimate().positions[(me.id + 1) % 3]))
 
         play(protocol, announce=Announcements(payload=payload, warm_start=False))
         times, places = zip(*seen, strict=True)

@@ -160,7 +160,7 @@ def reckonings(order, step, seed, reckoning="exact"):
     def look(me):
         world = me._world
         for j, (_, record) in me.latest_records().items():
-            gap = abs(world.state(1).evader - world.place(j))
+            gap = abs(world.state(1).evader - world.position(j))
             chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
             if chased_since and gap > 3.0 * step + 0.5:
                 age = nanoseconds(me.now) - record.sent
@@ -168,7 +168,7 @@ def reckonings(order, step, seed, reckoning="exact"):
                     complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact"
                 )
                 inside = turned[j] % h != 0 and turned[j] // h == record.sent // h
-                rows.append((abs(place - world.place(j)), seconds(age), gap, inside))
+                rows.append((abs(place - world.position(j)), seconds(age), gap, inside))
 
     acts = []
     for pursuer in range(5):

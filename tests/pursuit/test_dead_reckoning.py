@@ -40,7 +40,7 @@ def fresh(law, seed, question, now):
     path = EvaderTrack(law)
     for leg in turning(seed, now):
         path.see(*leg)
-    return path.place(*question, now)
+    return path.position(*question, now)
 
 
 def test_a_leg_goes_on_straight():
@@ -66,7 +66,7 @@ def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
     assert not path._segments
     assert path.last.begun == 99
     with pytest.raises(AssertionError):
-        path.place(1j, 1.0, 0, 5)
+        path.position(1j, 1.0, 0, 5)
 
 
 # Closed forms.
@@ -77,7 +77,7 @@ def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
 def test_an_evader_that_stands_still_is_approached_on_a_straight_line(law, evader, position, since, age):
     """x = p + (x_e - p) t / 16 at a speed of |x_e - p| / 16, over as many steps as there are between."""
     speed = abs(evader - position) / 16.0
-    place = straight_run(law, evader, 0j, since + age).place(position, speed, since, since + age)
+    place = straight_run(law, evader, 0j, since + age).position(position, speed, since, since + age)
     assert place == pytest.approx(position + (evader - position) * (age / SECOND / 16.0), abs=1e-9)
 
 
@@ -90,7 +90,8 @@ def test_an_evader_that_runs_straight_is_met_on_one_course(ahead, since, age):
     """
     path = straight_run(ConstantBearing(), 10.0 + 0j, 3j, since + age, ahead=ahead)
     start = 3j * (since / SECOND)
-    assert path.place(start, 5.0, since, since + age) == pytest.approx(start + (4.0 + 3.0j) * (age / SECOND), abs=1e-9)
+    expected = start + (4.0 + 3.0j) * (age / SECOND)
+    assert path.position(start, 5.0, since, since + age) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -99,7 +100,7 @@ def test_a_tail_chase_is_a_straight_line(law, ahead):
     """Behind an evader that runs away at 1 m/s, 5 m ahead: 2 m/s for 3.1 s are 6.2 m, under both laws."""
     now = nanoseconds(3.1)
     path = straight_run(law, 5.0 + 0j, 1.0 + 0j, now, ahead=ahead)
-    assert path.place(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
+    assert path.position(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
 
 
 def test_pure_pursuit_aims_anew_at_every_step():
@@ -113,7 +114,7 @@ def test_pure_pursuit_aims_anew_at_every_step():
     expected = 0j
     for length, aim in [(0.5, 3.0 + 1.0j), (1.0, 3.0 + 2.0j), (0.24, 3.0 + 3.0j)]:
         expected += length * (aim - expected) / abs(aim - expected)
-    assert path.place(0j, 4.0, STEP // 2, now) == pytest.approx(expected, abs=1e-12)
+    assert path.position(0j, 4.0, STEP // 2, now) == pytest.approx(expected, abs=1e-12)
     assert abs(expected - 1.74 * (3.0 + 3.0j) / abs(3.0 + 3.0j)) > 0.1
 
 
@@ -124,7 +125,7 @@ def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
         path = EvaderTrack(law)
         path.see(0, 4.0 + 0j, 4.0 + 0j, 0j)
         path.see(STEP, 1.0 + 3.0j, 1.0 + 3.0j, 0j)
-        assert path.place(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
+        assert path.position(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
 
 
 def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece():
@@ -137,17 +138,17 @@ def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece(
 
     now = 2 * STEP - 1
     path = straight_run(law, 3.0 + 0j, 4j, now)
-    assert path.place(1j, 2.0, STEP // 2, now) == pytest.approx(0.75 + 1.0j, abs=1e-8)
+    assert path.position(1j, 2.0, STEP // 2, now) == pytest.approx(0.75 + 1.0j, abs=1e-8)
     assert told == [([3.0 - 0.5j], [3.0 + 0j], 4j, [2.0]), ([2.75 + 0j], [2.75 + 1j], 4j, [2.0])]
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
     """A clock that is ahead lets word seem older than the pursuit: 1 s of chase, not 3."""
-    assert EvaderTrack(law).place(3j, 1.0, -SECOND, 0) == 3j
+    assert EvaderTrack(law).position(3j, 1.0, -SECOND, 0) == 3j
     path = straight_run(law, 9.0 + 0j, 0j, SECOND)
-    assert path.place(3j, 1.0, SECOND, SECOND) == 3j
-    assert path.place(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
+    assert path.position(3j, 1.0, SECOND, SECOND) == 3j
+    assert path.position(0j, 1.0, -2 * SECOND, SECOND) == pytest.approx(1.0, abs=1e-12)
 
 
 # Going on from the last question.
@@ -162,7 +163,7 @@ def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed,
     for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
         while legs and legs[0][0] <= now:
             path.see(*legs.pop(0))
-        assert path.place(*question, now) == fresh(law, seed, question, now)
+        assert path.position(*question, now) == fresh(law, seed, question, now)
 
 
 def test_going_on_looks_at_no_step_that_is_over():
@@ -181,7 +182,7 @@ def test_going_on_looks_at_no_step_that_is_over():
         if steps > 12:
             path.see(*newest)
         asked.clear()
-        path.place(0j, 1.0, 0, round(steps * STEP))
+        path.position(0j, 1.0, 0, round(steps * STEP))
         pieces.append(len(asked))
     assert pieces == [12, 1, 2]
 
@@ -191,8 +192,8 @@ def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
         path = EvaderTrack(PurePursuit())
         for leg in turning(3, 5 * STEP):
             path.see(*leg)
-        path.place(1j, 1.0, 0, 5 * STEP)
-        assert path.place(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
+        path.position(1j, 1.0, 0, 5 * STEP)
+        assert path.position(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
 
 
 def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longest_ago_goes():
@@ -201,13 +202,13 @@ def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longe
     path.see(*now)
     questions = [(complex(k), 1.0, 0) for k in range(MAX_RETRACINGS + 1)]
     for question in [*questions[:-1], questions[0], questions[-1]]:
-        path.place(*question, STEP // 2)
+        path.position(*question, STEP // 2)
     assert len(path._retracings) == MAX_RETRACINGS
     assert questions[0] in path._retracings
     assert questions[1] not in path._retracings
     for leg in later:
         path.see(*leg)
-    assert path.place(*questions[1], 5 * STEP) == fresh(PurePursuit(), 4, questions[1], 5 * STEP)
+    assert path.position(*questions[1], 5 * STEP) == fresh(PurePursuit(), 4, questions[1], 5 * STEP)
     assert len(path._retracings) == MAX_RETRACINGS
 
 

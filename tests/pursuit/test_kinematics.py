@@ -44,12 +44,12 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
         env.run(until=now)
         expected = places + velocities * ((now - since) / SECOND)
         if data.draw(st.booleans()):
-            assert [players.place(k) for k in range(4)] == expected.tolist()
-            assert players.places_of([2, 0]).tolist() == expected[[2, 0]].tolist()
+            assert [players.position(k) for k in range(4)] == expected.tolist()
+            assert players.positions_of([2, 0]).tolist() == expected[[2, 0]].tolist()
             assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
-        assert players.places().tolist() == expected.tolist()
+        assert players.positions().tolist() == expected.tolist()
         assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
-        assert [players.place(k) for k in range(4)] == players.places_of(range(4)).tolist() == expected.tolist()
+        assert [players.position(k) for k in range(4)] == players.positions_of(range(4)).tolist() == expected.tolist()
         if heading is not None:
             players.go(heading)
             places, since, velocities = expected, now, heading
@@ -60,11 +60,11 @@ def test_frozen_players_stay_and_places_are_not_to_be_written_to():
     players = Kinematics(env, places, static=True)
     players.go(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=SECOND)
-    assert players.places().tolist() == [players.place(0), players.place(1)] == [1j, 2j]
+    assert players.positions().tolist() == [players.position(0), players.position(1)] == [1j, 2j]
     moving = Kinematics(env, np.array([1j, 2j]))
     moving.go(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=2 * SECOND)
-    for read_only in (players.places(), moving.places()):
+    for read_only in (players.positions(), moving.positions()):
         with pytest.raises(ValueError, match="read-only"):
             read_only[0] = 0j
 

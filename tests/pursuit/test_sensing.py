@@ -169,7 +169,7 @@ def test_of_two_that_search_each_goes_another_way():
     rig.broadcast(sighting(7.0, 0.0), src=0)
     rig.broadcast(sighting(7.0, 0.0), src=1)
     rig.until(6.0)
-    one, other = (sight.estimate(1).place - 7.0 for sight in (rig.one, rig.other))
+    one, other = (sight.estimate(1).position - 7.0 for sight in (rig.one, rig.other))
     assert abs(one) > 1.0
     assert one == pytest.approx(-other)
 
@@ -321,7 +321,7 @@ def test_what_it_has_seen_is_stamped_by_its_own_clock():
     rig = Rig(Sensing(radius=3.0), clock=(5.0, 1.1)).until(3.0)
     seen = rig.one.newest(1)
     assert (seen.seen, seen.x) == (pytest.approx(6.221, abs=1e-12), pytest.approx(2.999))
-    assert rig.one.estimate(1).place == pytest.approx(2.999 + 0.9 * 2.079)
+    assert rig.one.estimate(1).position == pytest.approx(2.999 + 0.9 * 2.079)
 
 
 @pytest.mark.parametrize("estimate", ["constant_velocity", "worst_case"])
@@ -433,7 +433,7 @@ def test_an_order_within_a_step_sends_it_to_where_it_believes_the_evader_to_be()
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(0.005)
     rig.broadcast(sighting(10.0, 0.0))
     rig.world.set_action(0, 1)
-    assert rig.until(0.008).world.place(0) == pytest.approx(0.003)
+    assert rig.until(0.008).world.position(0) == pytest.approx(0.003)
 
 
 @pytest.mark.parametrize(("order", "aim"), [("evader_first", 10.0 + 0.09j), ("simultaneous", 10.0 + 0j)])
@@ -442,7 +442,7 @@ def test_it_heads_for_where_it_believes_the_evader_to_be_at_the_end_of_the_step(
     rig = Rig(Sensing(radius=3.0), evader=HIDDEN, motion=Motion(step=0.1, order=order))
     rig.broadcast(sighting(10.0, 0.0, velocity=0.9j))
     rig.world.set_action(0, 1)
-    assert rig.until(0.05).world.place(0) == pytest.approx(0.05 * aim / abs(aim), abs=1e-12)
+    assert rig.until(0.05).world.position(0) == pytest.approx(0.05 * aim / abs(aim), abs=1e-12)
 
 
 @pytest.mark.parametrize(("x", "able"), [(0.5, True), (5.0, False)])

@@ -24,7 +24,7 @@ from desim.scenario.assumptions import (
     messages_get_through,
     no_crashes,
     one_at_a_time,
-    places_known,
+    positions_known,
     times_known,
 )
 from desim.scenario.checks import warnings
@@ -262,7 +262,7 @@ def test_times_and_places_are_known_if_they_are_sensed_or_told_or_not(payload, g
     network = {key: each for key, each in given.items() if key != "trigger"}
     scenario = four(announce=Announcements(payload=payload, trigger=trigger), **network)
     assert_says(times_known(scenario), times)
-    assert_says(places_known(scenario), places)
+    assert_says(positions_known(scenario), places)
 
 
 # What is said.

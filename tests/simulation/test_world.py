@@ -282,7 +282,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
                 me.broadcast()
             else:
                 known = me.team_estimate()
-                errors.append(abs(known.places[known.ids.index(0)] - me._world.place(0)))
+                errors.append(abs(known.positions[known.ids.index(0)] - me._world.position(0)))
 
     def turning(state, rng):
         return complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
