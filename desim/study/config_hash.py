@@ -64,7 +64,7 @@ def _fingerprints(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _user_objects(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield each callable and each user-defined model inside a value, with its dotted key; tables leave them out."""
+    """Yield each callable and each user-defined model inside a value, with its dotted key; `tables` omits code."""
     inner: Any = ()
     if isinstance(value, BaseModel) and not is_user_code(value):
         inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]

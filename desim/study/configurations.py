@@ -21,7 +21,7 @@ SweepGrid = Mapping[str, Sequence[Any]]
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
 MAX_FAULTS = 20
-"""The largest number of invalid settings of a grid that an error message lists."""
+"""The largest number of validation errors of a grid that an error message lists."""
 MAX_CONFIGURATIONS = 100_000
 """The largest number of configurations of a grid; validating one takes about 1 ms."""
 

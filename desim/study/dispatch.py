@@ -31,7 +31,7 @@ BATCH_SIZE = 64
 INNERMOST = 30
 """The number of innermost calls that a traceback keeps: an infinite recursion has a thousand."""
 CRASHED = "the worker process died during the run; the machine may have too little memory for it\n"
-"""The text in place of the traceback of a run that crashed, which has none."""
+"""The text that replaces the traceback of a crashed run, as a crash leaves none."""
 
 
 @dataclass(frozen=True, slots=True)

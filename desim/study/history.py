@@ -111,7 +111,7 @@ def _request(made: Document) -> Document:
 def _includes(one: Document, other: Document) -> bool:
     """Return whether a request includes all runs of another request to the same folder.
 
-    Requests to one folder differ in the values of the grid, the number of runs, the stopping rule or the shards only.
+    The result is false if their keys of the grid, stopping rules or numbers of shards differ.
     """
     if one["grid"] is None or other["grid"] is None or one["grid"].keys() != other["grid"].keys():
         return False

@@ -1,7 +1,7 @@
 """The imperfections of a scenario, and functions that remove them one by one.
 
-The graph is not an imperfection: it defines which pursuers are linked. Nor is the rate of decisions of a pursuer with
-its own clock.
+Two properties are not imperfections: the graph, which defines which pursuers are linked, and the decision rate of a
+pursuer with its own clock.
 """
 
 from collections.abc import Callable, Mapping
@@ -58,9 +58,10 @@ def without_faults(scenario: Scenario) -> Scenario:
 
 
 def without_turns(scenario: Scenario) -> Scenario:
-    """Return the scenario in which no decision waits for those of teammates, if the schedule has turns.
+    """Return the scenario in which pursuers take no turns: no decision waits for those of teammates.
 
-    If the messages of the schedule carry the actions, pursuers announce their actions at once instead.
+    If messages of the schedule, such as a token, carry the actions, pursuers instead announce each change of action
+    immediately and repeat it with every heartbeat. A scenario without turns is returned unchanged.
     """
     protocol = scenario.protocol
     schedule = getattr(protocol, "schedule", None)
@@ -77,8 +78,8 @@ def without_turns(scenario: Scenario) -> Scenario:
 def without_staleness(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers announce actions at once, sense positions and know the initial actions.
 
-    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses announced positions only
-    senses them instead and needs no messages.
+    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses only positions from
+    announcements senses them instead, and so needs no messages.
     """
     ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
@@ -112,14 +113,14 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
 
 
 def _bare_links(network: Links, key: str) -> tuple[Any, ...]:
-    """Return the links with properties of their own, without one of these properties."""
+    """Return the links with their own models, without the model named `key`; drop links that have no model left."""
     bare = [link.model_copy(update={key: None}) for link in network.link]
     return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
 
 
 def _bare_graph(scenario: Scenario, key: str) -> Any:
     """Return the graph without one property of its edges."""
-    made = scenario.network.graph(scenario.team.count).copy()  # a function may reuse its graph
+    made = scenario.network.graph(scenario.team.count).copy()  # the function may reuse the graph
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]

@@ -1,7 +1,7 @@
 """Serialization of calls for other processes: as bytes, with user code by value.
 
 Functions and classes that are defined in a script, a notebook or a module beside a scenario file therefore work in any
-worker. They also work with any pickler of an executor, which sees only bytes and the function `called`.
+worker. They also work with any executor, because its pickler sees only bytes and the function `called`.
 """
 
 import os
@@ -37,7 +37,7 @@ def called(call: bytes) -> bytes:
 
 
 def _own_modules(call: Call) -> set[str]:
-    """Return the names of the modules, not installed, in the folders of a call's user code or below these."""
+    """Return the names of the imported modules in or below the folders of a call's user code, except installed ones."""
     homes = {_home(each.__module__) for each in user_code(call)} - {None}
     if not homes:
         return set()

@@ -54,9 +54,9 @@ CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, ru
 INSTEAD = """ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,
     status = excluded.status, summary = excluded.summary, traceback = excluded.traceback, checksum = excluded.checksum
     WHERE"""
-"""The clause that replaces an existing run if a condition holds, which follows it."""
+"""The start of a clause that replaces an existing run if a condition holds; the condition is to be appended."""
 NAMED_BY = {"about": 1, "configurations": 1, "runs": 4}
-"""The tables, and the number of their first columns that identify a row in an error."""
+"""The number of leading columns of each table that identify a row in an error message."""
 PATIENCE = 30.0
 """The time-out for a file that another process has locked, s of wall time."""
 PAUSE = 0.02
@@ -99,7 +99,7 @@ class Row:
 
 
 def _naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Return a method of a store with its SQLite errors as StoreErrors, which name the file."""
+    """Return a method of a store such that its SQLite errors become StoreErrors, which name the file."""
 
     @wraps(method)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
@@ -266,7 +266,7 @@ class Store:
 
     @_naming_the_file
     def register(self, cells: Sequence[Configuration]) -> None:
-        """Add configurations, ordered before those that the store has."""
+        """Add configurations in the given order, before all others in the store."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self._writing() as database:
             there = {key: each for key, _, *each in self._rows("configurations", "ORDER BY place")}
@@ -319,7 +319,8 @@ class Store:
             StoreError: if the other store belongs to another sweep.
         """
         self.record_properties(other.about)
-        runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))  # of at least these runs
+        # Runs first: if `other` is being written, each of them then has its configuration.
+        runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))
         with self._writing() as database:
             database.executemany(
                 "INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, configurations)
@@ -366,8 +367,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def _address(path: Path, read_only: bool) -> str:
     """Return the URI with which SQLite opens a file.
 
-    A file that is not writable is opened as immutable, because SQLite cannot open one with a write-ahead log otherwise;
-    but not if its journal has content, which an immutable file ignores.
+    A file that is not writable is opened as immutable, because SQLite could not open it otherwise if it has a
+    write-ahead log. If its journal has content, it is not opened as immutable, because SQLite would ignore the journal.
     """
     options = "rwc"
     if read_only:
@@ -440,7 +441,7 @@ def _known_schema() -> Mapping[str, tuple[str, str | None]]:
 def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]]) -> None:
     """Raise StoreError unless a database has exactly the schema of a store.
 
-    A trigger, or a view instead of a table, would run SQL of the author of the file in every command.
+    Otherwise a trigger, or a view in place of a table, could run SQL of the file's author in every command.
     """
     known = _known_schema()
     if "about" not in there:

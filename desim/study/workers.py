@@ -28,7 +28,7 @@ WATCH = 0.5
 
 
 class Workers:
-    """The workers of an executor that the user passed, which is never shut down; the base of other kinds of workers."""
+    """The workers of an executor that the user passed, which is never shut down; also the base class of other kinds."""
 
     def __init__(self, executor: Executor, count: int | None = None, name: str = ""):
         self.executor = executor
@@ -68,7 +68,7 @@ class Workers:
             raise ConnectionError(f"{self._name}: disconnected before the runs were done") from error
 
     def died(self, error: BaseException) -> bool:
-        """Return whether a call failed because its worker died; a cluster reports so after several workers died."""
+        """Return whether a call failed because its worker died; a Dask cluster retries it on other workers first."""
         return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
 
     def renew(self) -> None:
@@ -77,7 +77,7 @@ class Workers:
         Raises:
             BrokenExecutor: if the executor belongs to the user.
         """
-        raise BrokenExecutor(f"a worker of {self._name} died, so it accepts no more calls: give a number of workers")
+        raise BrokenExecutor(f"a worker died, so {self._name} accepts no more calls: give a number of workers")
 
     def stop(self) -> None:
         """Abandon the calls that have been submitted."""
@@ -200,7 +200,7 @@ def _pool(count: int) -> Executor:
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # else a later `_block_signals` starts it, which unblocks the signals
+            resource_tracker.ensure_running()  # in a block of its own: it unblocks the signals at its end
     with _block_signals():  # the executor starts a process that tracks its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
