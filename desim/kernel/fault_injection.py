@@ -8,7 +8,7 @@ import simpy
 from desim.config.model import MAX_TIME
 from desim.kernel.clock import Clock, Instant, Phase, nanoseconds
 from desim.kernel.events import Trace
-from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
+from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition, nodes_of
 from desim.kernel.network import Network
 
 Hook = Callable[[Crash], object]
@@ -38,7 +38,7 @@ def inject(
     """
     faults, size = list(faults), network.topology.size
     for fault in faults:
-        if unknown := [node for node in _nodes_of(fault) if node >= size]:
+        if unknown := [node for node in nodes_of(fault) if node >= size]:
             raise ValueError(f"{fault.kind}: there is no node {unknown[0]}: the nodes are 0 .. {size - 1}")
 
     def begin(fault: Fault, _: simpy.Event) -> None:
@@ -55,13 +55,6 @@ def inject(
 
     for fault in faults:
         Instant(env, nanoseconds(fault.start), Phase.FAULT).callbacks.append(partial(begin, fault))
-
-
-def _nodes_of(fault: Fault) -> list[int]:
-    """Return the nodes that a fault names."""
-    if isinstance(fault, Partition):
-        return [node for group in fault.groups for node in group]
-    return [fault.node] if isinstance(fault, Crash) else []
 
 
 def _start(fault: Fault, network: Network, crashed: Hook, recovered: Hook) -> Callable[[], object]:

@@ -90,6 +90,13 @@ Fault = Crash | Partition | Jamming
 """A fault with a start and an end time."""
 
 
+def nodes_of(fault: Fault) -> list[int]:
+    """Return the nodes that a fault names."""
+    if isinstance(fault, Partition):
+        return [node for group in fault.groups for node in group]
+    return [fault.node] if isinstance(fault, Crash) else []
+
+
 class FaultStarted(NamedTuple):
     """A fault started."""
 

@@ -1,7 +1,7 @@
 """The folder of a run: its trace, summary, scenario, figure and provenance."""
 
 import json
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from desim.analysis.metrics import Summary, plain, summary
 from desim.config.file_names import RUN_FILES, TRACE
 from desim.config.trust import regular_or_missing, without_symlink
 from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, MessageCounts, Queued, Sent, Trace
-from desim.kernel.faults import Crash, Fault, FaultEnded, FaultStarted, Partition
+from desim.kernel.faults import Fault, FaultEnded, FaultStarted, nodes_of
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
@@ -220,7 +220,7 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
             if event.dst not in receivers.get(event.flight, ()):
                 yield number, f"loses a message that was not sent: {event.flight} to {event.dst}"
         elif isinstance(event, FaultStarted):
-            if any(node >= size for node in _nodes(event.fault)):
+            if any(node >= size for node in nodes_of(event.fault)):
                 yield number, f"names a node that is not one of 0 to {size - 1}"
             broken.append(event.fault)
         elif isinstance(event, FaultEnded):
@@ -228,13 +228,6 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
                 yield number, "ends a fault that did not begin"
             else:
                 broken.remove(event.fault)
-
-
-def _nodes(fault: Fault) -> Iterable[int]:
-    """Return the nodes that a fault names."""
-    if isinstance(fault, Crash):
-        return [fault.node]
-    return chain.from_iterable(fault.groups) if isinstance(fault, Partition) else ()
 
 
 def can_plot() -> bool:
