@@ -380,7 +380,7 @@ def _address(path: Path, read_only: bool) -> str:
 
 def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
     """Return a connection to a file, or to a new database in memory."""
-    database = sqlite3.connect(":memory:" if path is None else _address(path, read_only), PATIENCE, uri=True)
+    database = sqlite3.connect(":memory:" if path is None else _address(path, read_only), timeout=PATIENCE, uri=True)
     database.text_factory = lambda raw: raw.decode(errors="replace")  # then the checksum reveals invalid UTF-8
     try:
         database.execute("PRAGMA trusted_schema = OFF")
