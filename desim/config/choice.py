@@ -38,18 +38,19 @@ def import_name(home: Any) -> str:
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    Models that other distributions install under the entry point group `group` are accepted too. A model is imported
-    and built only when a table selects it. A callable object is accepted unchanged, so a script can pass its own
-    function or model. A file selects such a callable by the kind "module:name"; the module is installed or lies beside
-    the file. Importing a module runs its code, so the file must be trusted (`is_trusted`), unless the name is an entry
-    point of a group `desim.*`.
+    Models that other distributions install under the entry point group `group` are accepted too; each is imported when
+    a table selects it. A callable object is accepted unchanged, so a script can pass its own function or model. A file
+    selects such a callable by the kind "module:name"; the module is installed or lies beside the file. Importing a
+    module runs its code, so the file must be trusted (`is_trusted`), unless an entry point of a group `desim.*` refers
+    to the same "module:name".
 
     Args:
         models: the models of this distribution.
         group: the entry point group.
         needs: attributes that a callable object must have.
         takes: names of the arguments that a callable object is called with.
-        number: the kind and the key that a bare number stands for; a bare string stands for a kind.
+        number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
+            {kind = "constant", value = 0.1}. A bare string always stands for a kind.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
 
 
 def names_code(kind: Any) -> bool:
-    """Return whether a kind names code that is not installed as an entry point of desim."""
+    """Return whether a kind is a "module:name" that no entry point of a group `desim.*` refers to."""
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
@@ -215,7 +216,7 @@ def _load(kind: str, folder: Path | None) -> Any:
     try:
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
-        where = "" if folder is None else f" beside the file, in {folder.absolute()}"
+        where = "" if folder is None else f"; also searched in the folder of the file, {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
     except SystemExit as error:
         raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error

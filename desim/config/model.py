@@ -51,15 +51,15 @@ def _infinity(value: Any) -> Any:
 
 
 Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
-"""A positive number or infinity; JSON, which lacks infinity, has the string "Infinity"."""
+"""A positive number or infinity; in JSON, infinity is the string "Infinity"."""
 Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
 """An upper bound, possibly infinite."""
 MAX_TIME = 1e9
 """Longest time, about thirty years, s."""
 RESOLUTION = 1e-9
-"""Resolution of the clock, one nanosecond; times up to half of it round to 0, s."""
+"""Resolution of the clock, one nanosecond; times up to half a nanosecond are rounded to 0, s."""
 MIN_PERIOD = 1e-6
-"""Shortest period of recurring events; shorter ones would make a run practically endless, s."""
+"""Shortest period of recurring events; with a shorter period a run would take too long, s."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
 """Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
 

@@ -37,7 +37,7 @@ class Phase(IntEnum):
     RELAY = 3 << 32
     """Nodes forward received messages."""
     CAPTURE = 4 << 32
-    """Evaders are captured; then the pursuit ends if this is the horizon."""
+    """Evaders are captured; at the horizon, the pursuit ends after these captures."""
     DECISION = 5 << 32
     """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32

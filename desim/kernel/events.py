@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 LOST = -1
 """The arrival time of a message that never arrives."""
 
-# The meaning of the numbers in events; these marks validate a trace that is read from a file.
+# The types of the fields of events. The string of a type, its mark, selects the validation of the values that are read
+# from a trace file; see `desim.kernel.trace_file`.
 Nanoseconds = Annotated[int, "time"]
 """A time, ns."""
 Arrival = Annotated[int, "arrival"]
@@ -40,7 +41,7 @@ class Event(Protocol):
 
 
 Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "half_duplex"]
-"""Why a message was lost; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""
+"""The cause of a loss; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""
 
 
 class Queued(NamedTuple):

@@ -45,7 +45,7 @@ def inject(
         if trace is not None:
             trace.append(FaultStarted(env.now, fault))
         end = _start(fault, network, crashed, recovered)
-        if fault.end <= MAX_TIME:  # no run is longer
+        if fault.end <= MAX_TIME:  # no run lasts longer than `MAX_TIME`
             Instant(env, nanoseconds(fault.end), Phase.FAULT).callbacks.append(partial(finish, fault, end))
 
     def finish(fault: Fault, end: Callable[[], object], _: simpy.Event) -> None:

@@ -1,7 +1,7 @@
 """Faults as frozen models: crashes, partitions, jamming, clock errors. `desim.kernel.fault_injection` applies them.
 
-A fault has a start time and an end time. A fault plan draws faults from the seed. Both are kinds of `[[fault]]` in a
-scenario file.
+A crash, a partition or a jamming disc has a start time and an end time; a clock error lasts for the whole run. A fault
+plan draws faults at random from the seed. All of these are kinds of `[[fault]]` in a scenario file.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -79,7 +79,8 @@ class ClockSkew(Value):
 
     kind: Literal["clock_skew"] = "clock_skew"
     node: Node | None = None
-    """The node; if absent, all nodes: then offset and drift are the standard deviations of normal draws."""
+    """The node. If absent, each node draws its errors from normal distributions with mean 0; offset and drift are their
+    standard deviations."""
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
     drift: Annotated[float, Field(gt=-1, le=1e3, strict=True)] = 0.0
@@ -199,7 +200,7 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
 
 
 MIN_DRIFT = -0.99
-"""Smallest drift of a clock, so that no clock stands still or runs backwards."""
+"""Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
 
 
 def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:

@@ -128,7 +128,8 @@ class Edges(Value):
     edges: tuple[Edge, ...] = ()
     """The edges; each may override the latency, loss and order of the network."""
     file: str | None = None
-    """Instead of edges: node-link JSON (*.json) or GraphML (*.graphml), relative to the scenario file; read once."""
+    """Instead of edges: path of a node-link JSON (*.json) or GraphML (*.graphml) file, relative to the scenario file.
+    The file is read once, when the model is created."""
     nodes: Annotated[int, Field(ge=1, strict=True)] | None = None
     """Number of nodes; if absent, that of the network."""
     directed: Flag = False
@@ -187,8 +188,8 @@ def _graph_in(file: Path) -> "nx.Graph[Any]":
         data = json.loads(file.read_text(encoding="utf-8-sig"))
         if not isinstance(data, dict):
             raise ValueError("it should be an object with nodes and edges")
-        key = "edges" if "edges" in data else "links"  # before networkx 3.4
-        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # else the last parallel edge wins
+        key = "edges" if "edges" in data else "links"  # networkx before 3.4 writes "links"
+        return nx.node_link_graph({**data, "multigraph": True}, edges=key)  # keeps parallel edges, to reject them
     except OSError as error:
         raise ValueError(f"{file} cannot be read: {error.strerror}") from error
     except Exception as error:  # the readers of networkx raise many types of exception for malformed input
