@@ -1,11 +1,12 @@
 """Auctions in which each evader is one task: the common part of `cbaa` and `cbba`.
 
 A bid is -phi, so the pursuer with the least capture time bids highest; ties go to the lower id. A pursuer bids for
-one evader at a time: of those for which it has the highest bid, the one it would capture first. Its announcements carry
-the winner and the winning bid of each evader, as far as it knows them.
+one evader at a time: among the evaders for which it outbids all others, the one that it would capture first. Its
+announcement (its claim) carries the winner and the winning bid of each evader, as far as it knows them.
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
 (`current`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement it came with.
-If two active bidders differ by less than the age of the bids, they outbid each other at every turn and both chase.
+An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active pursuers differ
+by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both stay active.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +19,7 @@ from desim.pursuit.agent import Agent, Process
 from protocols.rule import Rule
 
 NO_WINNER = -1
-"""Stands for the winner of an evader without bids."""
+"""The winner of an evader without bids."""
 
 
 class Bid(NamedTuple):
@@ -45,7 +46,10 @@ class Auction(Rule):
     """A rule under which the winner of the auction for an evader chases it."""
 
     def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer; one that can only stay takes its turns, too, to forward the claims of others."""
+        """Negotiate for one pursuer.
+
+        A pursuer that can only stay takes its turns, too, because its announcements forward the claims of others.
+        """
         actions = self.actions(me)
         yield from self.schedule(me, lambda: me.assign(next(actions)))
 
@@ -55,7 +59,7 @@ class Auction(Rule):
 
 
 def offer(me: Agent, evader: int = 1) -> Bid:
-    """Return the present bid of a pursuer for an evader, or `NO_BID` if it may not chase it or would be late."""
+    """Return the present bid of a pursuer for an evader; `NO_BID` if it may not chase, or cannot capture in time."""
     phi = me.capture_time(evader)
     return Bid(me.id, -phi) if me.may_chase(evader) and phi < me.time_left() else NO_BID
 
@@ -63,11 +67,11 @@ def offer(me: Agent, evader: int = 1) -> Bid:
 def chosen(me: Agent, others: Sequence[Bid]) -> tuple[int, list[Bid]]:
     """Return the action of a pursuer, and the (M,) best bids with its own included.
 
-    The action is the evader for which it bids highest, of those for which it outbids all others; 0 if there is none.
+    The action is the evader of its highest bid among those for which it outbids all others, or 0 if there is none.
 
     Args:
         me: the bidder.
-        others: (M,) the best bid of another pursuer for each evader.
+        others: (M,) the best bid of the other pursuers for each evader.
     """
     offers = {evader: offer(me, evader) for evader in me.evaders()}
     won = [evader for evader, bid in offers.items() if bid.rank > others[evader - 1].rank]
@@ -103,9 +107,10 @@ def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
-    """Yield the records with a claim that are newer than those in `read` (id to number), by id, and add them to it.
+    """Yield the unread records with a claim, by id of the source, and mark them as read.
 
-    With `announce.warm_start` the initial records carry no claim.
+    `read` maps each source to the sequence number of its last record read. With `announce.warm_start` the initial
+    records carry no claim.
     """
     for j, record in sorted(me.trusted().items()):
         if record.seq > read.get(j, -1) and isinstance(record.body, claim):

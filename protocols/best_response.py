@@ -4,8 +4,9 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
     BetterReply: better reply with inertia, Young 2004, "Strategic Learning and Its Limits"; Marden, Arslan & Shamma
     2007, "Regret Based Dynamics".
 Parameters: schedule, utility; alpha (probability of changing).
-Assumes: announcements of all teammates; for best response also revisions one at a time, to end in an equilibrium of any
-    potential game (in the relay game it does so under any schedule). Better reply with inertia needs no order.
+Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
+    one at a time; in the relay game it does so under any schedule. Better reply with inertia needs no order of
+    revisions.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
@@ -35,7 +36,7 @@ class BestResponse(LearningRule):
 
 
 class BetterReply(LearningRule):
-    """At its turn a pursuer takes, with probability alpha, a random one of the actions better than its present one."""
+    """At its turn a pursuer changes, with probability alpha, to a random action among those better than its own."""
 
     kind: Literal["better_reply"] = "better_reply"
     alpha: Willingness = 0.5

@@ -26,7 +26,7 @@ class BinaryLogLinear(LogLinear):
     kind: Literal["binary_log_linear"] = "binary_log_linear"
 
     def trial(self, me: Agent, options: list[int], now: int) -> int:
-        """Return the trial action, drawn uniformly from the options but the present action."""
+        """Return the trial action, drawn uniformly from all options except the present action."""
         return options[(options.index(now) + int(me.rng.integers(1, len(options)))) % len(options)]
 
     def actions(self, me: Agent) -> Iterator[int]:
@@ -41,8 +41,9 @@ class BinaryLogLinear(LogLinear):
 class SelectiveSAP(BinaryLogLinear):
     """The binary rule with a trial action drawn from all actions, the present one included.
 
-    The restricted set R_i holds staying and each evader that the pursuer may chase. Each action in it but the present
-    one is the trial action with probability 1 / max |R_i|. The largest set has all M + 1 actions.
+    The restricted set R_i holds staying and each evader that the pursuer may chase. Each action in R_i
+    is drawn as the trial action with probability 1 / max |R_i| = 1 / (M + 1). Otherwise the trial action is the present
+    action, which the pursuer then keeps.
     """
 
     kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]

@@ -5,17 +5,18 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
     overrides the claims of others about it; where positions are sensed, all bids are updated at each turn.
 Parameters: schedule. With Rounds these are the rounds of the paper.
-Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after one round of bids and one
-    more for each hop of the diameter, and on the winners of several after at most as many rounds for each evader; the
-    assignment is the greedy one, in order of phi. If bids change, the winning bid only rises while its bidder chases,
-    because its phi falls. A pursuer that leaves an evader for another informs its neighbours; pursuers farther away
-    only know that each bidder has one evader at most.
+Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds,
+    where D is the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is
+    the greedy one, in order of phi. If bids change, the winning bid only rises while its bidder chases, because its phi
+    falls. When a pursuer leaves an evader for another, its claim informs its neighbours. Pursuers farther away infer
+    it, because a bidder has one evader at most (`one_each`).
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
-    by less than the age of the bids may both chase to the end. In the relay stress of `scenarios.rivals` with
-    L = 0.2 s, the active set differs from the relay pursuer alone for 3.4 s in the mean of 20 runs and 23.3 s in the
-    worst one; with sensed positions, for 0.8 and 1.8 s.
-    No crashes. Claims have no time stamps, so a winner that has crashed is not noticed and blocks all others for ever.
-Messages: announcements of 24 bytes and 16 for each evader. Only a new action or winner triggers one at once, so bids
+    by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress"
+    of `scenarios.rivals` with L = 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the worst
+    one; with sensed positions it is 0.8 s and 1.8 s.
+    No crashes. Claims have no time stamps, so a crash of the winner is not noticed, and its bid blocks all others for
+    ever.
+Messages: announcements of 24 bytes plus 16 for each evader. Only a new action or winner triggers one at once, so bids
     that change need heartbeats or the trigger `revision`.
 Robust to loss: yes, with heartbeats.
 """
@@ -29,7 +30,7 @@ from protocols.rule import Rule
 
 
 class Claim(NamedTuple):
-    """The lists z and y of a pursuer: plain numbers if there is one evader, else (M,) of them."""
+    """The winner list z and the winning-bid list y of a pursuer: (M,) each, or plain numbers for one evader."""
 
     active: int
     winner: int | tuple[int, ...]
@@ -63,9 +64,12 @@ class CBAA(Auction):
 
 
 def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
-    """Return the highest of the best bid so far and the bids that each pursuer claims now.
+    """Return the highest bid among the best bid so far and the bids in new claims.
 
-    The bid of a pursuer in `claimed` counts only as it claims it itself: it may have released its claim or bid anew.
+    Args:
+        best: the best bid so far.
+        claimed: by pursuer, the best bid in its claim. Only its own claim tells its bid: it may have released the
+            evader or bid anew since the others received its last claim.
     """
     own_claims = [bid for j, bid in claimed.items() if bid.winner == j]
     reported = [bid for bid in (best, *claimed.values()) if bid.winner not in claimed]
@@ -73,7 +77,7 @@ def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
 
 
 def one_each(bids: Sequence[Bid]) -> list[Bid]:
-    """Return the (M,) bids with only the highest bid of each bidder left, of equal ones the last.
+    """Return the (M,) bids with only the highest bid of each bidder kept, the last one among equal bids.
 
     A pursuer bids for one evader at a time, so its other bids are outdated.
     """

@@ -7,11 +7,11 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     ties go to the lower id; all bids are updated before they are compared if positions are sensed.
 Parameters: schedule (with Rounds these are the rounds of the paper), winner_timeout.
 Assumes: a connected graph, else there is a winner in each component. Announcements repeated by heartbeats or at each
-    revision, else the winner times out, and in the end every pursuer drops all others and chases.
+    revision; otherwise every winner times out, and in the end each pursuer considers itself the winner and chases.
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
     by less than the age of the bids may both chase to the end (the figures in `cbaa` hold here, too; with sensed
     positions they are 0.9 s in the mean and 2.4 s in the worst run).
-Messages: announcements of 24 bytes, 16 for each evader and 8 for each pursuer. A new action or winner triggers one.
+Messages: announcements of 24 bytes plus 16 for each evader and 8 for each pursuer. A new action or winner triggers one.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over after `winner_timeout`.
 """
 
@@ -37,7 +37,7 @@ class StampedClaim(NamedTuple):
     amount: float | tuple[float, ...]
     """The winning bid y, s."""
     stamps: tuple[float, ...]
-    """s[m]: when m sent its latest announcement known here, directly or over several hops, by the clock of m, s."""
+    """s[m]: the time on the clock of m of its latest announcement known here, directly or over several hops, s."""
 
     @property
     def news(self) -> tuple[int, int | tuple[int, ...]]:
@@ -87,7 +87,7 @@ def decision(
 ) -> Verdict:
     """Return the action of receiver i, with winner z_i, on a claim z_k of sender k (Choi et al. 2009, Table I).
 
-    Each row is: winner of k, winner of i; action of i. Here m and n are neither i nor k, and differ from each other.
+    A key of the table is (winner according to k, winner according to i); m and n are different pursuers, not i or k.
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
     newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))

@@ -33,7 +33,7 @@ class Centralised(Value):
     """Pursuers move by the knowledge of the centre, whatever their sensing range."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
-    """Time between two decisions delta, s."""
+    """Time delta between two decisions, s."""
 
     def __call__(self, me: Agent) -> Process:
         """Assign to each evader at most one pursuer that would be in time."""

@@ -6,10 +6,11 @@ A dissemination is called with an agent and returns the process that forwards th
 Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
     1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
     al. 1987).
-Parameters: hops (most hops of a flooded announcement), jitter (longest random delay).
+Parameters: hops (largest number of hops of a flooded announcement), jitter (longest random delay).
 Assumes: nothing; one hop is enough on a complete graph.
-Messages: one broadcast per announcement; flooding up to one per pursuer; a message of gossip carries all known records.
-Robust to loss: with heartbeats. Flooding also where there are several paths.
+Messages: one broadcast per announcement; in flooding, about one per pursuer and announcement. A gossip message carries
+    all known records.
+Robust to loss: yes, with heartbeats; flooding also without them where there are several paths.
 """
 
 from functools import partial
@@ -54,13 +55,14 @@ class OneHop(Value):
 class Flooding(Value):
     """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
 
-    A copy with more hops left than the one before is not a duplicate.
-    Robust to loss: where there are several paths. Messages: up to one transmission per pursuer and announcement.
+    A copy with more hops left than the one before is not a duplicate and is rebroadcast, too.
+    Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, besides
+    these copies.
     """
 
     kind: Literal["flooding"] = "flooding"
     hops: Annotated[int, Field(ge=1, strict=True)] = 5
-    """Most hops that an announcement travels."""
+    """Largest number of hops that an announcement travels."""
     jitter: Time = 0.005
     """Longest random delay J before a rebroadcast, s; it keeps neighbours from transmitting at once."""
 

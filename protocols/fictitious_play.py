@@ -4,9 +4,9 @@ Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Pro
     Interests". JointStrategyFictitiousPlay: Marden, Arslan & Shamma 2009, "Joint Strategy Fictitious Play with Inertia
     for Potential Games", with fading memory.
 Parameters: schedule, utility; alpha (probability of changing), rho (rate of forgetting).
-Assumes: announcements of all teammates; no order of revisions. Fictitious play converges in beliefs in every potential
-    game with constant capture times. Frequencies of actions are averages over all turns, so it is slow to follow
-    capture times that change.
+Assumes: announcements of all teammates; no order of revisions. The empirical frequencies of fictitious play converge
+    to the equilibria of every potential game with constant capture times. They are averages over all turns, so they
+    adapt slowly when capture times change.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats; the last action received counts again at each turn.
 """
@@ -27,7 +27,7 @@ from protocols.rule import LearningRule, argmax, current_action
 
 
 class FictitiousPlay(LearningRule):
-    """The best response to the empirical frequencies at which each teammate has chased each evader, independently."""
+    """The best response to the empirical frequencies of the teammates' actions, which are taken as independent."""
 
     kind: Literal["fictitious_play"] = "fictitious_play"
 
@@ -62,7 +62,10 @@ class FictitiousPlay(LearningRule):
 
 
 class JointStrategyFictitiousPlay(LearningRule):
-    """The action of highest average utility against the past joint actions, with inertia; an optimal action is kept."""
+    """The action of highest average utility against the past joint actions, with inertia.
+
+    The present action is kept if no other has a higher average.
+    """
 
     kind: Literal["jsfp"] = "jsfp"
     alpha: Willingness = 0.5

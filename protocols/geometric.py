@@ -1,8 +1,8 @@
 """Geometric rules: each pursuer computes the owner of an evader from a measure known to all, without negotiation.
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
-    Automatica 48 (from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the same
-    by capture time, for unequal speeds, or by the time to intercept an evader of constant velocity.
+    Automatica 48 (cited from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the
+    same by capture time, for unequal speeds, or by the time to intercept an evader of constant velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
 Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
@@ -10,12 +10,12 @@ Time: all pursuers compute the owner of an evader, the pursuer of least measure,
     than that of the present owner by more than a tenth. A pursuer that would be late (phi >= r) is never an owner.
     Owners of several evaders are assigned greedily: the pair of least measure first, then the rest without that pair.
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
-    owner has stopped. With hysteresis the present owner is a state that must be the same in all pursuers: equal clocks.
+    owner has stopped. With hysteresis all pursuers must store the same present owner, which requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
 Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
-    scenario; the present owner is then the best of the pursuers that announce that they chase, so that disagreement
+    scenario; the present owner is then the best among the pursuers that announce a chase, so that disagreement
     about it is resolved.
-Robust to loss: needs no messages if positions are sensed; otherwise with heartbeats.
+Robust to loss: yes if positions are sensed, because no messages are needed; otherwise with heartbeats.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -33,7 +33,7 @@ from desim.pursuit.state import Floats, coordinates, lengths
 from protocols.schedules import ticks
 
 Measure = Callable[[TeamEstimate], Floats]
-"""The measure of the n pursuers in an estimate, (n,); the pursuer of least measure is the first."""
+"""The measure of the n pursuers in an estimate, (n,); the pursuer of least measure becomes the owner."""
 
 
 class Geometric(Value):
@@ -133,7 +133,7 @@ class Velocity:
         self._velocity: complex | None = None
 
     def __call__(self, now: float, place: complex) -> complex:
-        """Return the estimate after an observation at a time (s) and a position (m), m/s."""
+        """Return the estimate after the evader was observed at a position (m) at a time (s), m/s."""
         if isnan(place.real):
             self._seen = None
             return self._velocity or 0j
@@ -178,7 +178,7 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
 
     Args:
         ids: (n,) of the pursuers, ascending.
-        measures: (n,) of them; inf for a pursuer that cannot be the owner.
+        measures: (n,) measures of the pursuers; inf for a pursuer that cannot be the owner.
         present: the present owner, or several, of which the one of least measure counts.
         hysteresis: share by which the pursuer of least measure must be better to take over.
     """

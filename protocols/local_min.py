@@ -1,7 +1,9 @@
-"""Rules without a utility: a pursuer chases if it has the least capture time among the teammates that count.
+"""Rules without a utility: a pursuer chases if its capture time is the least among those of certain teammates.
+
+These are its active neighbours (`LocalMin`) or all known teammates (`ArgminKnown`).
 
 Paper: LocalMin: the greedy maximal independent set of the communication graph, in order of (phi, id); computed in
-    local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: the obvious heuristic.
+    local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a heuristic.
 Parameters: schedule.
 Assumes: symmetric links. LocalMin leaves one pursuer active in every neighbourhood. ArgminKnown leaves one in the whole
     team if announcements reach all (over several hops: `announce.dissemination`); otherwise it may leave a
@@ -19,12 +21,16 @@ from protocols.rule import Rule
 
 
 class LocalMin(Rule):
-    """Chase the evader of least phi, of those it would reach in time that no neighbour of less (phi, id) chases."""
+    """Chase the evader of least phi among those without a better chaser in the neighbourhood.
+
+    A better chaser is a neighbour that chases the evader with a smaller (phi, id). Evaders that the pursuer cannot
+    capture in time are left out.
+    """
 
     kind: Literal["local_min"] = "local_min"
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the evader for which the pursuer comes before its active neighbours, or 0, at each turn."""
+        """Yield the chosen evader, or 0, at each turn."""
         while True:
             near = set(me.counted_teammates("neighbours"))
             ahead = [evader for evader in me.options()[1:] if self._is_first(me, evader, near)]
@@ -38,7 +44,7 @@ class LocalMin(Rule):
 
 
 class ArgminKnown(Rule):
-    """Chase if in time and no known teammate, active or not, has a smaller (phi, id).
+    """Chase if a capture in time is possible and no known teammate, active or not, has a smaller (phi, id).
 
     Several evaders are assigned greedily, in order of (phi, id), each to one pursuer at most.
     """
