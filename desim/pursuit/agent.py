@@ -1,7 +1,7 @@
 """The agent: the interface through which a protocol controls one pursuer.
 
-The agent senses positions (its own, its teammates' and the evaders'), knows the rules of the game, and knows of its
-teammates' decisions only through messages that the network has delivered.
+The agent senses its own position and those of the evaders, and those of its teammates unless they are announced
+(`announce.payload`). It learns the decisions of teammates only from messages that the network has delivered.
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Sequence
@@ -28,7 +28,7 @@ Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 PAPER = Mean()
 """The utility of Lee & Bakolas."""
-RETURN_HINT = " (a protocol with nothing left to wait for returns)"
+RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite waiting time."""
 
 
@@ -37,7 +37,7 @@ class AnnouncementState:
     """The announcement state of a pursuer, shared by all its processes."""
 
     news: Any
-    """The `news` of its last announcement; None if the next announcement is due whatever it says."""
+    """The value in its last announcement whose change makes the next one due; None if that is due in any case."""
     payload: Any = None
     """The body set by `Agent.set_payload`; None for the payload of `announce.payload`."""
     restarts: int = 0
@@ -47,8 +47,7 @@ class AnnouncementState:
 class Agent:
     """One pursuer, as its protocol sees it.
 
-    Methods that return an event (`at`, `sleep`, `arrival`, `after_decisions`) belong behind `yield`; all others return
-    at once.
+    A protocol yields the events that `at`, `sleep`, `arrival` and `after_decisions` return. No other method waits.
 
     Attributes:
         id: 0 .. team_size - 1.
@@ -95,7 +94,7 @@ class Agent:
         return other
 
     def recovered(self, *, restarted: bool) -> None:
-        """Register a recovery from a crash: the last announcement may not have been sent."""
+        """Register a recovery from a crash. Its last announcement may not have been sent, so the next one is due."""
         self._announced.news = None
         if restarted:
             self._announced.payload = None
@@ -146,7 +145,7 @@ class Agent:
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
-        """Return the time r left to the horizon by its own clock, s, at present or a time `ahead` (s) from it."""
+        """Return the time r left to the horizon by its own clock, s, as it will be `ahead` s from now."""
         return self._world.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
@@ -235,7 +234,7 @@ class Agent:
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the ids whose actions count in its utility: all, those it hears directly, or those of its component.
 
-        Without sensed positions the scope cannot be restricted, and all announced teammates count.
+        If positions are not sensed, the scope is ignored and all count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)
@@ -243,7 +242,7 @@ class Agent:
 
     @property
     def latency(self) -> float:
-        """The mean one-way latency L of the network, s, as its specification would state it.
+        """The nominal mean one-way latency L of the network, s.
 
         It includes processing at both ends, but neither airtime nor queueing.
         """
@@ -289,7 +288,8 @@ class Agent:
     def set_payload(self, body: Any) -> None:
         """Announce this body instead of the standard payload from now on.
 
-        Its attribute `active` is the action; an announcement is due at once when its attribute `news` changes.
+        Its attribute `active` is the action. With the trigger "change" or "both", `announce` sends it when
+        its attribute `news` has changed.
         """
         self._announced.payload = body
 
@@ -342,7 +342,7 @@ class Agent:
     # Events to wait for.
 
     def at(self, time: float) -> simpy.Event:
-        """Return an event at a time on its own clock, s, to the nearest nanosecond; at once if that has passed.
+        """Return an event at a time on its own clock, s, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
             ValueError: if the time is infinite or nan.
@@ -353,7 +353,7 @@ class Agent:
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
     def sleep(self, duration: float) -> simpy.Event:
-        """Return an event a duration (s, by its own clock) from now.
+        """Return an event that happens after a duration, s, by its own clock.
 
         Raises:
             ValueError: if the duration is negative, infinite or nan.
@@ -365,7 +365,7 @@ class Agent:
             raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object]) -> None:
-        """Schedule a call a duration (s, by its own clock) from now; a restart without memory cancels it."""
+        """Call a function after a duration, s, by its own clock; a restart without memory cancels the call."""
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -375,7 +375,7 @@ class Agent:
         self.sleep(duration).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
-        """Return an event at the present instant, after all decisions that are made at it."""
+        """Return an event at the present instant, after all decisions of this instant."""
         return Instant(self._env, self._env.now, int(Phase.HEARTBEAT) + self.id)
 
     def arrival(self, port: str = "") -> simpy.Event:
@@ -383,7 +383,7 @@ class Agent:
         return self._network.inbox(self.id, port).arrival(self._turn)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Call a function every period (s, by its own clock), from a random phase drawn from the stream of a name."""
+        """Call a function every period (s, by its own clock); the phase is random, drawn from the named stream."""
         first = self.now + self.stream(name).uniform(0.0, period)
         for k in count():
             yield self.at(first + k * period)
@@ -392,7 +392,7 @@ class Agent:
     # Internal.
 
     def _news(self) -> Any:
-        """Return the value whose change makes an announcement due at once."""
+        """Return the value whose change makes an announcement due."""
         return (self.action,) if self._announced.payload is None else self._announced.payload.news
 
 

@@ -75,12 +75,12 @@ class Forwarded(NamedTuple):
 
 
 def announces_chase(body: Any) -> bool:
-    """Return whether a body announces a chase; other bodies that protocols publish do not."""
+    """Return whether a body announces a chase; False for a body without an attribute `active`."""
     return bool(getattr(body, "active", False))
 
 
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
-    """Return the records in a transmission: those that it relays, or the record of an announcement itself."""
+    """Return the records in a transmission: all that it relays, or the one that it broadcasts."""
     relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
     if relayed is not None:
         return relayed
@@ -108,7 +108,8 @@ class Announcements(Value):
     """action: only the action is announced, positions are sensed (the paper); time: the action and the capture time at
     sending; state: the action, the position and the speed at sending."""
     reckoning: Literal["exact", "straight_line"] = "exact"
-    """Dead reckoning of a moving teammate from its state: along its pursuit of the evader, or straight to it."""
+    """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit; straight_line:
+    straight towards the present position of the evader."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
     """When an action is announced: when it changes, every heartbeat, both, at every revision, or never."""
     heartbeat: Period = 0.1
@@ -116,8 +117,8 @@ class Announcements(Value):
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
-    """Time after its last announcement arrived for which a teammate is believed active, s; "auto" is 3 heartbeats plus
-    twice the typical latency and airtime of an announcement, or inf without heartbeats."""
+    """Time for which an announcement is believed after its arrival, s; "auto" is 3 heartbeats plus twice the typical
+    latency and airtime of an announcement, or inf without heartbeats."""
     warm_start: Flag = True
     """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)

@@ -131,7 +131,7 @@ def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> 
 
 
 def _games(phi: ArrayLike, actions: Sequence[int]) -> list[tuple[list[float], list[bool]]]:
-    """Return for each evader its single-evader game: the capture time (s) of each pursuer, and whether it chases it."""
+    """Return the single-evader game of each evader: the capture time (s) of each pursuer, and which pursuers chase."""
     times = _times(phi)
     return [(column.tolist(), [action == j for action in actions]) for j, column in enumerate(times.T, start=1)]
 

@@ -18,7 +18,7 @@ from desim.pursuit.state import Floats, Points
 from desim.pursuit.views import PursuerView
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
-"""For each teammate [(t, action)], ascending: the actions it is ordered to take from time t on (ns, reader's clock)."""
+"""For each teammate [(t, action)], ascending: the action ordered from time t on (ns, clock of the believer)."""
 UNORDERED: Orders = MappingProxyType({})
 """No orders: every teammate continues its announced action."""
 
@@ -33,7 +33,7 @@ class Belief(NamedTuple):
 
 
 class TeamEstimate(NamedTuple):
-    """A pursuer's estimate of the positions of itself and its teammates; teammates without a belief are left out."""
+    """A pursuer's estimate of the positions of itself and the teammates about which it has a belief."""
 
     ids: list[int]
     """(n,) ids, ascending, its own included."""
@@ -129,11 +129,11 @@ class Beliefs:
 
     @cached_property
     def _timeout(self) -> float:
-        """How long an announcement is believed, ns of true time."""
+        """The time for which an announcement is believed, ns of true time."""
         return self._timeout_for(self._announcements.heartbeat if self._announcements.beats else inf)
 
     def _timeout_for(self, period: float) -> float:
-        """Return how long announcements repeated every period (s) are believed, ns of true time."""
+        """Return the time for which an announcement repeated every period (s) is believed, ns of true time."""
         limit = self._announcements.belief_timeout
         if limit == "auto":
             delay = self._network.typical_latency + self._network.airtime(self._announcement())

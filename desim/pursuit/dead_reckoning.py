@@ -56,10 +56,10 @@ class EvaderTrack:
             self._segments.append(self.last)
 
     def position(self, position: complex, speed: float, since: int, now: int) -> complex:
-        """Return the position at `now` (ns) of a pursuer that was at `position` (m) at `since` (ns) and has chased, m.
+        """Return the position at `now` (ns) of a pursuer that has chased from `position` (m) since `since` (ns), m.
 
-        The previous result for the same start is cached, so the cost is O(motion steps since the previous call). There
-        is no motion before 0.
+        The previous result for the same start is cached, so the cost is O(motion steps since the previous call). A
+        start before time 0 counts as 0, because nothing moves before.
         """
         assert self._remembers
         known = (position, speed, since)
@@ -79,6 +79,6 @@ class EvaderTrack:
 
 
 def nearer(position: complex, evader: complex, length: float) -> complex:
-    """Return the point at a length (m) from a position straight towards the evader, at most the evader's own, m."""
+    """Return the position after moving a length (m) straight towards the evader, at most up to the evader, m."""
     gap = evader - position
     return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -65,7 +65,7 @@ class EvaderController:
         Raises:
             ValueError: if its strategy returns a longer heading.
         """
-        if self._is_pure_evasion:  # the evader of the paper: the same, several times faster
+        if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
             return away(state)
         observation = EvaderObservation(
             self._memory(state) if self._memory else state,
@@ -88,7 +88,8 @@ class EvaderController:
 class Eavesdropper:
     """A watcher of events that overhears the radio and knows when an announcement of a change of action is in flight.
 
-    It hears neither queued messages nor the orders of a server, only the reports of the pursuers that follow them.
+    A message is overheard when its transmission begins, not while it is queued. Orders of a server are not overheard; a
+    change of action that a server has ordered is overheard in the next report of the pursuer.
     """
 
     def __init__(self) -> None:
@@ -265,7 +266,7 @@ class EvaderBody:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # A lower bound on the time to capture for any motion, with a margin for rounding; no time if there is no gap.
+        # A lower bound on the time to capture for any motion, with a margin for rounding; at most 0 within the radius.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

@@ -116,8 +116,8 @@ class Zigzag(Fleeing):
 class VoronoiVertex(Fleeing):
     """Go to the farthest point of an arena that it would reach before any pursuer if all had equal speeds.
 
-    This point is a vertex of its Voronoi cell. Another vertex becomes the farthest on the way; the hysteresis delays
-    the turn. An evader outside the arena goes to the nearest point of the arena.
+    This point is a vertex of its Voronoi cell. On the way another vertex may become the farthest; the hysteresis delays
+    the turn to it. An evader outside the arena goes to the nearest point of the arena.
     """
 
     kind: Literal["voronoi_vertex"] = "voronoi_vertex"
@@ -226,7 +226,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return the (K,) least intercept times over all pursuers of an evader that keeps each of (K,) headings, s."""
+    """Return the (K,) least intercept times over all pursuers, one for each heading that the evader may keep, s."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
@@ -246,7 +246,7 @@ def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
 
 
 def _clipped(polygon: list[complex], middle: complex) -> list[complex]:
-    """Return a convex polygon clipped to the side of the origin of the line through `middle`, perpendicular to it."""
+    """Return the part of a convex polygon that is nearer to the origin than to the point 2 `middle`."""
     beyond = [((z - middle) * middle.conjugate()).real for z in polygon]
     kept = []
     for k, z in enumerate(polygon):

@@ -89,7 +89,7 @@ def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
 
 
 def relay_profile(phi: Sequence[float], reward: float) -> Profile:
-    """Return the profile in which only the relay pursuer is active, or none if there is no relay pursuer.
+    """Return the profile in which only the relay pursuer is active; without a relay pursuer all are inactive.
 
     For distinct phi it is the unique equilibrium of the game.
     """
@@ -121,7 +121,7 @@ def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]
     """Return the probability of each action under log-linear learning, given the utilities (s).
 
     Proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), computed without overflow; uniform at infinite
-    temperature (inverse temperature 0 1/s), even for infinite utilities.
+    temperature (inverse temperature 0), even for infinite utilities.
     """
     if inverse_temperature == 0.0:
         return [1.0 / len(utilities)] * len(utilities)

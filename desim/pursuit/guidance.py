@@ -49,9 +49,9 @@ class ConstantBearing(Value):
     """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
 
     The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The line of sight keeps its direction b
-    (parallel navigation): the pursuer matches the velocity of the evader across it, and uses the rest of its speed
-    along it, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along; there
-    is no intercept point unless it is positive.
+    (parallel navigation): across this line the pursuer has the same velocity as the evader, and along it the rest of
+    its speed, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along; if it
+    is not positive, there is no intercept point.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"
@@ -62,7 +62,7 @@ class ConstantBearing(Value):
         bearings = gaps / np.maximum(distances, SMALLEST)
         x, y = bearings.real, bearings.imag
         w = evader_velocity
-        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y  # of the line of sight
+        away, across = w.real * x + w.imag * y, w.imag * x - w.real * y  # along and across the line of sight
         rest = speeds**2 - across**2
         along = np.sqrt(np.maximum(rest, 0.0))
         meets = (rest >= 0.0) & (along - away > NO_SPEED) & (distances > 0.0)

@@ -1,7 +1,7 @@
 """Kinematics: the positions of all players, which move on straight pieces that begin at a common instant.
 
-A position is a closed form, origin + velocity * (t - since). Nothing is integrated, and reading the position of one
-player has no cost for the others.
+A position is a closed form, origin + velocity * (t - since). Nothing is integrated, and the position of one player is
+computed without those of the others.
 """
 
 from collections.abc import Iterable, Sequence
