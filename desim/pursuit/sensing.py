@@ -2,7 +2,8 @@
 
 Within the sensing radius a pursuer sees the true position of an evader. Beyond it, the pursuer extrapolates the newest
 sighting it knows, its own or a reported one (`Sensing.estimate`). It decides by this estimate and chases it. The
-positions of teammates are sensed or announced as without limit, and all pursuers know which evaders are captured.
+limit applies to evaders only: positions of teammates are sensed or announced over any distance, and all pursuers know
+which evaders are captured.
 """
 
 from cmath import rect
@@ -37,8 +38,8 @@ class Sensing(Value):
     """Sensing radius R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
     """Estimated position of an unseen evader. hold: that of the last sighting; constant_velocity: extrapolated with the
-    velocity at the last sighting; worst_case: anywhere within v_e age of the last sighting, so that with equal clocks
-    phi is an upper bound: (d + v_e age - eps) / (v_i - v_e)."""
+    velocity at the last sighting; worst_case: anywhere within the distance v_e a of the last sighting of age a, so
+    that with equal clocks phi is an upper bound: (d + v_e a - eps) / (v_i - v_e)."""
     period: Period = 0.1
     """Time between two reports of a pursuer, s. It repeats its own last sighting, because reports may be lost, until
     the sighting is `track_timeout` old or a newer one is reported to it."""
@@ -141,7 +142,8 @@ class TeamSensor:
 class SensedView:
     """The world as sensed by one pursuer: the `PursuerView` of its agent.
 
-    An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost, or unknown.
+    An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
+    unknown (there is no sighting).
 
     Args:
         pursuer: its id.
@@ -179,7 +181,7 @@ class SensedView:
         return reported if reported is not None and reported.seen > own else _sighting(evader, own, place, velocity)
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
-        """Return the estimate of an evader; None if it has no sighting of it, or has lost it and does not search."""
+        """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
         if self.sees(evader):
             return EvaderEstimate(self._world.evader(evader), self._world.velocity(evader))
         sighting, sensing = self.newest(evader), self._sensing
@@ -201,7 +203,7 @@ class SensedView:
         )
 
     def report(self) -> None:
-        """Report the newest sightings that have not expired to the neighbours."""
+        """Send the neighbours the sightings that have not expired: its own and, with `relay`, reported ones."""
         oldest = self._clock.now - self._sensing.track_timeout
         newest = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
         reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
@@ -262,9 +264,10 @@ class SensedView:
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
+        """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
 
-        It is extrapolated straight towards the estimated evader, because no pursuer has observed its whole path.
+        It is extrapolated straight towards the estimated position of the evader, because no pursuer has observed the
+        whole path of the evader.
         """
         if evader not in self._world.evaders():
             return self._world.reckoned(position, speed, age, evader, exact=False, ended=ended)
@@ -275,7 +278,7 @@ class SensedView:
 
 
 def spiral(length: float, apart: float) -> complex:
-    """Return the point at an arc length (m) along an Archimedean spiral from the origin with turns `apart` m, m.
+    """Return the point at an arc length (m) along an Archimedean spiral from the origin, turns `apart` (m) apart, m.
 
     From r = apart angle / 2 pi and the arc length r angle / 2, which holds approximately after many turns.
     """

@@ -46,7 +46,7 @@ class Steering:
         """Set the actions of all pursuers from now on."""
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
-        self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader), if there are few
+        self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
         if len(moving) <= SINGLY:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
@@ -112,7 +112,7 @@ class Steering:
     def _blind_velocity(self, pursuer: int, duration: float) -> complex:
         """Return the velocity of a pursuer whose evader is out of sensing range, m/s.
 
-        It stops at the estimated position of the evader at the end of the step, in `duration` s.
+        Its speed is limited so that it does not overshoot the estimated position of the evader in `duration` s.
         """
         assert self.sensor is not None
         estimate = self.sensor.views[pursuer].estimate(self._actions.item(pursuer))

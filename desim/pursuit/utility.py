@@ -23,7 +23,7 @@ Scope = Literal["heard", "neighbours", "component"]
 
 
 NEWTON_STEPS = 5
-"""Number of Newton steps: the initial guess of a root has at least 4 digits, and each step doubles them."""
+"""Number of Newton steps: the initial guess of a root has an error of at most 2 %, and each step doubles its digits."""
 
 
 class Utility(Protocol):
@@ -112,7 +112,7 @@ class Minimum(Value):
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
         if own == inf:
             return -inf
-        total, none_active = 0.0, 1.0  # the probability that none before in order of phi is active
+        total, none_active = 0.0, 1.0  # the probability that no pursuer with a lower phi is active
         for phi, q in sorted(zip(others, chances, strict=True)):
             total += none_active * q * max(phi - own, 0.0)
             none_active *= 1.0 - q
@@ -122,8 +122,8 @@ class Minimum(Value):
 class EdgePenalty(Value):
     """r - phi_i, less a penalty C for each active neighbour.
 
-    The sum of a_i (r - phi_i), less C for each pair of active neighbours, is an exact potential. With C > r the
-    equilibria are the maximal independent sets of the pursuers with phi_i < r.
+    The sum of r - phi_i over the active, less C for each pair of active neighbours, is an exact potential. With C > r
+    the equilibria are the maximal independent sets of the pursuers with phi_i < r.
     """
 
     kind: Literal["edge_penalty"] = "edge_penalty"

@@ -70,7 +70,7 @@ class PursuerView(Protocol):
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
+        """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
 
         The chase ended `ended` ns ago.
         """
@@ -118,7 +118,7 @@ class GlobalState(PursuerView, Protocol):
         ...
 
     def capture_times_at(self, position: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
+        """Return the capture time of each pursuer for an evader at a position (m), each distance increased (m), s."""
         ...
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:

@@ -33,7 +33,10 @@ def exit_code(error: KeyboardInterrupt) -> int:
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP raise Terminated in the main thread, unless they are handled or ignored (by nohup)."""
+    """Make SIGTERM and SIGHUP raise Terminated in the main thread.
+
+    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is left as it is.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -40,7 +40,7 @@ def within(limit: float) -> Iterator[None]:
     Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
     pydantic's serialiser drops it or replaces it by its own. The watcher therefore raises it again while the block
     lasts, but not while an earlier one is propagating, so that clean-up is not interrupted. A block that exceeds its
-    limit always ends with TimedOut, whatever it raises or returns; only KeyboardInterrupt takes precedence.
+    limit always ends with TimedOut, whatever it raises or returns, except KeyboardInterrupt and GeneratorExit.
 
     Raises:
         ValueError: if the limit is not a valid time, s.
@@ -131,7 +131,7 @@ def _line(process: "simpy.Process") -> str:
 
 
 def _until(process: "simpy.Process", due: Mapping[int, int]) -> str:
-    """Return the time of the event that a process waits for, the earliest of several, if it is scheduled."""
+    """Return the text ", at ... s" with the time of the event that a process waits for; "" if none is scheduled."""
     target = process.target
     from desim.kernel.clock import seconds
 

@@ -167,7 +167,7 @@ class World:
         return self.capture_time_over(pursuer, abs(self.evader(evader) - position), evader)
 
     def capture_times_at(self, position: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader at a position, with its distance increased (m), s."""
+        """Return the capture time of each pursuer for an evader at a position (m), each distance increased (m), s."""
         return self._targets[evader - 1].capture_times_over(lengths(position - self.positions()) + uncertainty)
 
     def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
@@ -224,7 +224,7 @@ class World:
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the position of a pursuer that began to chase an evader from a position (m) an age (ns) ago, m.
+        """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
 
         Args:
             position: its position at that time, m.
@@ -259,7 +259,9 @@ class World:
     # Changes of state.
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Let a pursuer chase an evader, or stay (0), from this instant on; one that may not chase it stays.
+        """Let a pursuer chase an evader, or stay (0), from this instant on.
+
+        A pursuer that is down, or may not chase this evader, stays.
 
         Raises:
             ValueError: if there is no such pursuer or evader.
@@ -336,7 +338,7 @@ class World:
         self._at(self._step_end, Phase.MOTION, self._move)
 
     def _foresee_capture(self) -> None:
-        """Predict the first capture of the present pieces before the step ends, and schedule it."""
+        """Schedule the first capture before the end of the step, predicted from the present velocities."""
         self._capture_ahead = None
         if self._motion.static:
             return
