@@ -50,7 +50,7 @@ class Source:
         return cls("the scenario", tables, allow_import=True)
 
     def where(self, place: KeyPath) -> str:
-        """Return where a key was set: `file:line`, or the description of the last override."""
+        """Return the place where a key was set: `file:line`, or the description of the last override."""
         lines = self.lines or {}
         dotted = tuple(part for key in place for part in (key.split(".") if isinstance(key, str) else [key]))
         known = lines.keys() | self.origins.keys()
@@ -134,7 +134,10 @@ class Source:
                     del table[key]
 
     def _parts(self, name: str) -> list[str]:
-        """Return the parts of a dotted name; the rest below `sweep.grid` is one key, unless it was given as tables."""
+        """Return the parts of a dotted name.
+
+        The rest after `sweep.grid` is one key, such as "team.count", unless the source has nested tables for it.
+        """
         parts = name.split(".")
         within, key = parts[:2], name.removeprefix("sweep.grid.").strip("\"'")
         nested = [*within, *key.split(".")]

@@ -203,14 +203,14 @@ class Capture(Value):
 
 
 class Motion(Value):
-    """The integration of motion."""
+    """The motion of all players."""
 
     step: Period = 0.01
     """Motion step h, the time between two headings, s."""
     order: Literal["evader_first", "simultaneous"] = "evader_first"
     """Whether pursuers aim at the position of the evader at the end of the step (the paper), or at its beginning."""
     static: Flag = False
-    """All players stand still and the time left stays at the horizon: the game of t = 0 is negotiated for the run."""
+    """Whether all players stand still and the time left stays at the horizon, so that the game never changes."""
 
 
 class Recording(Value):
@@ -264,7 +264,7 @@ class Scenario(Value):
 
     @property
     def evaders(self) -> tuple[Evader, ...]:
-        """(M,) parameters of each evader; evader j of an action has index j - 1."""
+        """(M,) parameters of each evader; evader j has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
 

@@ -24,8 +24,7 @@ from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
 def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Scenario:
     """Return the scenario in a TOML file.
 
-    Use it for a file as a whole, optionally with a few keys changed; a scenario of Python alone is built with
-    `Scenario(...)`.
+    Use it for a scenario file, optionally with a few keys changed. To build a scenario in Python, use `Scenario(...)`.
 
     Args:
         file: the path of the file.
@@ -140,7 +139,7 @@ def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[KeyPath, type[
 
 
 def _tags(info: FieldInfo) -> set[str]:
-    """Return the tags that a pydantic path may contain between a field, or an item of it, and its content."""
+    """Return the tags of kinds and union members, which pydantic adds to a path after a field or its item."""
     markers = markers_of(info)
     kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
     return kinds | {each.tag for each in markers if isinstance(each, Tag)}

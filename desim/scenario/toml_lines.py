@@ -51,7 +51,7 @@ _TOKEN = re.compile(
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the first line and the text of each statement of a TOML text; it ends where all brackets are closed."""
+    """Yield the first line and the text of each statement of a TOML text; it may span lines inside brackets."""
     depth = start = 0
     line = 1
     for token in _TOKEN.finditer(text + "\n"):
@@ -82,7 +82,7 @@ def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int])
 
 
 def _places(value: Any, place: KeyPath = ()) -> Iterator[KeyPath]:
-    """Yield the place of every value inside a value."""
+    """Yield the place of every value nested in a value."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, each in inner:
         yield (*place, key)
