@@ -2,7 +2,7 @@
 
 A protocol, its schedule or its utility lists the names of its assumptions in `assumes`. Each assumption is a function
 of the scenario that returns the reason why it does not hold, or None. A violated assumption gives a warning, not an
-error, because the behaviour of a protocol outside of its theorem is a subject of simulation.
+error, because simulations also study protocols where their assumptions do not hold.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -159,7 +159,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
 """The assumptions by name, as listed in `assumes`."""
 
 
-def broken(scenario: "Scenario") -> Iterator[tuple[str, str]]:
+def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
     """Yield the key and the reason of each assumption of protocol, schedule and utility that a scenario violates.
 
     Raises:
@@ -186,7 +186,7 @@ def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> boo
 
 
 def _reached_by_schedule(scenario: "Scenario") -> str | None:
-    """Return the pursuers to whom messages of the schedule carry actions, repeatedly: "all", "neighbours" or None."""
+    """Return the receivers of the actions that a schedule repeatedly sends: "all", "neighbours" or None."""
     return getattr(getattr(scenario.protocol, "schedule", None), "spreads_to", None)
 
 
@@ -206,7 +206,11 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
         return None
     lengths = nx.all_pairs_shortest_path_length(graph)
     widest = max(max(found.values()) for _, found in lengths)
-    return f"some are {widest} hops apart at the start, and announcements travel {hops}" if widest > hops else None
+    return (
+        f"some pursuers are {widest} hops apart at the start, but announcements travel {hops}"
+        if widest > hops
+        else None
+    )
 
 
 def _initial_graph(scenario: "Scenario") -> "nx.DiGraph[int]":

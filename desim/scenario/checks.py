@@ -11,7 +11,7 @@ from desim.kernel.links import Links
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
-from desim.scenario.assumptions import broken
+from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Scenario
 
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
@@ -25,7 +25,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "team.speeds", _all_too_slow(fastest, flights, scenario.prune != "none")
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
-    yield from broken(scenario)
+    yield from violations(scenario)
     schedule: Any = getattr(scenario.protocol, "schedule", None)
     if hasattr(schedule, "warnings"):
         yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
@@ -101,7 +101,7 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the keys of network, announcements and faults that have no effect, and an overloaded channel."""
+    """Yield the keys of network, announcements and faults that override a preset, have no effect or cause overload."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
         preset = Links(preset=network.preset)

@@ -25,7 +25,7 @@ from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.assumptions import broken
+from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.auction import NO_BID, Bid, bids_of, chosen, claim_fields, current, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
@@ -434,7 +434,9 @@ def test_the_auction_without_stamps_warns_of_crashes_and_both_of_graphs_in_parts
             network=Links(graph=Edges(nodes=2)),
             fault=(Crash(node=1, start=2.0),),
         )
-        assert {why.split(",")[0] for _, why in broken(scenario)} == {f"{auction().kind} assumes {x}" for x in names}
+        assert {why.split(",")[0] for _, why in violations(scenario)} == {
+            f"{auction().kind} assumes {x}" for x in names
+        }
 
 
 def east(state, rng):

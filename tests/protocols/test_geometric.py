@@ -18,7 +18,7 @@ from desim.pursuit.assignment import greedy_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Decided, Sampled, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.assumptions import broken
+from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.geometric import Argmin, Velocity, Voronoi, announced_chasers, first
@@ -440,7 +440,7 @@ def test_word_that_is_late_makes_them_disagree_for_a_while():
 def test_its_assumptions():
     def why(protocol, **given):
         scenario = Scenario(team=Team(count=5, speeds=given.pop("speeds", 1.0)), protocol=protocol, **given)
-        return sorted(reason.split()[2].rstrip(",") for _, reason in broken(scenario))
+        return sorted(reason.split()[2].rstrip(",") for _, reason in violations(scenario))
 
     crash, skew = (Crash(node=1, start=1.0),), (ClockSkew(offset=0.01),)
     assert why(Voronoi()) == why(Argmin()) == why(Argmin(hysteresis=0.1, by="intercept_time")) == []

@@ -17,7 +17,7 @@ from desim.pursuit.assignment import greedy_assignment, optimal_assignment
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Started
 from desim.pursuit.game import relay_profile
-from desim.scenario.assumptions import broken
+from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.centralised import Centralised
 from protocols.server import Order, Server
@@ -404,7 +404,7 @@ def test_its_assumptions():
     """In a star around pursuer 0 only that one reaches everybody; of a ring of 6 three are too far from any."""
 
     def why(**given):
-        return [reason.partition(", but ")[2] for _, reason in broken(static(**given))]
+        return [reason.partition(", but ")[2] for _, reason in violations(static(**given))]
 
     assert why(protocol=Server()) == why(protocol=Server(host=5)) == []
     assert why(protocol=Server(), network=Links(graph=Star())) == []

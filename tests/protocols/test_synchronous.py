@@ -11,7 +11,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.pursuit.events import Decided
 from desim.pursuit.game import relay_profile
-from desim.scenario.assumptions import broken
+from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Motion, Recording, Team
 from desim.study.imperfections import without_turns
 from protocols.best_response import BestResponse
@@ -138,11 +138,11 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
         assumes = ("one_at_a_time",)
 
     skewed = frozen(Synchronous(), rule=Alone).model_copy(update={"fault": (ClockSkew(offset=0.1),)})
-    assert dict(broken(skewed)) == {
+    assert dict(violations(skewed)) == {
         "protocol": f"{skewed.protocol.kind} assumes one_at_a_time, but all pursuers decide at once",
         "protocol.schedule": "synchronous assumes equal_clocks, but clocks differ",
     }
-    assert not dict(broken(frozen(SharedSeed(), rule=Alone)))
+    assert not dict(violations(frozen(SharedSeed(), rule=Alone)))
 
 
 @pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(holding_time=0.2), TokenWalk(holding_time=0.2)])

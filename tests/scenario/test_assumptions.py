@@ -14,7 +14,6 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.utility import Component, EdgePenalty, LocalMean
 from desim.scenario.assumptions import (
     ASSUMPTIONS,
-    broken,
     component_heard,
     connected,
     equal_clocks,
@@ -26,6 +25,7 @@ from desim.scenario.assumptions import (
     one_at_a_time,
     positions_known,
     times_known,
+    violations,
 )
 from desim.scenario.checks import warnings
 from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Speeds, Team
@@ -287,7 +287,7 @@ def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
         ("protocol.schedule", "rounds assumes equal_clocks, but clocks differ"),
         ("protocol.utility", f"mean assumes everyone_heard, but {hops}"),
     ]
-    assert list(broken(scenario)) == found
+    assert list(violations(scenario)) == found
     assert [each for each in warnings(scenario) if " assumes " in each[1]] == found
 
 
@@ -306,16 +306,16 @@ def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
 )
 def test_on_a_ring_those_are_warned_that_go_by_more_than_their_neighbours(protocol, assumes):
     scenario = Scenario(team=FOUR, network=Links(graph=Ring()), protocol=protocol)
-    assert [why.split(",")[0].split()[-1] for _, why in broken(scenario)] == assumes
+    assert [why.split(",")[0].split()[-1] for _, why in violations(scenario)] == assumes
 
 
 @pytest.mark.parametrize("kind", sorted(PROTOCOLS.choices()))
 def test_no_protocol_breaks_anything_in_the_default_scenario(kind):
     """But for equal speeds; nor does any name an assumption that there is not."""
     protocol = PROTOCOLS.choices()[kind]()
-    found = [why for _, why in broken(Scenario(protocol=protocol))]
+    found = [why for _, why in violations(Scenario(protocol=protocol))]
     assert found == ["voronoi assumes equal_speeds, but speeds are 1 to 2 m/s"] * (kind == "voronoi")
-    assert not list(broken(Scenario(team=Team(speeds=2.0), protocol=protocol)))
+    assert not list(violations(Scenario(team=Team(speeds=2.0), protocol=protocol)))
     assert set(getattr(protocol, "assumes", ())) <= set(ASSUMPTIONS)
 
 
@@ -328,7 +328,7 @@ def test_an_assumption_that_nobody_knows_is_an_error_that_says_which_there_are()
     with pytest.raises(
         ValueError, match=r"wishful assumes 'good_weather', which is unknown; allowed: undivided, connected, "
     ):
-        list(broken(four(protocol=Wishful())))
+        list(violations(four(protocol=Wishful())))
     with pytest.raises(ValueError, match="good_weather"):
         list(warnings(four(protocol=Wishful())))
 
@@ -339,7 +339,7 @@ def test_a_function_may_assume_something_too():
     def mine(me):
         yield from ()
 
-    assert not list(broken(four(fault=[Crash(start=0.0, node=0)], protocol=mine)))
+    assert not list(violations(four(fault=[Crash(start=0.0, node=0)], protocol=mine)))
     mine.assumes = ("no_crashes",)
     scenario = four(fault=[Crash(start=0.0, node=0)], protocol=mine)
-    assert list(broken(scenario)) == [("protocol", "the protocol assumes no_crashes, but pursuers break down")]
+    assert list(violations(scenario)) == [("protocol", "the protocol assumes no_crashes, but pursuers break down")]
