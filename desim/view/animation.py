@@ -37,7 +37,8 @@ HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
-"""Share of an evader's hue, the rest white, in pursuers that chase it with others; if there are several evaders."""
+"""Share of an evader's hue, blended with white, in the colour of pursuers that chase it together; used if there are
+several evaders."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 SHORT = 0.02
@@ -157,7 +158,7 @@ class _EvaderArtists:
 
 
 class _Scene:
-    """The axes of the film and their moving artists; static artists are drawn once, when the scene is created."""
+    """The axes of the animation and their moving artists."""
 
     def __init__(self, figure: Figure, result: Result):
         self._result, self._paths, self._active_periods = result, Paths(result), active_periods(result)
@@ -207,7 +208,12 @@ class _Scene:
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
 
     def at(self, t: int, before: int) -> list[Artist]:
-        """Update the moving artists to time `t` and return them in drawing order; `before` is the last frame's, ns."""
+        """Update the moving artists and return them in drawing order.
+
+        Args:
+            t: the time of the frame, ns.
+            before: the time of the previous frame, ns; messages lost since then are drawn as crosses.
+        """
         chases = self._chases(t)
         size = self._paths.pursuers.shape[1]
         places = np.array([self._paths.at(pursuer, np.array([t]))[0] for pursuer in range(size)])
@@ -220,7 +226,11 @@ class _Scene:
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
-        """Return the evader of each active pursuer at a time; at the end of the run, as just before it."""
+        """Return the evader of each active pursuer at a time, ns.
+
+        The last frame shows the pursuers that were active until the end of the run. Of several evaders, one captured at
+        the end no longer has pursuers.
+        """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
             each.pursuer: each.evader

@@ -1,9 +1,9 @@
 """The contents of pictures other than positions: deliveries of messages, chases, handovers and outages.
 
 In every picture a message moves at constant speed from its sender's position at transmission to its receiver's position
-at arrival. A lost message ends in a cross just short of its receiver, at the time of the loss, whatever its cause: the
-cross shows which receiver missed the message. In a space-time diagram, where each pursuer is a line, a message lost at
-arrival ends on the line of its receiver.
+at arrival. A lost message ends in a cross, which shows the receiver that missed it. In the replay and the animation the
+cross is just short of the receiver and appears at the time of the loss, whatever its cause. For the cross in a
+space-time diagram see `desim.view.spacetime`.
 """
 
 from collections.abc import Iterator
@@ -69,7 +69,7 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
 
 
 def announced_action(body: Any) -> int | None:
-    """Return the action that a message announces: the evader that its sender chases, or 0; None if it has none."""
+    """Return the action that a message announces: the evader that its sender chases, or 0; None without an action."""
     announced = getattr(body, "active", None)
     return announced if isinstance(announced, int) else None
 

@@ -33,7 +33,7 @@ def label_points(
     Each label takes the position that overlaps least with points, earlier labels and the outside of the axes.
 
     Args:
-        axes: the axes to write on; with their final limits, and on a figure that is laid out
+        axes: the axes to write on. They must have their final limits, and their figure its final layout
             (`draw_without_rendering`).
         places: the points (x, y), in data coordinates.
         names: the labels of the points.

@@ -45,7 +45,7 @@ class EvaderStyle(NamedTuple):
 
 
 class ActivePeriod(NamedTuple):
-    """An interval in which a pursuer chased an evader, either alone or with others throughout."""
+    """An interval in which a pursuer chased an evader: alone all the time, or with others all the time."""
 
     pursuer: int
     begin: int
@@ -135,8 +135,8 @@ class Paths:
 def draw_pursuit(axes: Axes, result: Result) -> None:
     """Draw the paths of active pursuers, bold while alone and thin with others, with a diamond at each handover.
 
-    The first diamond of an evader marks the first pursuer alone on it. A pursuer that never moved is only the circle
-    at its initial position. `label_takeovers` adds the numbers of the pursuers.
+    The first diamond of an evader marks the first pursuer that chases it alone. A pursuer that was never active has
+    only the circle at its initial position. `label_takeovers` adds the numbers of the pursuers.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -181,9 +181,10 @@ def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, E
 
 
 def label_takeovers(axes: Axes, result: Result) -> None:
-    """Label each diamond of `draw_pursuit` with its pursuer, and each of several evaders' starts with its number.
+    """Label each diamond of `draw_pursuit` with the number of its pursuer.
 
-    See `label_points` for the requirements on the axes.
+    If there are several evaders, their initial positions are labelled with their numbers. See `label_points` for the
+    requirements on the axes.
     """
     paths, chain = Paths(result), handover_events(result)
     everyone = (*paths.evaders.transpose(1, 0, 2), *paths.pursuers.transpose(1, 0, 2))

@@ -146,9 +146,9 @@ def _entry(ph: str, name: str, tid: int, t: int, *, pid: int = PURSUERS, **more:
 
 
 def _microseconds(t: int) -> float | int:
-    """Return a time (ns) in microseconds, such that int(1000 * result), Perfetto's conversion, is the time again.
+    """Convert a time from nanoseconds to microseconds.
 
-    A float represents nanoseconds exactly for up to 100 days.
+    Perfetto converts the result back by int(1000 * result), which gives exactly `t`, for times up to 100 days.
     """
     if t % 1000 == 0:
         return t // 1000

@@ -1,7 +1,7 @@
 """The replay of a run: one self-contained HTML page; equal runs give equal bytes.
 
-In the data of the page, times are whole ticks and positions whole millimetres or, if they lie far apart, a coarser
-unit. Columns of numbers are little-endian typed arrays in base64.
+In the data of the page, times are whole ticks, and positions are whole millimetres or, beyond 1000 km, multiples of a
+coarser unit. Columns of numbers are little-endian typed arrays in base64.
 """
 
 from base64 import b64encode

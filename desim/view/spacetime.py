@@ -40,7 +40,7 @@ WIDE = 12.0
 PALE = "#8c8c8c"
 """Colour of messages that announce inactivity; in greyscale lighter than that of announced activity."""
 MAX_SHOWN = 10
-"""Maximum number of pursuers that are all drawn by default."""
+"""Maximum size of a team whose pursuers are all drawn by default."""
 
 
 def spacetime(
@@ -57,14 +57,14 @@ def spacetime(
     Args:
         result: the result of a run with recorded messages.
         begin: the start of the window, s; None = the start of the run.
-        end: the end of the window, s; None = as late as the messages can easily be told apart.
-        pursuers: the pursuers to draw, from top to bottom; None = all or, of more than ten, the six with most changes
-            of action.
+        end: the end of the window, s; None = the latest end with which the messages are easy to tell apart.
+        pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
+            team of more than ten.
         width: the width of the figure, cm; that of a column of a paper is 8.5.
 
     Raises:
-        ValueError: if messages were not recorded, a pursuer does not exist, the window is empty, or the messages in it
-            are too many to be told apart.
+        ValueError: if messages were not recorded, a pursuer does not exist or is given twice, the window is empty, or
+            the messages in it are too many to be told apart.
     """
     shown = list(pursuers) if pursuers is not None else _busiest(result)
     _check(result, shown, begin, end)
@@ -97,7 +97,10 @@ def spacetime(
 
 
 def _busiest(result: Result) -> list[int]:
-    """Return the pursuers to draw, ascending: all of up to `MAX_SHOWN`, else the six with most changes of action."""
+    """Return the pursuers to draw by default, ascending: all, or the six with the most changes of action.
+
+    All are drawn in a team of up to `MAX_SHOWN` pursuers.
+    """
     size, most = len(started(result).active), 6
     if size <= MAX_SHOWN:
         return list(range(size))
@@ -122,7 +125,8 @@ def _window(
 ) -> tuple[Interval, list[Delivery]]:
     """Return the window (ns) and the deliveries among the pursuers shown that are in flight in it.
 
-    Without an end, the window holds half of the `most` messages that can be told apart, or those of one instant.
+    At most `most` messages can be told apart. Without an end, the window holds about half as many; messages transmitted
+    at the same time stay together.
     """
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
