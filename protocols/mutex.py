@@ -7,8 +7,8 @@ Parameters: rate (requests per second of an idle pursuer), attempts (before a ne
     (before a request is retransmitted).
 Assumes: symmetric links; that a neighbour that does not answer `attempts` requests has crashed or is out of range. Only
     neighbours exclude each other, and only their actions are known to be up to date.
-Messages: 2 d_i per decision among d_i neighbours, which takes 2 L or longer. If it takes longer than expected, requests
-    are retransmitted, and neighbours that defer their reply answer that they do.
+Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L. If it takes longer than
+    expected, requests are retransmitted, and neighbours that defer their reply answer with `Deferred`.
 Stable while the channel can carry 2 d_i messages per decision.
 Robust to loss: yes. Requests are retransmitted until they are answered. The oldest request waits only for neighbours
     that do not answer, and these are left out in the end, so no pursuer waits for ever. A silent neighbour still gets
@@ -43,7 +43,7 @@ class Reply(NamedTuple):
     """Grants a request."""
 
     stamp: Stamp
-    """That of the request."""
+    """The stamp of the request."""
     records: tuple[Record, ...]
     """The announcement of the replier."""
 
@@ -52,7 +52,7 @@ class Deferred(NamedTuple):
     """Answers a retransmitted request that is not yet granted."""
 
     stamp: Stamp
-    """That of the request."""
+    """The stamp of the request."""
 
 
 class LocalMutex(Value):
@@ -66,10 +66,10 @@ class LocalMutex(Value):
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
     """Number of requests to a neighbour that does not answer before it is left out."""
     min_timeout: Duration = 0.001
-    """Least time after which a request is retransmitted, s; it is 5/4 of a round trip if that is longer."""
+    """Least time after which a request is retransmitted, s; the time-out is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return (1 / rate + 2 L + A) / N, or (d + 1) L / N if that is longer: one decision per L among neighbours, s.
+        """Return (1 / rate + 2 L + A) / N or, if longer, (d + 1) L / N: one decision per L in each neighbourhood, s.
 
         d is the mean degree of the team, so that all pursuers compute the same value; A is the airtime of requests to d
         neighbours and of their replies.
@@ -109,10 +109,10 @@ class CriticalSection:
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
         self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), min_timeout)
-        self._highest = 0  # Lamport time of the requests so far
+        self._highest = 0  # highest Lamport time of the requests so far
         self._own_request: Stamp | None = None  # stamp of its own request
-        self._missing: dict[int, int] = {}  # neighbours whose reply is missing: requests without an answer
-        self._deferred: dict[int, Stamp] = {}  # neighbours that wait for a reply: their request
+        self._missing: dict[int, int] = {}  # by neighbour without a reply: number of unanswered requests
+        self._deferred: dict[int, Stamp] = {}  # by neighbour that waits for a reply: stamp of its request
         self._silent: set[int] = set()  # neighbours that did not answer in time
 
     def idle(self, until: float) -> Process:

@@ -2,8 +2,8 @@
 
 Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
     unconditional variant: the regret of an action is that of not having taken it at every turn. The conditional
-    procedure of the paper's title (regrets of each action against each other, and a constant of inertia), which leads
-    to correlated equilibria, is not implemented.
+    procedure of the paper's title (regrets of each action against each other action, and an inertia constant), which
+    leads to correlated equilibria, is not implemented.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
@@ -27,10 +27,10 @@ from protocols.sap import categorical
 
 
 class RegretMatching(LearningRule):
-    """Each action is drawn with probability proportional to its positive regret; without one, the action is kept.
+    """Each action is drawn with probability proportional to its positive regret; if none is positive, it is kept.
 
-    The regret of an action is its utility minus that of the action taken, averaged over the turns. Drawing at random
-    where there is no regret is possible, too, but would leave most runs unsettled.
+    The regret of an action is its utility minus that of the action taken, averaged over the turns. Drawing
+    uniformly if no regret is positive would be possible, too, but most runs would not settle.
     """
 
     kind: Literal["regret_matching"] = "regret_matching"

@@ -1,7 +1,8 @@
 """Retransmission time-outs with exponential back-off, for the schedules that exchange messages.
 
-The first time-out is 5/4 of a round trip without queues. Each later one allows for 3/2 of the airtime that the one
-before allowed for, because the channel may be busy.
+The first time-out is 5/4 of a round trip: twice the latency, and the airtime of the request, of its answer and of the
+messages that may be queued in front of them. In each later time-out this airtime counts 1.5 times as much as in the one
+before, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -10,9 +11,9 @@ from typing import Any
 from desim.pursuit.agent import Agent
 
 BACKOFF = 1.5
-"""Factor by which the airtime allowed for grows from one attempt to the next."""
+"""Factor by which the airtime in the time-out grows from one attempt to the next."""
 MAX_GROWTH = 100
-"""Most attempts for which it grows."""
+"""Number of attempts after which it stops growing."""
 Waiting = Generator[Any, Any, bool]
 """A part of a process that waits and returns true or false."""
 

@@ -1,8 +1,8 @@
 """Rules: protocols that choose an action at each turn of a schedule.
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: stay, j:
-chase evader j) and keeps the pursuer's memory in its local variables. It is not called for a pursuer that can only
-stay. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
+chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only stay, it
+is not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
 dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
 """
 
@@ -73,7 +73,7 @@ class LearningRule(Rule):
     def utilities(self, me: Agent) -> dict[int, float]:
         """Return the utility of each action that a pursuer may choose, s: 0 for staying, the gain for chasing.
 
-        The gain of a pursuer that can never capture is cut off at -30 years, so that averages are finite.
+        The gain of a pursuer that can never capture is -1e9 s (`MAX_TIME`), so that averages are finite.
         """
         worth = {0: 0.0}
         for evader in me.options()[1:]:

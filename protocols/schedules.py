@@ -5,9 +5,10 @@ pursuer announce its action, and waits again. `mean_slot(me)` is the mean time d
 team.
 
 Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
-    synchronous learning, with q < 1 independent revisions as in Marden & Shamma 2012. Periodic: timers of real robots.
+    synchronous learning; if q < 1, independent revisions as in Marden & Shamma 2012. Periodic: none; it models the
+    timers of real robots.
 Parameters: for each, the period or rate of revisions.
-Assumes: SharedSeed and Rounds equal clocks; Poisson and Periodic nothing.
+Assumes: for SharedSeed and Rounds, equal clocks; for Poisson and Periodic, nothing.
 Messages: none.
 Robust to loss: yes, for nothing is sent.
 """
@@ -38,9 +39,9 @@ class Schedule(Protocol):
 
 
 class SharedSeed(Value):
-    """One pursuer revises per slot, at k delta: the k-th draw of a random sequence that all pursuers share.
+    """One pursuer revises per slot: at time k delta, the k-th draw of a random sequence that all pursuers share.
 
-    Exactly the order of Lee & Bakolas, Algorithm 2, without messages. Assumes equal clocks.
+    This is the order of Lee & Bakolas, Algorithm 2. It needs no messages, but equal clocks.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
@@ -59,7 +60,7 @@ class SharedSeed(Value):
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that belongs to the pursuer."""
         for k in owned_slots(me.id, me.team_size, me.shared_stream("slots")):
-            if k * self.slot >= me.now:  # skip slots before a fast clock's start or during a crash
+            if k * self.slot >= me.now:  # skip past slots: a clock ahead at the start, a crash
                 yield me.at(k * self.slot)
                 revise()
                 me.announce()
@@ -88,9 +89,9 @@ class Poisson(Value):
 class Rounds(Value):
     """In every round all pursuers revise, or each with a probability; they announce after all decisions of the round.
 
-    There is no Gibbs law, but in the relay game it settles fastest: a round takes the time of one revision elsewhere.
+    The Gibbs law does not hold, but in the relay game this schedule settles fastest: all pursuers revise at once.
     The theorem of Marden & Shamma 2012 on independent revisions does not apply: there the probability of revising
-    vanishes with tau, as exp(-m / tau), while `participation`, q, is constant.
+    tends to 0 with tau, as exp(-m / tau), while `participation`, q, is constant.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
@@ -120,8 +121,9 @@ class Rounds(Value):
 class Periodic(Value):
     """Each pursuer revises at the ticks of its own timer with a random phase.
 
-    Use some jitter: without it, a timer whose period is an even multiple of the motion step is synchronous with the
-    evader's chatter between its two nearest pursuers and may sample the same state for seconds.
+    Use some jitter. An evader may chatter between its two nearest pursuers: it flees from one and from the other at
+    alternate motion steps. Without jitter, a timer whose period is an even number of motion steps is synchronous with
+    this and may sample the same state for seconds.
     """
 
     kind: Literal["periodic"] = "periodic"
@@ -149,15 +151,16 @@ class Periodic(Value):
         if self.jitter == 0.0 and abs(multiple - 2 * round(multiple / 2)) < 1e-6 * multiple:
             yield (
                 "jitter",
-                f"a strictly periodic timer of {round(multiple)} motion steps, an even number, is synchronous with the"
-                " evader's chatter between two pursuers, and no pursuer may be active for seconds: give it some jitter",
+                f"a strictly periodic timer of {round(multiple)} motion steps, an even number, is synchronous with an"
+                " evader that chatters between two pursuers, so possibly no pursuer is active for seconds: give it some"
+                " jitter",
             )
 
 
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:
     """Yield the instants phase + k * period, k = first, first + 1, ..., by the own clock, s.
 
-    Past instants are skipped: those before the start of the clock or during a crash.
+    Past instants are skipped, such as those during a crash.
     """
     for k in count(first):
         tick = phase + k * period
@@ -166,7 +169,7 @@ def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Itera
 
 
 def owned_slots(owner: int, team_size: int, rng: np.random.Generator) -> Iterator[int]:
-    """Yield the numbers k = 1, 2, ... of the slots of one pursuer; `rng` draws the owner of each slot uniformly."""
+    """Yield the numbers of the slots of one pursuer, from 1 on; `rng` draws the owner of each slot uniformly."""
     block = 4096  # draws at a time; part of the definition of the sequence
     for first in count(1, block):
         yield from (first + np.flatnonzero(rng.integers(team_size, size=block) == owner)).tolist()

@@ -3,27 +3,27 @@
 Paper: the decision is that of the centralised benchmark (`centralised`), Algorithm 3 of Lee & Bakolas, "Relay Pursuit
     of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"; reports and orders have latency and loss.
 Parameters: host (the pursuer that carries the server), period (time between two reports).
-Time: every pursuer reports at the start, and then every period with a random phase. (Reports at the same ticks of an
-    even number of motion steps would always sample the evader's chatter between two pursuers in the same state.) The
-    server decides when reports arrive, once for all reports of one instant. The host obeys at once, the others when an
-    order arrives. A changed order is sent at once and repeated every period.
-Prediction: with a round trip of m reports, m orders are in flight. A server that ignores them would take a pursuer that
-    it has sent for one that stays, and its orders would oscillate for ever. It therefore extrapolates each pursuer from
-    its last report by the orders sent since. Each order, the present one included, takes effect `me.latency` and an
-    airtime after sending. A pursuer that does not chase the evader until then is compared by phi plus the time lost.
-    With constant latency and no loss this is an omniscient centre whose orders are delayed by L. At L = 0 it is the
-    centralised benchmark, deciding at the instants of the reports.
+Time: every pursuer reports at the start, and then every period with a random phase. (Without it, a
+    period of an even number of motion steps could always sample a chattering evader in the same state; see `Periodic`.)
+    The server decides when reports arrive, once for all reports of one instant. The host obeys at once, the others when
+    an order arrives. A changed order is sent at once and repeated every period.
+Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
+    assume that a pursuer just ordered to chase still stays, and its orders would oscillate for ever. The server
+    therefore extrapolates each pursuer from its last report by the orders sent since. Each order, the present one
+    included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader until then,
+    the time lost is added to its phi. With constant latency and no loss this is an omniscient centre whose orders are
+    delayed by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
     extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
     clocks that differ cause small errors.
-Messages: a first report of each pursuer; per period, N - 1 reports of 72 bytes and N - 1 orders of 24 bytes and 8 for
-    each evader that is chased; N - 1 orders per change.
+Messages: a first report of each pursuer; per period, N - 1 reports of 72 bytes and N - 1 orders of 24 bytes plus 8
+    for each evader that is chased; N - 1 orders per change.
 Robust to loss: yes. Reports and orders are repeated every period, and an order older than the newest received is
     discarded. The server assumes that its orders are obeyed: if one is lost or late, the predicted position is wrong by
     at most the distance covered since the last report, and only until the repetition. A pursuer without a recent report
-    (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. Without any report, the server
-    decides only after 3 periods and a round trip.
+    (`announce.belief_timeout`, where "auto" uses the period of the reports) is left out. If no reports arrive for
+    3 periods and a round trip, the server decides without them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -50,7 +50,7 @@ class Order(NamedTuple):
     number: int
     """Number of the decision, greater for a newer one."""
     chaser: int | tuple[int | None, ...] | None
-    """The pursuer that is to chase the evader or, if there are several, each of the (M,) evaders; None for none."""
+    """The pursuer that is to chase the evader or, if there are several, each of the (M,) evaders; None if none is."""
 
     def action(self, pursuer: int) -> int:
         """Return the evader that a pursuer is to chase, or 0."""
@@ -113,7 +113,7 @@ class Server(Value):
                 if reports or me.now >= last_report + report_timeout:
                     chaser = self._chaser(me, orders, delay)
                     changed = current.number < 0 or chaser != current.chaser
-                    # Numbered by the clock, so that they also increase after a loss of memory.
+                    # Orders are numbered by the clock, so that numbers increase even after a loss of memory.
                     current = Order(max(nanoseconds(me.now), current.number + 1, 0), chaser) if changed else current
                     apply_order(me, current)
                 if changed or (due and current.number >= 0):

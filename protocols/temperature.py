@@ -22,7 +22,7 @@ class Temperature(Protocol):
 
 
 class PaperTau(Value):
-    """tau = scale / eta^2 (Lee & Bakolas, Algorithm 1): infinite at first, 0.001 after a hundred slots."""
+    """tau = scale / eta^2 (Lee & Bakolas, Algorithm 1): infinite at first; if scale = 10 s, 0.001 s after 100 slots."""
 
     kind: Literal["paper"] = "paper"
     scale: Positive = 10.0
@@ -46,13 +46,16 @@ class ConstantTau(Value):
 
 
 class LogarithmicTau(Value):
-    """tau = scale / ln(eta + offset): slow enough to find the best profile of a fixed game with probability 1."""
+    """tau = scale / ln(eta + offset): slow enough to find the best profile of a fixed game with probability 1.
+
+    That holds from a certain `scale` on; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives this value.
+    """
 
     kind: Literal["logarithmic"] = "logarithmic"
     scale: Positive = 1.0
-    """c, s; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least value for that."""
+    """The constant c, s."""
     offset: Annotated[float, Field(gt=1, allow_inf_nan=False, strict=True)] = 2.0
-    """k0 > 1, slots."""
+    """The constant k0 > 1, slots."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, 1/s."""
@@ -80,7 +83,7 @@ Surprise = Literal["neighbour", "silence", "order"]
 
 
 class AdaptiveTau(Value):
-    """Cools as another temperature does, and restarts at each surprise; each pursuer has its own temperature."""
+    """Follows another cooling schedule and restarts it at each surprise (`reheat_on`), separately in each pursuer."""
 
     kind: Literal["adaptive"] = "adaptive"
     cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, takes=("eta",))] = (
@@ -89,8 +92,8 @@ class AdaptiveTau(Value):
     """Cooling between two surprises."""
     reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
     """Events that restart the cooling. neighbour: a teammate is heard for the first time or again; silence: a teammate
-    times out (`announce.belief_timeout`); order: an evader is captured, or its pursuer of least capture time, among
-    the known teammates and the pursuer itself, changes."""
+    times out (`announce.belief_timeout`); order: an evader is captured, or another pursuer now has
+    the least capture time for it, among the known teammates and the pursuer itself."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, eta slots after the last surprise, 1/s."""
@@ -113,7 +116,7 @@ class AdaptiveTau(Value):
 
 
 def _first(me: Agent, evader: int) -> int:
-    """Return the pursuer of least capture time of an evader, among the agent and teammates of known time."""
+    """Return the pursuer with the least capture time for an evader, among the agent and teammates of known time."""
     known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
     return min([*known, (me.capture_time(evader), me.id)])[1]
 

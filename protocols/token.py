@@ -30,19 +30,19 @@ class _WithToken(Value):
     holding_time: Period = 0.01
     """Time for which a pursuer holds the token before it revises and forwards it, s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 5
-    """Number of transmissions of the token to a neighbour that does not answer."""
+    """Number of transmissions of the token to a neighbour before the neighbour is given up."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return holding_time + L + A, s; A is the airtime of a full token. Keeping it takes holding_time only."""
+        """Return holding_time + L + A, s; A is the airtime of a full token. A slot without a hop lasts holding_time."""
         return self.holding_time + hop_time(me)
 
     def without_turns(self) -> dict[str, Any]:
-        """Return the schedule under which all revise whenever the token would be forwarded."""
+        """Return the schedule under which all pursuers revise whenever the token would be forwarded."""
         return {"kind": "synchronous", "schedule": self}
 
 
 class TokenRing(_WithToken):
-    """The token goes to the least recently visited neighbour: on a complete graph, round in order of ids."""
+    """The token goes to the least recently visited neighbour; on a complete graph it circulates in order of ids."""
 
     kind: Literal["token_ring"] = "token_ring"
 
@@ -52,7 +52,7 @@ class TokenRing(_WithToken):
 
 
 class TokenWalk(_WithToken):
-    """The token makes a random walk of uniform stationary distribution (Metropolis and Hastings)."""
+    """The token makes a random walk with a uniform stationary distribution (Metropolis and Hastings)."""
 
     kind: Literal["token_walk"] = "token_walk"
 
@@ -68,7 +68,7 @@ def least_recent(me: Agent, token: Token) -> int | None:
 
 
 def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
-    """Return neighbour j with probability min(1/d_i, 1/d_j), else None; d is the number of neighbours not absent."""
+    """Return neighbour j with probability min(1/d_i, 1/d_j), else None; d_i counts i's neighbours not absent."""
     candidates = not_absent(token, me.neighbours())
     degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
     shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]

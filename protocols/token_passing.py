@@ -1,12 +1,12 @@
 """Circulation of one token: forwarding, detection of its loss, regeneration, and removal of duplicates.
 
-Paper: a regenerated token has an epoch of its own, and a node discards any token older than the newest epoch it has
-    seen; Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring.
+Paper: Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring. Here each
+    regenerated token has its own epoch, and a node discards any token older than the newest epoch it has seen.
 Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
-Assumes: nothing, for a single token in the end. A token is not regenerated needlessly if a round takes less than
-    3 N (L + holding_time).
-Messages: two per hop, the token and its receipt. Notices of a new token, and of a token in use for pursuers that it has
-    not visited for long, are broadcast to all neighbours and forwarded to pursuers out of their range.
+Assumes: nothing; in the end each component of the graph has a single token. A token is not
+    regenerated needlessly if a round takes less than 3 N (L + holding_time).
+Messages: two per hop, the token and its receipt. The holder broadcasts a notice when it regenerates the token, and when
+    the token has not visited some pursuer for long. Receivers forward it to neighbours that its sender does not reach.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated, by low ids first. Crashes, partitions and delayed messages can produce several tokens;
@@ -42,14 +42,14 @@ class Token(NamedTuple):
 
 
 class TokenReceipt(NamedTuple):
-    """Answers a token or a probe; a newer epoch than that of the token rejects it as outdated."""
+    """Answers a token or a probe; an epoch newer than that of the token rejects the token as outdated."""
 
     epoch: Epoch
     hop: int
 
 
 class TokenNotice(NamedTuple):
-    """Announces that a token of this age is in use; the token is a new one if the epoch is."""
+    """Announces that a token of this age is in use; a new epoch announces a regenerated token."""
 
     epoch: Epoch
     hop: int
@@ -68,7 +68,7 @@ def visited(token: Token, pursuer: int) -> tuple[int, ...]:
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a present pursuer was not visited for N hops and may soon assume that the token is lost."""
+    """Return whether a pursuer that is not absent was not visited for N hops and may assume that the token is lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
@@ -101,7 +101,7 @@ def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attemp
 
 
 def full_token(me: Agent) -> Token:
-    """Return a token of the length of one with the records of all pursuers."""
+    """Return a token as long as one that carries the records of all pursuers."""
     records = (Record(me.id, 0, 0, me.announcement()),) * me.team_size
     return Token(UNHEARD, 0, (0,) * me.team_size, (), records)
 
@@ -125,8 +125,8 @@ class TokenNode:
         self._me, self._holding_time, self._attempts = me, holding_time, attempts
         self.token: Token | None = None
         self._next: int | None = None  # the pursuer whose receipt is awaited
-        self._newest: Age = (UNHEARD, 0)  # of the newest message about a token
-        self._taken: Age = (UNHEARD, 0)  # of the last token held
+        self._newest: Age = (UNHEARD, 0)  # age of the newest message about a token
+        self._taken: Age = (UNHEARD, 0)  # age of the last token held
         self._last_token = Token(UNHEARD, 0, (0,) * me.team_size, (), ())  # the last token held
         self._answered: set[int] = set()  # pursuers that answered since the last token left or a new epoch began
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
@@ -142,8 +142,8 @@ class TokenNode:
     def loss_timeout(self) -> float:
         """The time without a sign of the token after which this pursuer regenerates it, s.
 
-        Three rounds and the time to give up a neighbour; two hops more for each lower id, so that the notice of one new
-        token arrives before the next pursuer makes another.
+        It is three rounds and the time to give up a neighbour, and two hops more for each pursuer of lower id. The
+        notice of a regenerated token therefore arrives before the next pursuer regenerates another.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
@@ -281,7 +281,7 @@ class TokenNode:
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _without(self, token: Token, dst: int) -> Token:
-        """Return the token with a silent pursuer recorded as absent; a new epoch invalidates the copy it may have."""
+        """Return the token, with a silent pursuer recorded as absent; a new epoch invalidates any copy it received."""
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token
@@ -300,7 +300,7 @@ class TokenNode:
         return token
 
     def _probed(self, token: Token) -> Token:
-        """Probe the absent neighbour that is due, each at most once in N hops; return the token with that recorded."""
+        """Probe an absent neighbour, each at most once in N hops, and return the token with the probe recorded."""
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._next_probe:
             return token

@@ -657,8 +657,8 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
         "protocol": (f"{path}:8", "sap assumes messages_get_through, but nothing is ever announced"),
         "protocol.schedule.jitter": (
             f"{path}:10",
-            "a strictly periodic timer of 4 motion steps, an even number, is synchronous with the evader's chatter"
-            " between two pursuers, and no pursuer may be active for seconds: give it some jitter",
+            "a strictly periodic timer of 4 motion steps, an even number, is synchronous with an evader that chatters"
+            " between two pursuers, so possibly no pursuer is active for seconds: give it some jitter",
         ),
     }
     assert len(said) == 6
