@@ -14,7 +14,7 @@ def described(
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively and once each, the models they may hold.
 
-    Models in `known` are only named; the models described are added to it.
+    A model in `known` has its first line only; the models described are added to `known`.
     """
     known = set() if known is None else known
     yield f"{indent}{title}: {_summary(model)}"
@@ -31,7 +31,8 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     """Yield the lines of `described` for one key or kind below a model.
 
     Args:
-        place: the keys from the outermost in; the kind of a model follows its key.
+        place: the keys from the outermost to the innermost, such as network, latency, gamma, scale; the kind of a model
+            follows its key.
         model: the outermost model.
 
     Raises:

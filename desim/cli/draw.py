@@ -58,7 +58,7 @@ OUT = click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Output file; its suffix sets the format; default: in DIR, or here.",
+    help="Output file; its suffix sets the format; default: in DIR, or in the working directory for a FILE.",
 )
 FROM = click.option(
     "--from", "begin", type=click.FloatRange(min=0), help="Start of the window, s; default: the start of the run."
@@ -85,12 +85,13 @@ class _Pursuers(click.ParamType[tuple[int, ...]]):
     "--to",
     "end",
     type=click.FloatRange(min=0),
-    help="End of the window, s; default: as late as messages can be told apart.",
+    help="End of the window, s; default: the latest end with which messages are easy to tell apart.",
 )
 @click.option(
     "--pursuers",
     type=_Pursuers(),
-    help="Pursuers from top to bottom; default: all, or of more than ten the six with most changes of action.",
+    help="Pursuers from top to bottom; default: all, or the six with the most changes of action in a team of more than"
+    " ten.",
 )
 @click.option("--width", type=click.FloatRange(min=4, max=200), default=17.0, show_default=True, help="Width, cm.")
 @SEED

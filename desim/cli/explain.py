@@ -45,7 +45,7 @@ def explain(
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
-    """Measure what each imperfection costs: run the same seeds with each of them removed."""
+    """Measure what each imperfection costs: run the same seeds with and without it."""
     from desim.results import provenance
     from desim.results.run_folder import can_plot
     from desim.study.explain import RUNS, Variants
@@ -73,5 +73,5 @@ def explain(
                 echo(f"wrote {each}", err=True)
     echo(text if as_json else found.table())
     if found.failed:
-        echo(f"a run failed with {found.failed} seeds; the same command retries them", err=True)
+        echo(f"for {found.failed} seeds a run failed; the same command retries them", err=True)
         sys.exit(FAILED)

@@ -102,7 +102,7 @@ def sweep(
     timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Run a scenario many times per configuration of its grid, the table `sweep`; resume if runs are stored already."""
+    """Run each configuration of the grid of a scenario (`sweep.grid`) many times; skip runs that are stored already."""
     from desim.scenario.overrides import ScenarioError
     from desim.study.history import note
     from desim.study.result import SHOWN
@@ -112,7 +112,7 @@ def sweep(
     source, scenario = source_of(file, overrides)
     shown = _checked_metrics(metrics) or SHOWN
     if until and shard:
-        fail("--until needs all runs, and --shard does a part of them: they exclude each other")
+        fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
     try:
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:

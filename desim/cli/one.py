@@ -62,7 +62,7 @@ def run(
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
-    if timeout is not None and runs in {None, 1}:  # includes reading the file and writing results
+    if timeout is not None and runs in {None, 1}:  # the limit includes reading the file and writing results
         click.get_current_context().with_resource(within(timeout))
     scenario, folder, recorded = _scenario_to_run(file, repeated, overrides)
     if seed is not None:
@@ -145,7 +145,10 @@ def _scenario_to_run(
 
 
 def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
-    """Return the same of a run.json; warn if results may differ; end the program if the file is invalid."""
+    """Return the same as `_scenario_to_run` for a run.json.
+
+    Warn if results may differ from the recorded ones. End the program if the file is invalid.
+    """
     from desim.results import provenance
     from desim.results.environment import environment
     from desim.scenario.overrides import ScenarioError

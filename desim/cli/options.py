@@ -49,7 +49,7 @@ def _allow(ctx: click.Context, _param: click.Parameter, is_allowed: bool) -> Non
 
 
 ALLOWED = "desim.allow_import"
-"""The key of this flag in the context of a command."""
+"""The key of --allow-import in the context of a command."""
 ALLOW_IMPORT = click.option(
     "--allow-import",
     is_flag=True,
@@ -142,7 +142,7 @@ def page_at(out: Path | None, usual: Path) -> Path:
 
 
 def folder_for(scenario: "Scenario", out: Path | None) -> Path:
-    """Return the folder of the results of many runs; by default out/NAME, without special characters of the name."""
+    """Return the folder of the results of many runs: by default out/NAME, where "-" replaces special characters."""
     return out or Path("out") / (re.sub(r"[^\w-]+", "-", scenario.name).strip("-") or "unnamed")
 
 
@@ -169,7 +169,10 @@ def storing(folder: Path | None = None) -> Iterator[None]:
 
 @contextmanager
 def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers"]:
-    """Yield workers; add a note on how to resume to an interrupt; end the program on a failed run (--fail-fast)."""
+    """Yield the workers for a sweep or an explanation.
+
+    A KeyboardInterrupt receives a note on how to resume. A RunError, such as that of --fail-fast, ends the program.
+    """
     from desim.study.sweep import RunError
     from desim.study.workers import workers_for
 

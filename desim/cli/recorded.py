@@ -34,7 +34,7 @@ def _recorded(folder: Path) -> "Result":
         return read(folder, allow_import=is_import_allowed())
     except OSError as error:
         below = sorted(each.parent.name for each in folder.glob(f"*/{TRACE}"))
-        hint = f"; it holds {', '.join(below[:3])}{' ...' if len(below) > 3 else ''}" if below else ""
+        hint = f"; the folder has the runs {', '.join(below[:3])}{' ...' if len(below) > 3 else ''}" if below else ""
         fail(f"{error.filename}: cannot be read: {error.strerror}{hint}")
     except (ScenarioError, ValueError) as error:
         fail(str(error))

@@ -650,7 +650,7 @@ def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file
     document = json.loads((file.parent / "out/late/explain/explain.json").read_text())
     assert document["runs"] + document["failed"] == 6
     assert document["failed"] > 0 < document["runs"]
-    assert f"a run failed with {document['failed']} seeds; the same command retries them" in result.stderr
+    assert f"for {document['failed']} seeds a run failed; the same command retries them" in result.stderr
     if as_json:
         assert json.loads(result.stdout) == document
     else:

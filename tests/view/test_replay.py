@@ -541,7 +541,7 @@ def test_a_folder_of_several_runs_names_them(tmp_path):
         (tmp_path / f"seed-{seed}" / "trace.jsonl").touch()
     done = invoke(tmp_path)
     assert done.exit_code == 2
-    assert "; it holds seed-0, seed-1, seed-2 ..." in done.stderr
+    assert "; the folder has the runs seed-0, seed-1, seed-2 ..." in done.stderr
 
 
 def test_what_has_happened_has_no_other_seed(tmp_path):
