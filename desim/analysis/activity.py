@@ -53,7 +53,7 @@ def decisions(result: Result) -> list[Decided]:
 
 @remembered
 def changes(result: Result) -> list[Change]:
-    """Return the decisions, breakdowns and captures that changed an action, one for each pursuer, in order."""
+    """Return the changes of action in order; a capture is one `Released` for each pursuer of the evader."""
     actions = list(started(result).active)
     changed: list[Change] = []
     for event in result.trace:
@@ -174,7 +174,7 @@ def switches(result: Result) -> int:
 def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
     """Return the successive single pursuers of an evader, each with its start: (ns, pursuer).
 
-    A pursuer counts if it chased the evader alone for a positive time and is not the last single pursuer again.
+    A pursuer is listed if it chased the evader alone for a positive time, unless it is also the one listed before.
     """
     return _relays(result)[evader - 1]
 

@@ -1,8 +1,8 @@
 """Age of information and errors of beliefs.
 
 The age of information of a reader about a source is the time since the announcement of the newest record that has
-reached the reader: a sawtooth (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). Its
-drops and the records received are those of `desim.analysis.knowledge`.
+reached the reader: a sawtooth (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). It
+drops at the receptions of newer records, which `desim.analysis.knowledge` finds.
 
 These metrics need the messages of a run: `record.messages = true`.
 """
@@ -159,7 +159,7 @@ def _true_actions(result: Result) -> Iterator[_TrueActions]:
 
 
 def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
-    """Return for each piece the sum of the ages at the decisions of its reader during it, s, and their number."""
+    """Return for each piece the sum of the ages at its reader's decisions during the piece, s, and their number."""
     decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):

@@ -11,11 +11,12 @@ pursuer, if these are different for all evaders; otherwise the one given by `opt
 
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
 samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
-Sampled every 0.05 s and every 0.002 s, 12 seeds of scenarios/relay.toml have the same misassigned time and time to
-relay, and potential gaps and regrets that differ by 0.01 % and 0.02 %. There i* never changes. With all speeds 1.1 m/s
-it may change at every motion step, when the evader runs between two equally near pursuers. The misassigned time is then
-1.244 s instead of 1.234 s (in one run it is off by 0.16 s), and the time to relay, which each such change restarts,
-1.25 s instead of 1.34 s. If that matters, sample at every motion step.
+For example, take 12 seeds of scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every
+0.002 s does not change the misassigned time and the time to relay, and changes the potential gap by 0.01 % and the
+regret by 0.02 %. With all speeds 1.1 m/s, i* may change at every motion step, when the evader runs between two equally
+near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s (in one run it is off
+by 0.16 s), and a time to relay, which each such change restarts, of 1.25 s instead of 1.34 s. If that matters, sample
+at every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +36,7 @@ from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 ALIKE = 20
-"""Number of nodes of a complete graph over which the mean latency is taken instead of all nodes."""
+"""Number of nodes over which the mean latency of a complete graph is taken, because its links are alike."""
 NO_PURSUER = -1
 
 
@@ -46,7 +47,7 @@ class Hindsight:
     times: Integers
     """(k + 1,) breakpoints, ns."""
     relayed: Bools
-    """(k,) whether S = {i*}, on each evader: the relay pursuer chases alone, or none chases if none should."""
+    """(k,) whether each evader has only its optimal pursuer, or none if none should chase it: with one, S = {i*}."""
     gap: Floats
     """(k,) difference of the potential from its maximum, Phi* - Phi(S), s."""
     regret: Floats
@@ -175,7 +176,7 @@ def regret(result: Result) -> float:
 
 
 def time_to_relay(result: Result, window: float | None = None) -> float | None:
-    """Return the first time from which S = {i*} for a window, or to the end of the run, s; None if there is none.
+    """Return the first time from which S = {i*} holds for a window or until the end of the run, s; None if never.
 
     With several evaders: from which an optimal profile is played for a window.
 

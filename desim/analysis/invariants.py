@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 ROUNDING = 1e-9
-"""Tolerance of lengths (m), times (s), and relative errors of either for rounding."""
+"""Tolerance for rounding of lengths (m) and times (s), absolute and relative."""
 
 
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
@@ -147,14 +147,14 @@ class MotionWatcher:
                 player = fast[0]
                 raise AssertionError(
                     f"no player exceeds its speed: from {seconds(since)} to {seconds(event.t)} s player {player} (the"
-                    f" {len(event.pursuers)} pursuers come first) moved {distance[player]} m, not {bound[player]} m or"
-                    " less"
+                    f" {len(event.pursuers)} pursuers come first) moved {distance[player]} m, but can move at"
+                    f" most {bound[player]} m"
                 )
         self._last = event.t, places, moving
 
 
 class PotentialWatcher:
-    """A watcher of the potential, which no decision lowers under the assumptions of the theorem.
+    """A check that no decision lowers the potential, which holds under the assumptions below.
 
     The potential is the global utility Phi of the profile, with the capture times and the time left at the instant
     of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, a change of action changes the
@@ -166,7 +166,7 @@ class PotentialWatcher:
       beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any).
 
     Motion does not matter, because positions do not change at an instant; the potential may fall between decisions.
-    Decisions are judged at instants of known positions: all of a static game, else those at samples of the trajectory.
+    In a static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
 
     Args:
         scenario: the scenario of the run.

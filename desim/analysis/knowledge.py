@@ -132,12 +132,12 @@ class _Life:
         newer = np.append(True, key[1:] > np.maximum.accumulate(key)[:-1])[: len(key)]
         order = order[newer]
         active = column(self.profile[others], announced.active[record])[order]
-        telling = np.maximum.accumulate(np.where(active >= 0, np.arange(len(order)), 0))
+        last_with_action = np.maximum.accumulate(np.where(active >= 0, np.arange(len(order)), 0))
 
         pieces = np.empty(len(order), PIECE)
         pieces["reader"], pieces["source"] = self.reader, source[order]
         pieces["created"] = column(self.begin, announced.created[record])[order]
-        pieces["active"], pieces["presumed"] = active[telling], order < len(others)
+        pieces["active"], pieces["presumed"] = active[last_with_action], order < len(others)
         pieces["begin"] = column(self.begin, receptions.arrival[reception])[order]
         pieces["after"] = column(FIRST, receptions.place[reception])[order]
         pieces["until"], pieces["before"], pieces["superseded"] = self.until, self.before, False
@@ -173,7 +173,7 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
 
 
 class _Clocks:
-    """The clocks of the nodes: the time stamp of a forwarded record is by the clock of its source."""
+    """The errors of the nodes' clocks. The time stamp of a forwarded record is by the clock of its source."""
 
     def __init__(self, result: Result, size: int):
         self._errors = clock_errors(result.scenario.fault, size, result.seed)

@@ -115,7 +115,8 @@ class Metric:
     note_of_several: str | None = None
     """The note for runs with several evaders, if different."""
     given: Callable[[Result], bool] | None = None
-    """Whether the recordings that it needs exist; if not, the summary has None. None if it needs actions only."""
+    """Returns whether the recordings that the metric needs exist; without them its value is None. None for a
+    metric of actions only."""
     label: str | None = None
     """The label of its row in the table of one run, if different from its name."""
     in_tables: bool = True

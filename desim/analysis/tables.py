@@ -68,7 +68,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def with_half_width(found: Estimate, runs: int, sign: str = "") -> str:
-    """Return "mean +- half width of the 95 % interval", with the number of values if it is not that of the runs."""
+    """Return "mean +- half width of the 95 % interval", with the number of values if there are fewer than runs."""
     if not found.count:
         return "-"
     digits = 3 if abs(found.mean) < 100.0 else 1
@@ -130,7 +130,7 @@ def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
 
 
 def _rows_of_batch(runs: Sequence[Summary]) -> Iterator[Sequence[str]]:
-    """Yield the rows of the metrics of several runs that are not None in all of them."""
+    """Yield the rows of the metrics of several runs; a metric that is None in every run has no row."""
     for name, metric in METRICS.items():
         values = [value for run in runs if (value := getattr(run, name)) is not None]
         if not metric.in_tables or not values or (metric.silent_at_0 and not any(values)):

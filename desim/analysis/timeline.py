@@ -113,7 +113,7 @@ class _Counts:
 
 
 class _Path:
-    """The relative positions of an evader to all pursuers: at the start and the samples, linear in between."""
+    """The positions of an evader relative to all pursuers, interpolated linearly between the start and the samples."""
 
     def __init__(self, result: Result, evader: int):
         known = samples(result)

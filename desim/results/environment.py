@@ -17,7 +17,7 @@ COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation"
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
-"""Variables that direct git to another repository than that of a folder; they are set within a git hook."""
+"""Environment variables that point git to another repository than that of a folder; git sets them in hooks."""
 
 
 def environment() -> dict[str, Any]:
@@ -74,9 +74,9 @@ def _platform() -> dict[str, str]:
 
 
 def _checkout() -> tuple[str | None, bool | None]:
-    """Return the commit that desim is imported from, and whether its code has changes; (None, None) without a commit.
+    """Return the commit that desim is imported from, and whether it has local changes; (None, None) without a commit.
 
-    The repository must track the package; that of a project with desim in its .venv does not.
+    The repository must track the package. That of a project with desim installed in its .venv does not, for example.
     """
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")

@@ -136,8 +136,8 @@ def home(path: Path, made: Document) -> Path:
 def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_import: bool = False) -> "Source":
     """Return the recorded scenario of a run.json with overrides, not yet validated.
 
-    Files and modules that it names are looked up in its `home` with `allow_import`; otherwise in the folder of the
-    run.json, because the recorded folder of an untrusted file may be any.
+    Files and modules named by the scenario are looked up in its `home` if imports are allowed. Otherwise they are
+    looked up in the folder of the run.json, because an untrusted file may record any folder.
 
     Raises:
         ProvenanceError: if it does not record runs, or names a model that cannot be imported.
@@ -205,7 +205,7 @@ def _given(scenario: Document) -> Document:
 
 
 def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield the key path of each model that was defined where it cannot be imported from, and the fault."""
+    """Yield (key path, fault) for each model that cannot be imported, such as one defined in a script."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, each in inner:
         if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):

@@ -134,7 +134,7 @@ def read(folder: str | Path, *, allow_import: bool = False) -> Result:
 
 
 def _matches_start(result: Result) -> bool:
-    """Return whether a trace starts with the players of its scenario and seed; positions to 1e-6 m across platforms."""
+    """Return whether a trace starts with the players of its scenario and seed; positions may differ by 1e-6 m."""
     team, evaders, starts = result.scenario.team, result.scenario.evaders, result.trace.of(Started)
     if len(starts) != 1 or starts[0].speeds != tuple(team.all_speeds()):
         return False
