@@ -84,7 +84,7 @@ def test_who_waits_for_a_time_that_never_comes_is_told(call, time, allowed):
             yield getattr(me, call)(time)
 
     with pytest.raises(
-        ValueError, match=rf"^pursuer 1: {call}\({time}\): the {allowed}.*returns\)\n\(pursuer 1, at 0.25 s "
+        ValueError, match=rf"^pursuer 1: {call}\({time}\): the {allowed}.*return\)\n\(pursuer 1, at 0.25 s "
     ):
         play(protocol)
 
