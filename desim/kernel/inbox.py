@@ -49,8 +49,8 @@ class Inbox:
         """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
-            priority: the SimPy priority of the event; that of the call before if None, at first that of a decision of
-                the node.
+            priority: the SimPy priority of the event. If None, it is the priority of the previous call; in the first
+                call, that of a decision of the node.
         """
         if priority is not None:
             self._priority = priority
@@ -106,7 +106,7 @@ class Inbox:
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Put a message into the inboxes of its receivers and wake the processes that wait there.
+    """Put a message into the inboxes of its receivers; it wakes the processes that wait there at its arrival time.
 
     Simultaneous messages are ordered by `number`, the number of their transmission.
     """

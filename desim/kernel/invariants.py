@@ -1,8 +1,8 @@
 """Invariants of every trace of a network, whatever its links and faults: watchers that follow each message.
 
-A message is a pair (flight, receiver). It is delivered if it is not lost by the end of its arrival instant. Faults come
-first at an instant: a message that arrives when a crash starts is lost, one that arrives when the node recovers is
-delivered. The invariants of a pursuit are in `desim.analysis.invariants`.
+A message is identified by the number of its transmission (`flight`) and its receiver. It is delivered if it is not lost
+by the end of its arrival instant. Faults come first at an instant: a message that arrives when a crash starts is lost,
+one that arrives when the node recovers is delivered. The invariants of a pursuit are in `desim.analysis.invariants`.
 """
 
 from collections import Counter
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 MIN_BATCH = 64
-"""Minimum number of unchecked transmissions before the deliveries are checked; it grows with those in flight."""
+"""Deliveries are checked when more than this many transmissions are unchecked; the limit grows with those in flight."""
 
 
 class Conservation:
-    """A watcher of one run that raises AssertionError if an invariant is violated, by the next `MessageCounts`.
+    """A watcher of one run that raises AssertionError if an invariant is violated.
 
     - Each sent message is delivered, lost or in flight; the totals and the losses by cause agree with `MessageCounts`.
     - No message is transmitted before it was created or arrives before it was transmitted; time never decreases.
@@ -27,10 +27,11 @@ class Conservation:
     - A node whose radio is down neither transmits nor receives.
     - No message crosses a partition that is active at its transmission or at its arrival.
 
-    Deliveries are checked in batches: before a fault starts or ends, and when many transmissions are unchecked.
+    Deliveries are checked in batches: before a fault starts or ends, when many transmissions are unchecked, and at each
+    `MessageCounts`.
 
     Args:
-        fifo: whether to check also that no message overtakes an earlier one of its link.
+        fifo: whether to check also that no message overtakes an earlier one on its link.
     """
 
     def __init__(self, *, fifo: bool = False):
@@ -38,9 +39,9 @@ class Conservation:
         self._now = self._sent = self._delivered = 0
         self._lost: Counter[Cause] = Counter()
         self._waiting: dict[int, set[int]] = {}
-        """The receivers of each waiting flight."""
+        """By the number of each waiting transmission: the receivers that it is still to reach."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
-        """The event of each transmitted flight, and its arrival time (ns) or `LOST` by receiver."""
+        """By the number of each transmission: its event, and its arrival time (ns) or `LOST` by receiver."""
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
@@ -93,7 +94,7 @@ class Conservation:
     def _follow(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
         for dst, arrival in fates.items():
             if arrival != LOST:
-                _require(arrival >= self._latest.get((event.src, dst), 0), "no message overtakes on a link", event)
+                _require(arrival >= self._latest.get((event.src, dst), 0), "no message overtakes another", event)
                 self._latest[event.src, dst] = arrival
 
     def _queue(self, event: Queued) -> None:
@@ -110,7 +111,7 @@ class Conservation:
             left, flying = self._flying.get(event.flight, (event, {}))
             arrival = flying.pop(event.dst, None)
             due = left.t if arrival == LOST else arrival
-            _require(due is not None and due >= event.t, "only a message under way is lost, and only once", event)
+            _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
             _require(due == event.t, "a message is lost at transmission or on arrival", event)
 
     def _begin(self, event: FaultStarted) -> None:
@@ -127,17 +128,17 @@ class Conservation:
         in_flight = sum(len(flying) for _, flying in self._flying.values()) + sum(map(len, self._waiting.values()))
         found = (self._sent, self._delivered, self._lost.total(), in_flight)
         same = found == event[1:5] and self._lost == Counter(event.lost_by)
-        _require(same, f"sent, delivered, lost, in flight are {found}, lost are {dict(self._lost)}", event)
+        _require(same, f"sent, delivered, lost, in flight are {found}, lost by cause {dict(self._lost)}", event)
 
     def judge(self) -> None:
         """Check the deliveries before the last event; call it at the end of a run without `MessageCounts`."""
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Check and count the deliveries before a time (ns); no fault has started or ended since they arrived."""
+        """Check and count the deliveries before a time (ns); the active faults have not changed since them."""
         for flight, (event, flying) in list(self._flying.items()):
             if event.t < before:
-                _require(LOST not in flying.values(), "a message that never arrives is lost", event)
+                _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
                 reached = [dst for dst, arrival in flying.items() if arrival < before]
                 self._delivered += len(reached)
                 for node in reached if self._faults else ():
@@ -158,15 +159,15 @@ class Conservation:
 class OneToken:
     """A watcher of one run that raises AssertionError if there are two tokens where only one is allowed.
 
-    - Each epoch has one token at any time: its hops are numbered in order, and each leads from one node to one node.
-    - From the time `settled` on one token is left: an older epoch does not reappear after a newer one.
+    - Each epoch has one token at any time: the hop numbers increase, and each hop has one sender and one receiver.
+    - From the time `settled` on, only one token is left: no epoch reappears after another one.
 
-    A retransmission of a token, because no acknowledgement came, does not count as a hop.
+    A token that is sent again because no acknowledgement came makes no further hop.
 
     Args:
         kind: the type of the message bodies that are tokens, with an `epoch` and a `hop` that grows with every hop.
-        group: the nodes among which one token is left; None: all nodes.
-        settled: the time from which only one token is left, ns; None: never.
+        group: the nodes whose sent tokens are checked; None: all nodes.
+        settled: the time from which only one token may be left, ns; None: never.
 
     Attributes:
         spoilt: the last time at which the group had two tokens, ns; -1 if never.
@@ -192,7 +193,7 @@ class OneToken:
         _require(hop > self._hops.get(epoch, -1), "an epoch has one token", event)
         if epoch in self._hops and epoch != self._epoch:
             self.spoilt = event.t
-            _require(self._settled is None or event.t < self._settled, "one token is left", event)
+            _require(self._settled is None or event.t < self._settled, "only one token is left", event)
         self._hops[epoch], self._epoch = hop, epoch
 
 

@@ -135,7 +135,7 @@ class Gamma(_Drawn):
 
 
 class Lognormal(_Drawn):
-    """A fixed part plus a lognormal one: s^2 = ln(1 + cv^2), mu = ln mean - s^2 / 2."""
+    """A fixed part plus a lognormal one, exp(N(mu, s^2)) with s^2 = ln(1 + cv^2) and mu = ln mean - s^2 / 2."""
 
     kind: Literal["lognormal"] = "lognormal"
     offset: Time = 0.0
@@ -152,7 +152,7 @@ class Lognormal(_Drawn):
         return self.offset + rng.lognormal(log(self.mean) - self._variance / 2, sqrt(self._variance), count)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return d0 + mean exp(s z(u) - s^2 / 2), s."""
+        """Return offset + mean exp(s z(u) - s^2 / 2), where z(u) is the standard normal quantile, s."""
         from scipy.special import ndtri
 
         logarithms = sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2
@@ -171,7 +171,8 @@ class Empirical(_Drawn):
     values: Annotated[tuple[Time, ...], Field(min_length=1)] = ()
     """One-way latencies, s."""
     file: str | None = None
-    """Instead of values: a text file of values, relative to the scenario file; read once."""
+    """Instead of values: path of a text file of latencies in s, relative to the scenario file. The file is read once,
+    when the model is created."""
 
     @model_validator(mode="before")
     @classmethod

@@ -31,7 +31,7 @@ class LinkContext:
             ValueError: if the nodes have no positions.
         """
         if self.positions is None:
-            raise ValueError("a model that asks for distances needs a network whose nodes have positions")
+            raise ValueError("a latency or loss model that depends on distance needs the positions of the nodes")
         nodes = np.concatenate((self.dst, [self.src]))
         return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 

@@ -48,8 +48,8 @@ class Links(Value):
         ]
         | None
     ) = None
-    """A named network that supplies the defaults of this table, illustrative: wifi, lte, 5g, satellite, acoustic,
-    lora_sf7 to lora_sf12."""
+    """A named network with illustrative values, which replace the defaults of this table: wifi, lte, 5g, satellite,
+    acoustic, lora_sf7 to lora_sf12."""
     graph: Annotated[GraphModel, GRAPHS] = Complete()
     """Communication graph, regardless of range."""
     range: Extent = inf

@@ -43,16 +43,16 @@ class Bernoulli(Value):
 class GilbertElliott(Value):
     """Burst losses: each link alternates between a good and a bad state, each with its own loss probability.
 
-    Gilbert 1960, "Capacity of a Burst-Noise Channel", has no losses in the good state; Elliott 1963, "Estimates of
-    Error Rates for Codes on Burst-Noise Channels", has. With transition probabilities (or rates) p from good to bad and
-    r from bad to good, the share of bad time is s = p / (p + r) and the mean bad period is 1 / r. A link starts in its
-    stationary distribution. The share of lost messages is s `loss_bad` + (1 - s) `loss_good`; by default exactly the
-    messages sent in the bad state are lost.
+    The model of Gilbert (1960, "Capacity of a Burst-Noise Channel") has no losses in the good state; that of Elliott
+    (1963, "Estimates of Error Rates for Codes on Burst-Noise Channels") has losses in both states. With transition
+    probabilities (or rates) p from good to bad and r from bad to good, the share of bad time is s = p / (p + r) and the
+    mean bad period is 1 / r. A link starts in its stationary distribution. The share of lost messages is
+    s `loss_bad` + (1 - s) `loss_good`; by default exactly the messages sent in the bad state are lost.
     """
 
     kind: Literal["gilbert_elliott"] = "gilbert_elliott"
     share: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.1
-    """Share of the messages, or of the time, for which a link is bad, in [0, 1)."""
+    """Share of the messages, or of the time, for which a link is in the bad state, in [0, 1)."""
     burst: Positive = 5.0
     """Mean duration of a bad period, in messages of the link, or in s if the state advances with time."""
     advance: Literal["message", "time"] = "message"
@@ -94,7 +94,7 @@ class _Bursts:
         links = row.links(context.dst)
         was_bad, since = row.was_bad[links], row.since[links]
         if self._in_time:
-            # In continuous time P(bad) relaxes to the share of bad time at the sum of the two rates.
+            # In continuous time P(bad) tends exponentially to the share of bad time, with the rate p + r.
             memory = exp((self._failure + self._recovery) * (since - context.now))
             chance = self._share + (was_bad - self._share) * memory
         else:
@@ -119,7 +119,7 @@ class _Row:
         self.was_bad, self.since = np.array([share]), np.array([-np.inf])
 
     def links(self, dst: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the (k,) indices in the row of the links to nodes, which are added if new."""
+        """Return the (k,) indices in this row of the links to the nodes `dst`; new links are added first."""
         links = self._nodes.searchsorted(dst)
         if (self._nodes.take(links, mode="clip") != dst).any():
             self._add(dst)
