@@ -4,7 +4,7 @@ A *record* is the state of a node: a newer record of a source supersedes an olde
 `publish` therefore needs no SimPy event: it stores the arrival time of the record for each receiver, and the record is
 visible to reads from then on. A *message* is an event: `send` wakes a process that waits at the inbox of the receiver,
 and needs a SimPy event only if one waits. Both use the same links. A read in the decision phase of an instant, or
-later, returns exactly the records and messages delivered by then.
+later, returns exactly the records and messages that have arrived up to and including that instant.
 
 If messages can still be lost on arrival (faults, range check at delivery, half duplex), each arrival is a SimPy event.
 """
@@ -62,8 +62,8 @@ class Network:
         links: the models of the links; an ideal network if None.
         seed: the seed of all random draws of the network.
         positions: returns the current (n, 2) positions, m, see `desim.kernel.positions`; required for a finite range.
-        trace: receives the events of messages, if it wants them.
-        fault_state: the active faults; without it no fault can happen.
+        trace: receives the events of messages, if its `wants_messages` is true.
+        fault_state: the active faults; None: the network has no faults.
         predicate: selects the bodies of the records that `matching` returns.
     """
 
@@ -124,7 +124,8 @@ class Network:
 
         Args:
             src: the node that publishes.
-            body: its state; all receivers get the same object, as it is at this time, and must not change it.
+            body: its state. All receivers share one object and must not change it; later changes by the sender have no
+                effect, see `desim.kernel.message_size.as_sent`.
             size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
             sent: the time stamp, by the clock of `src`, ns; the true time if None.
         """
@@ -133,9 +134,10 @@ class Network:
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
 
-        Use `send` for requests, acknowledgements and tokens, which each count; use `publish` for state, of which only
-        the newest counts. A message to a node that is out of range at transmission is lost. All receivers get the same
-        body, as it is at this time, and must not change it; see `desim.kernel.message_size.as_sent`.
+        Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
+        where only the newest value matters. A message to a node that is out of range at transmission is lost. All
+        receivers share one body and must not change it; later changes by the sender have no effect, see
+        `desim.kernel.message_size.as_sent`.
 
         Raises:
             ValueError: if the receiver does not exist or is the sender.
@@ -202,7 +204,7 @@ class Network:
 
     @cached_property
     def typical_latency(self) -> float:
-        """Mean one-way latency over the links of the first senders, with processing, without airtime and queues, s."""
+        """Estimate of the mean one-way latency, with processing delays, without airtime and queueing, s."""
         return self._sampler.typical_latency()
 
     # Faults and counts.
@@ -247,7 +249,7 @@ class Network:
             in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
             busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
         delivered = self._sent - lost - in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # without causes counted 0 times
+        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
         return MessageCounts(
             now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy
         )
@@ -343,7 +345,7 @@ class Network:
             )
 
     def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
-        """Deliver a transmission that was on the air for an interval (start, end), ns, to nodes, or lose it there."""
+        """Deliver a transmission to nodes now, or lose it there; it was transmitted in `interval` (start, end), ns."""
         self._arriving -= len(nodes)
         for node in nodes:
             cause = self._obstacle(transmission, node, interval)

@@ -1,7 +1,7 @@
 """Elementary functions of arrays, rounded identically on every processor.
 
-On processors with AVX-512 numpy uses its own loops, whose last digits differ from those of the C library that it calls
-elsewhere. These functions always call the C library, number by number, at a cost of 0.06 microseconds each.
+On processors with AVX-512, numpy uses its own loops; on others it calls the C library, whose results differ in the last
+digits. These functions always call the C library, once for each element, at a cost of 0.06 microseconds per element.
 """
 
 import math

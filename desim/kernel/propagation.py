@@ -1,7 +1,7 @@
 """Sampling of the losses and arrival times of each transmission from the link models.
 
-A model whose draws are independent of the link is sampled in blocks, so that a broadcast takes a slice of a list
-instead of a call of numpy.
+If the draws of a model are independent of the link, they are made in blocks: a broadcast then takes a slice of a list
+instead of calling numpy.
 """
 
 from math import inf
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
 BLOCK = 4096
-"""Number of draws per block; changing it changes the random numbers of a given seed."""
+"""Number of draws per block."""
 Each = TypeVar("Each")
 Overrides = dict[int, dict[int, Any]]
 """The models of individual links, by sender and receiver."""
@@ -77,10 +77,10 @@ class LinkSampler:
         if isinstance(links.latency, Constant) and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
         self.keeps_order = self._constant is None and (self._order == "fifo" or bool(self._order_overrides))
-        """Whether some link is FIFO, see `in_order`."""
+        """Whether `in_order` is needed: latencies vary, and some link is FIFO or has its own order."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Return for each receiver whether the message is lost; None if it is lost for none."""
+        """Return for each receiver whether the message is lost; None if no receiver loses it."""
         overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
@@ -120,9 +120,10 @@ class LinkSampler:
         return start + delays if isinstance(delays, int) else [start + delay for delay in delays]
 
     def typical_latency(self) -> float:
-        """Return the mean one-way latency over the links of the first senders, with processing, without airtime, s.
+        """Return an estimate of the mean one-way latency, with processing delays, without airtime, s.
 
-        It is the mean of at least 1000 draws, if there are links, from streams of their own.
+        It is the mean of at least 1000 draws from separate random streams, or 0 if the graph has no links. Links
+        are sampled in the order of their senders, until there are more than 10 000 draws.
         """
         free = self._links.model_copy(update={"order": "overtaking"})
         like_this = LinkSampler(free, self._graph, self._seed, self._positions, "typical ")

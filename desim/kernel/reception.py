@@ -1,6 +1,6 @@
 """Reception models: the probability that a message is received as a function of distance and range.
 
-In every model the range is the only length, so that a study sweeps one key.
+The range is the only length in every model, so a study can vary reception by sweeping the range alone.
 """
 
 from math import inf, log
@@ -40,7 +40,10 @@ class Disk(Value):
 
 
 class QuasiUnitDisk(Value):
-    """Reception is certain up to a share of the range, random up to the range (Kuhn, Wattenhofer & Zollinger 2008)."""
+    """Reception is certain up to a share of the range, and random from there up to the range.
+
+    See Kuhn, Wattenhofer & Zollinger 2008, "Ad Hoc Networks Beyond Unit Disk Graphs".
+    """
 
     kind: Literal["quasi_unit_disk"] = "quasi_unit_disk"
     certain: Probability = 0.5
@@ -78,7 +81,7 @@ class LogDistance(Value):
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002
-        """Return the d of P(d) = NormalCDF(-8.3) = 5e-17, below any draw of `desim.kernel.seeds.pair_uniform`, m."""
+        """Return the distance d with P(d) = NormalCDF(-8.3) = 5e-17, m; `pair_uniform` draws no number so small."""
         ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
         return ranges * range
 

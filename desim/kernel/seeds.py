@@ -1,7 +1,7 @@
 """Named random streams: many independent generators from one seed, none of them global.
 
-A stream depends only on the seed and its name, not on the number of other streams or on any swept value, so two
-scenarios with the same seed use common random numbers.
+A stream depends only on the seed, its name and its index, not on other streams or on any swept value, so two scenarios
+with the same seed use common random numbers.
 """
 
 import zlib

@@ -1,7 +1,7 @@
 """Neighbour search by a cell list: nodes are hashed by the square cell of the plane that contains them.
 
-The side of a cell is the radius of the search plus a Verlet skin. Until a node can have moved by more than half the
-skin, all nodes within the radius of a node are in its cell or in one of the eight cells around it.
+The side of a cell is the radius of the search plus a Verlet skin. As long as no node has moved by more than half the
+skin since the nodes were hashed, all nodes within the radius of a node are in its cell or in the eight cells around it.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,10 +13,11 @@ from desim.config.model import MAX_COORDINATE
 from desim.kernel.positions import Floats, Nodes, Positions
 
 VERLET_SKIN = 0.25
-"""Distance by which two nodes may approach each other before all nodes are hashed again, in radii."""
+"""Distance by which two nodes may approach each other before all nodes are hashed again, divided by the radius."""
 FINEST = MAX_COORDINATE / 2**40
-"""Minimum side of a cell, m; coordinates are rounded by less than a thousandth of it, which `ROUNDING` covers."""
+"""Minimum side of a cell, m. The rounding error of a coordinate is less than a thousandth of it."""
 ROUNDING = 1.001
+"""Factor by which the side of a cell is enlarged, to allow for rounding errors."""
 
 CellIndex = tuple[int, ...]
 
@@ -27,7 +28,8 @@ class CellList:
     Args:
         positions: the positions of the nodes, with coordinates up to `MAX_COORDINATE`.
         radius: the radius of the search, m.
-        now: returns the time, s; without it, or a known greatest speed, all positions are compared at each query.
+        now: returns the time, s. With it and a finite `positions.fastest`, the movement of the nodes is bounded by
+            speed x time; otherwise each query compares the positions of all nodes with those that were hashed.
     """
 
     def __init__(self, positions: Positions, radius: float, now: Callable[[], float] | None = None):
@@ -37,7 +39,7 @@ class CellList:
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}
-        """The cached nodes in a cell and the eight around it, until a node enters or leaves one of them."""
+        """Cached nodes in a cell and the eight around it, by cell; deleted when a node enters or leaves one of them."""
         self._when, self._at = self._now(), positions().copy()
         self._seen, self._drift = self._at, 0.0
         self._cells = self._cells_of(self._at)
@@ -46,7 +48,7 @@ class CellList:
     def around(self, node: int) -> Nodes:
         """Return the nodes that may be within the radius of a node now, itself included, ascending; read-only.
 
-        The result contains all nodes within the radius, and further ones.
+        The result contains all nodes within the radius, and possibly others.
         """
         if 2.0 * self._drifted() > self._skin:
             self._hash()

@@ -24,8 +24,8 @@ class Topology:
     """The neighbourhoods of nodes 0 .. n - 1.
 
     Without a range the static graph is read once. With a range, distances are computed at every query, so the
-    neighbourhoods follow the positions. In a large complete graph with bounded reception a query uses a cell list, so
-    that its cost does not grow with the number of nodes.
+    neighbourhoods follow the positions. In a large complete graph, if reception has a maximum distance, a query uses a
+    cell list, so that its cost does not grow with the number of nodes.
 
     Args:
         graph: the communication graph.
@@ -37,7 +37,7 @@ class Topology:
         now: returns the time, s; if given, a cell list of nodes with bounded speed is updated less often.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or a finite range comes without positions.
+        ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or the range is finite without positions.
     """
 
     def __init__(
@@ -86,7 +86,10 @@ class Topology:
         return index < len(linked) and linked[index] == dst
 
     def hearers(self, node: int, message: int = 0) -> list[int]:
-        """Return the nodes that a message of `node` reaches now, ascending; `message` is the index of its draws."""
+        """Return the nodes that a message of `node` reaches now, ascending.
+
+        With fading per message, each message has its own draws; `message` is its number.
+        """
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
@@ -103,7 +106,10 @@ class Topology:
         return bool(self._received(src, pair[1:], apart[1:], message)[0])
 
     def neighbours(self, node: int) -> Nodes:
-        """Return the nodes that receive from `node` now, ascending; with fading per message, those with p >= 1/2."""
+        """Return the nodes that receive from `node` now, ascending.
+
+        With fading per message, these are the nodes with a probability of reception of at least 1/2.
+        """
         if node < 0:
             raise IndexError(f"there is no node {node}")
         if self._positions is None:
@@ -154,7 +160,7 @@ class Topology:
         return self._all if self._complete else self._candidate_lists[node]
 
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
-        """Return those of the candidates, which include the node itself, that receive from a node."""
+        """Return the candidates that receive from a node; the node itself has to be one, but is not returned."""
         assert self._positions is not None
         own = int(candidates.searchsorted(node))
         apart = distances(self._positions.of(candidates), own)
@@ -164,7 +170,7 @@ class Topology:
         return candidates[received]
 
     def _received(self, src: int, dst: Nodes, apart: Floats, message: int | None) -> Bools:
-        """Return (k,) booleans: which nodes `dst` receive a message; if `message` is None, those with p >= 1/2."""
+        """Return (k,) booleans: which of the nodes `dst` receive a message; `message` as in `_uniforms`."""
         if self._certain:
             return apart <= self._range
         probability = self._reception(apart, self._range)
@@ -172,7 +178,10 @@ class Topology:
         return received
 
     def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
-        """Return the (k,) uniform draws in (0, 1) of the pairs of nodes; 0.5 with fading per message and no message."""
+        """Return the (k,) uniform draws in (0, 1) of the pairs of nodes.
+
+        With fading per message, the number `message` selects the draws; if it is None, all of them are 0.5.
+        """
         if not self._per_link:
             if message is None:
                 return np.full(len(dst), 0.5)
@@ -184,7 +193,7 @@ class Topology:
 
 
 class _AllOthers(dict[int, list[int]]):
-    """The list of all other nodes by node, computed on access and cached up to `ROOM` numbers."""
+    """A mapping from each node to the list of all others, computed on access; at most `ROOM` list items are cached."""
 
     def __init__(self, size: int):
         super().__init__()

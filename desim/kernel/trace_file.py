@@ -16,7 +16,7 @@ from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import LOST, Arrival, Body, Event, Nanoseconds
 
 Limits = Mapping[str, Any]
-"""Additional pydantic constraints of values by their mark, see `desim.kernel.events`."""
+"""Additional pydantic constraints by mark (see `desim.kernel.events`), for instance {"node": Field(lt=5)}."""
 
 
 class TraceFile:
@@ -25,7 +25,8 @@ class TraceFile:
         with TraceFile("trace.jsonl") as file:
             run(scenario, seed, file)
 
-    The file is written as NAME.part and replaces NAME at the end; after an error both files stay.
+    The events are written to trace.jsonl.part, which is renamed to trace.jsonl at the end. After an error the .part
+    file remains, and an older trace.jsonl is not replaced.
 
     Args:
         path: the path of the file.
@@ -50,7 +51,7 @@ class TraceFile:
 
 
 def line_of(event: Event) -> str:
-    """Return an event as one line of JSON: its type, then its fields, with times in seconds (null: `LOST`).
+    """Return an event as one line of JSON: its type, then its fields, with times in seconds and null for `LOST`.
 
     A field with its default value is omitted.
     """
@@ -66,17 +67,17 @@ def events_of(
 ) -> Iterator[Event]:
     """Yield the events of the lines of a trace file one by one, so that a long trace need not fit in memory.
 
-    Each value is validated by the annotation of its field. A list becomes a tuple, and a body with fields a named
-    tuple: equal to the sent body, but of another type.
+    Each value is validated by the annotation of its field. A list becomes a tuple, and an object in a body a named
+    tuple. A body that was sent as a named tuple is equal to the one read, which has another type.
 
     Args:
         lines: the lines of the file.
         kinds: the allowed types of events.
-        limits: additional constraints by mark, such as the largest number of a node.
+        limits: additional constraints by mark, such as an upper bound of the node ids.
         first: the number of the first line.
 
     Raises:
-        ValueError: if a line is not an event; the message has its number.
+        ValueError: if a line is not an event; the error message contains the number of the line.
     """
     types = {kind.__name__: kind for kind in kinds}
     readers: dict[str, Callable[[Any], Event]] = {}
@@ -85,7 +86,7 @@ def events_of(
             fields = json.loads(line)
             name = fields.pop("event", None) if isinstance(fields, dict) else None
             if not (isinstance(name, str) and name in types):
-                raise ValueError(f"should be a table whose key event is one of {', '.join(types)}")
+                raise ValueError(f"should be an object whose key event is one of {', '.join(types)}")
             if name not in readers:
                 readers[name] = _reader(types[name], limits)
             event = readers[name](fields)
@@ -182,7 +183,7 @@ def _reason(error: Exception) -> str:
 
 
 def _with_named_tuples(value: Any) -> Any:
-    """Return a JSON value with lists as tuples, and with objects whose keys can be names as named tuples."""
+    """Return a JSON value with lists as tuples; an object whose keys are valid field names becomes a named tuple."""
     if isinstance(value, list):
         return tuple(map(_with_named_tuples, value))
     if not isinstance(value, dict):
@@ -205,7 +206,7 @@ def _arrival(time: float | None) -> int:
     return LOST if time is None else nanoseconds(time)
 
 
-_SECONDS = Annotated[float, Field(strict=True, ge=0.0, le=9e9, allow_inf_nan=False)]  # nanoseconds of 64 bits
+_SECONDS = Annotated[float, Field(strict=True, ge=0.0, le=9e9, allow_inf_nan=False)]  # ns fit in 64 bits
 _NUMBERS: Mapping[Any, Any] = {
     int: Annotated[int, Field(strict=True)],
     float: Annotated[float, Field(strict=True, ge=-1e30, le=1e30, allow_inf_nan=False)],  # its square is finite
@@ -217,4 +218,4 @@ _MARKED: Mapping[str, Any] = {
     "count": Annotated[int, Field(strict=True, ge=0, le=1 << 48)],
     "body": Annotated[Any, AfterValidator(_with_named_tuples)],
 }
-"""The types that read values by their mark."""
+"""The pydantic type that validates a JSON value, by its mark."""

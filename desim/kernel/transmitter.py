@@ -42,7 +42,8 @@ class Transmitter(Generic[Item]):
         leave: called when a transmission starts, with its airtime in ns.
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
-        lag: the processing delay of a message at both ends together, after which `transmitted` is called, ns.
+        lag: the delay from the end of a reception to the call of `transmitted` for it: the processing delays at both
+            ends together, ns.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class Transmitter(Generic[Item]):
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
         """Return whether a node transmitted during the reception of a message, from received - airtime to received, ns.
 
-        All times are those of the transmitters, without processing delays.
+        `received` is the end of the reception, without the processing delays at both ends.
         """
         return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
 
@@ -121,7 +122,7 @@ class Transmitter(Generic[Item]):
     def _next(self, channel: int) -> None:
         waiting = self._waiting[channel]
         if not waiting or self._env.now < self._free_at[channel]:
-            return  # the transmission it was scheduled for is gone
+            return  # the transmission that waited has been removed, or has already started
         self._begin(channel, waiting.popleft())
         if waiting:
             self._await_turn(channel)

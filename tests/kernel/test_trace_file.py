@@ -247,11 +247,11 @@ BROADCAST = json.loads(line_of(Broadcast(0, 7, 0, 1, (1, 2), (5, LOST), 0, 24, N
 TALLY = json.loads(line_of(MessageCounts(0, 1, 1, 0, 0, {}, 1, 24, 0.0)))
 BAD = {
     "{": "Expecting property name",
-    "7": "should be a table",
-    "[]": "should be a table",
-    "{}": "should be a table whose key event is one of Queued, Broadcast",
-    '{"event": [], "t": 0}': "should be a table whose key event is one of",
-    '{"event": "Eaten", "t": 0}': "should be a table whose key event is one of",
+    "7": "should be an object",
+    "[]": "should be an object",
+    "{}": "should be an object whose key event is one of Queued, Broadcast",
+    '{"event": [], "t": 0}': "should be an object whose key event is one of",
+    '{"event": "Eaten", "t": 0}': "should be an object whose key event is one of",
     '{"event": "Queued", "t": 0.0}': "flight: Field required",
     json.dumps(SENT | {"new": 1}): "new: ",
     json.dumps(SENT | {"t": "x"}): "t: Input should be a valid number",
