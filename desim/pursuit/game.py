@@ -91,7 +91,7 @@ def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
 def relay_profile(phi: Sequence[float], reward: float) -> Profile:
     """Return the profile in which only the relay pursuer is active; without a relay pursuer all are inactive.
 
-    For distinct phi it is the unique equilibrium of the game.
+    For distinct phi, the least of which differs from r, it is the unique equilibrium of the game.
     """
     relay = relay_pursuer(phi, reward)
     return tuple(i == relay for i in range(len(phi)))
