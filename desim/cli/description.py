@@ -14,7 +14,7 @@ def described(
 ) -> Iterator[str]:
     """Yield lines that describe a model, its parameters and, recursively and once each, the models they may hold.
 
-    A model in `known` has its first line only; the models described are added to `known`.
+    Of a model in `known` only the first line is given; the models described are added to `known`.
     """
     known = set() if known is None else known
     yield f"{indent}{title}: {_summary(model)}"

@@ -1,4 +1,4 @@
-"""The hash of a configuration. It covers everything that a run depends on except the seed, including user code."""
+"""The hash of a configuration: of its parameters and its user code, without the seed."""
 
 import hashlib
 import inspect

@@ -200,7 +200,7 @@ def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> 
     lines = _lines(result, metric, abscissa)
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
-        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # repeat after 5 * 6 lines
+        marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 * 6 different pairs
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)

@@ -121,9 +121,9 @@ def _includes(one: Document, other: Document) -> bool:
 
 
 def _shard_request(request: Document, store: Path) -> Document:
-    """Return a request with the number of its shard replaced by that in a file name such as sweep.2-of-4.sqlite.
+    """Return a request with its shard number replaced by that in the file name of a store, e.g. sweep.2-of-4.sqlite.
 
-    The shards of a sweep share one folder and so one request. For a store that is not a shard, it is unchanged.
+    The shards of a sweep share one folder and so one request. The request for any other store is returned unchanged.
     """
     if not (found := re.fullmatch(r"sweep\.(\d+)-of-(\d+)\.sqlite", store.name)):
         return request

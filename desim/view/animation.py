@@ -228,8 +228,8 @@ class _Scene:
     def _chases(self, t: int) -> dict[int, int]:
         """Return the evader of each active pursuer at a time, ns.
 
-        The last frame shows the pursuers that were active until the end of the run. Of several evaders, one captured at
-        the end no longer has pursuers.
+        The last frame shows the pursuers that were active until the end of the run. If there are several evaders, it
+        omits the pursuers of one captured at the end.
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {
