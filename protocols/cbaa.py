@@ -5,15 +5,15 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
     overrides the claims of others about it; where positions are sensed, all bids are updated at each turn.
 Parameters: schedule. With Rounds these are the rounds of the paper.
-Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds,
-    where D is the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is
-    the greedy one, in order of phi. If bids change, the winning bid only rises while its bidder chases, because its phi
-    falls. When a pursuer leaves an evader for another, its claim informs its neighbours. Pursuers farther away infer
-    it, because a bidder has one evader at most (`one_each`).
+Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds, where D is
+    the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
+    one, in order of phi. If bids change, the winning bid only rises while its bidder chases, because its phi falls.
+    When a pursuer leaves an evader for another, its claim informs its neighbours. Pursuers farther away infer it,
+    because a bidder has one evader at most (`one_each`).
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
-    by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress"
-    of `scenarios.rivals` with L = 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the worst
-    one; with sensed positions it is 0.8 s and 1.8 s.
+    by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress" of
+    `scenarios.rivals` with L = 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the worst one;
+    with sensed positions it is 0.8 s and 1.8 s.
     No crashes. Claims have no time stamps, so a crash of the winner is not noticed, and its bid blocks all others for
     ever.
 Messages: announcements of 24 bytes plus 16 for each evader. Only a new action or winner triggers one at once, so bids

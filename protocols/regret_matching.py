@@ -27,10 +27,10 @@ from protocols.sap import categorical
 
 
 class RegretMatching(LearningRule):
-    """Each action is drawn with probability proportional to its positive regret; if none is positive, it is kept.
+    """Each action is drawn with probability proportional to its positive regret.
 
-    The regret of an action is its utility minus that of the action taken, averaged over the turns. Drawing
-    uniformly if no regret is positive would be possible, too, but most runs would not settle.
+    The regret of an action is its utility minus that of the action taken, averaged over the turns. If no regret is
+    positive, the present action is kept. Drawing uniformly would be possible, too, but most runs would not settle.
     """
 
     kind: Literal["regret_matching"] = "regret_matching"

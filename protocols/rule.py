@@ -1,8 +1,8 @@
 """Rules: protocols that choose an action at each turn of a schedule.
 
 A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: stay, j:
-chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only stay, it
-is not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
+chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only stay, the generator is
+not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
 dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
 """
 

@@ -3,10 +3,10 @@
 Paper: the decision is that of the centralised benchmark (`centralised`), Algorithm 3 of Lee & Bakolas, "Relay Pursuit
     of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"; reports and orders have latency and loss.
 Parameters: host (the pursuer that carries the server), period (time between two reports).
-Time: every pursuer reports at the start, and then every period with a random phase. (Without it, a
-    period of an even number of motion steps could always sample a chattering evader in the same state; see `Periodic`.)
-    The server decides when reports arrive, once for all reports of one instant. The host obeys at once, the others when
-    an order arrives. A changed order is sent at once and repeated every period.
+Time: every pursuer reports at the start, and then every period with a random phase. (If all reported at once, a
+    period of an even number of motion steps would always sample a chattering evader in the same state; see
+    `schedules.Periodic`.) The server decides when reports arrive, once for all reports of one instant. The host obeys
+    at once, the others when an order arrives. A changed order is sent at once and repeated every period.
 Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
     assume that a pursuer just ordered to chase still stays, and its orders would oscillate for ever. The server
     therefore extrapolates each pursuer from its last report by the orders sent since. Each order, the present one

@@ -3,10 +3,11 @@
 Paper: Le Lann 1977, "Distributed Systems - Towards a Formal Approach", for the loss of a token in a ring. Here each
     regenerated token has its own epoch, and a node discards any token older than the newest epoch it has seen.
 Parameters: holding_time (time at each pursuer), attempts (before a neighbour is given up); both belong to the schedule.
-Assumes: nothing; in the end each component of the graph has a single token. A token is not
-    regenerated needlessly if a round takes less than 3 N (L + holding_time).
-Messages: two per hop, the token and its receipt. The holder broadcasts a notice when it regenerates the token, and when
-    the token has not visited some pursuer for long. Receivers forward it to neighbours that its sender does not reach.
+Assumes: nothing; in the end each component of the graph has a single token. A token is not regenerated needlessly if a
+    round takes less than 3 N (L + holding_time).
+Messages: two per hop, the token and its receipt. A node broadcasts a notice when it gives the token a new epoch, and
+    when the token has not visited some pursuer for long. Receivers forward the notice to neighbours that its sender
+    does not reach.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
     A lost token is regenerated, by low ids first. Crashes, partitions and delayed messages can produce several tokens;
@@ -49,7 +50,7 @@ class TokenReceipt(NamedTuple):
 
 
 class TokenNotice(NamedTuple):
-    """Announces that a token of this age is in use; a new epoch announces a regenerated token."""
+    """Announces that a token of this age is in use; a new epoch announces a new token."""
 
     epoch: Epoch
     hop: int

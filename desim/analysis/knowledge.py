@@ -29,9 +29,9 @@ PIECE = np.dtype(
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
         ("presumed", np.bool_),  # whether it is an initial belief, not a record received
         ("begin", np.int64),  # time of arrival, ns
-        ("after", np.int64),  # position in the trace from which on it was known, among the events of `begin`
+        ("after", np.int64),  # of the events at `begin`, those after this position in the trace saw it
         ("until", np.int64),  # time at which it was superseded or lost with the memory, or the run ended, ns
-        ("before", np.int64),  # position in the trace up to which it was known, among the events of `until`
+        ("before", np.int64),  # of the events at `until`, those before this position still saw it
         ("superseded", np.bool_),  # whether it ended with a newer record
     ]
 )

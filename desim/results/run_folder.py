@@ -27,7 +27,7 @@ EVENTS = (Started, Decided, BrokeDown, Sampled, Captured, Ended, *MESSAGES, Mess
 
 
 def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
-    """Run a scenario and return the result; with `record.messages = "file"` the trace is streamed to a folder.
+    """Run a scenario and return the result; with `record.messages = "file"` the trace is streamed to the folder.
 
     The folder is created if missing.
     """
