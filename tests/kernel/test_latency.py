@@ -190,7 +190,7 @@ def test_the_mean_and_variance_of_propagation_are_those_of_the_distances():
 
 
 def test_propagation_needs_positions():
-    with pytest.raises(ValueError, match="nodes have positions"):
+    with pytest.raises(ValueError, match="needs the positions of the nodes"):
         Propagation()(MANY, None)
 
 

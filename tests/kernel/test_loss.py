@@ -308,5 +308,5 @@ def test_losses_by_distance_have_their_probability():
 
 
 def test_loss_by_distance_needs_positions():
-    with pytest.raises(ValueError, match="nodes have positions"):
+    with pytest.raises(ValueError, match="needs the positions of the nodes"):
         ByDistance()(context(), np.random.default_rng(0))
