@@ -10,14 +10,8 @@ make the same number of deliveries. The ways run in rotation, lap after lap; eac
 second of CPU time. The other costs follow, each with its limit.
 """
 
-import gc
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from statistics import median
-from tempfile import TemporaryDirectory
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -25,123 +19,15 @@ from tqdm import tqdm
 
 from desim.analysis.tables import aligned
 from scenarios import costs, measuring
-from scenarios.peers.elsewhere import PEERS, UnavailableError
+from scenarios.peers.elsewhere import PEERS
 from scenarios.peers.ways import WAYS
-from scenarios.peers.workloads import Workload, workloads
+from scenarios.peers.workloads import workloads
 from scenarios.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from scenarios.peers.workloads import Outcome
-
-OURS = ("publish", "send")
-BROADCASTS = "broadcasts"
-"""The part of the study that is not one of `costs.PARTS`."""
-LONG = 5.0
-"""CPU time of a first lap beyond which the lap is not repeated, s."""
-Commands = Mapping[str, Sequence[str]]
-"""The command that runs the program of each other simulator, by name."""
-
-
-@dataclass(frozen=True)
-class Rate:
-    """The delivery rate of one way on one workload."""
-
-    workload: str
-    way: str
-    deliveries: int
-    """Number of deliveries in a lap."""
-    per_second: float
-    """Deliveries per second of CPU time, median of the laps, 1/s."""
-
-
-class Laps:
-    """The laps of all ways on one workload; a simulator that fails is skipped from then on, and the reason is kept."""
-
-    def __init__(self, work: Workload, commands: Commands, missing: dict[str, str]):
-        self._work, self._commands, self._missing = work, commands, missing
-        self._expected: Outcome | None = None
-        self._deliveries: dict[str, int] = {}
-        self._seconds: dict[str, list[float]] = {}
-
-    def lap(self, name: str) -> None:
-        """Run one lap of a way, unless its first lap was longer than `LONG`.
-
-        Raises:
-            RuntimeError: if its final tables differ from those of the ways before it.
-        """
-        if name in self._missing or self._seconds.get(name, [0.0])[0] > LONG:
-            return
-        try:
-            deliveries, seconds = self._run_here(name) if name in WAYS else self._run_program(name)
-        except UnavailableError as reason:
-            self._missing[name] = f"{self._work.name}: {reason}"
-            self._seconds.pop(name, None)
-            return
-        self._deliveries[name] = deliveries
-        self._seconds.setdefault(name, []).append(seconds)
-
-    def rates(self) -> list[Rate]:
-        """Return the rate of each way that has not failed."""
-        return [
-            Rate(self._work.name, name, self._deliveries[name], self._deliveries[name] / median(laps))
-            for name, laps in self._seconds.items()
-        ]
-
-    def _run_here(self, name: str) -> tuple[int, float]:
-        way = WAYS[name](self._work)
-        gc.collect()
-        begin = time.process_time()
-        way.run()
-        seconds = time.process_time() - begin
-        outcome = way.outcome()
-        if outcome != (self._expected or outcome):
-            raise RuntimeError(f"{self._work.name}: the final tables of {name} differ from those of the others")
-        self._expected = outcome
-        return outcome.delivered, seconds
-
-    def _run_program(self, name: str) -> tuple[int, float]:
-        return PEERS[name].run(self._commands[name], self._work)
-
-
-@contextmanager
-def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Commands]:
-    """Make temporary environments of other simulators; put the reason into `missing` for each that is unavailable."""
-    with TemporaryDirectory(prefix="peers-") as folder:
-        commands = {}
-        for name in tqdm(names, desc="environments", unit="", disable=None):
-            try:
-                commands[name] = PEERS[name].make(Path(folder) / name)
-            except UnavailableError as reason:
-                missing[name] = str(reason)
-                click.echo(f"without {name}: {reason}", err=True)
-        yield commands
-
-
-def measure(options: Options, works: Sequence[Workload], ways: Sequence[str]) -> tuple[list[Rate], dict[str, str]]:
-    """Return the rate of each way on each workload, and the reason for each simulator that is missing."""
-    missing: dict[str, str] = {}
-    rates: list[Rate] = []
-    bar: tqdm[Any]
-    with (
-        environments([name for name in ways if name in PEERS], missing) as commands,
-        tqdm(total=len(works) * options.runs * len(ways), desc=BROADCASTS, unit="lap", disable=None) as bar,
-    ):
-        for work in works:
-            laps = Laps(replace(work, seed=options.seed), commands, missing)
-            for _ in range(options.runs):
-                for name in ways:
-                    bar.set_postfix_str(f"{short(work.name)} {name}")
-                    laps.lap(name)
-                    bar.update()
-            rates += laps.rates()
-    return rates, missing
-
-
-def short(workload: str) -> str:
-    """Return the short name of a workload."""
-    return workload.partition(":")[0]
+from scenarios.benchmarks_runs import BROADCASTS, OURS, SHORT, Rate, measure, short
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
@@ -205,9 +91,6 @@ def _names_from(allowed: Sequence[str]) -> Any:
         return names
 
     return check
-
-
-SHORT = [short(work.name) for work in workloads()]
 
 
 @study(

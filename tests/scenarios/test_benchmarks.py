@@ -14,7 +14,7 @@ from desim import run
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.latency import Constant
 from desim.kernel.seeds import stream
-from scenarios import benchmarks, costs, measuring
+from scenarios import benchmarks, benchmarks_runs, costs, measuring
 from scenarios.peers import elsewhere, ways
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.elsewhere import PROGRAMS, Peer, UnavailableError
@@ -84,7 +84,7 @@ def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     text = (tmp_path / "benchmarks.txt").read_text()
     found = {(each["workload"][:2], each["way"]): each["per_second"] for each in rates}
     assert re.search(rf"^heapq +{found['W1', 'heapq'] / 1e3:,.0f} ", text, re.MULTILINE)
-    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks.OURS]
+    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks_runs.OURS]
     assert re.search(r"^heapq +" + " +".join(f"{ratio:,.2f}" for ratio in ratios) + "$", text, re.MULTILINE)
     picture = (tmp_path / "benchmarks.svg").read_text()
     assert all(picture.count(f">{way}</text>") == 2 for way in ways.WAYS)
@@ -118,7 +118,7 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
             return Outcome(delivered, [{}, *tables[1:]])
 
     monkeypatch.setattr(benchmarks, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful})
-    laps = benchmarks.Laps(TINY[0], {}, {})
+    laps = benchmarks_runs.Laps(TINY[0], {}, {})
     laps.lap("simpy-message")
     with pytest.raises(RuntimeError, match="the final tables of forgetful differ"):
         laps.lap("forgetful")
@@ -128,15 +128,15 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     monkeypatch.setattr(benchmarks, "PEERS", {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())})
     commands = {
         name: [sys.executable, "-c", SAYS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
-        for name, seconds in (("slow", benchmarks.LONG + 1.0), ("fast", 0.5))
+        for name, seconds in (("slow", benchmarks_runs.LONG + 1.0), ("fast", 0.5))
     }
-    laps = benchmarks.Laps(TINY[0], commands, {})
+    laps = benchmarks_runs.Laps(TINY[0], commands, {})
     laps.lap("slow")
     laps.lap("fast")
     commands |= {name: [sys.executable, "-c", "raise SystemExit('again')"] for name in commands}
     laps.lap("slow")
     laps.lap("fast")
-    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks.LONG + 1.0))]
+    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks_runs.LONG + 1.0))]
 
 
 @pytest.mark.slow_but_one
@@ -151,7 +151,7 @@ def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, sa
     """60 turns to 4 neighbours each are 240 deliveries."""
     monkeypatch.setattr(benchmarks, "PEERS", {"other": Peer("peer_mesa.py", ())})
     missing = {}
-    laps = benchmarks.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
+    laps = benchmarks_runs.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
     for _ in range(2):
         for name in ("publish", "other", "heapq"):
             laps.lap(name)

@@ -20,6 +20,7 @@ from scenarios import (
     find_table1,
     first_picture,
     many,
+    range_runs,
     rivals,
     rivals_runs,
     table1,
@@ -184,10 +185,13 @@ def few(monkeypatch):
         monkeypatch.setattr(module, "N", 8, raising=False)
         monkeypatch.setattr(module, "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))}, raising=False)
         monkeypatch.setattr(module, "LATENCIES", (0.0, 0.2), raising=False)
-    monkeypatch.setattr(ranges, "RANGES", (0.5, 8.0, 30.0))
-    monkeypatch.setattr(ranges, "N", 6)
-    small = {name: team.model_copy(update={"count": 6}) for name, team in ranges.TEAMS.items()}
-    monkeypatch.setattr(ranges, "TEAMS", small)
+    for module in (ranges, range_runs):
+        monkeypatch.setattr(module, "RANGES", (0.5, 8.0, 30.0), raising=False)
+    for module in (ranges, range_runs):
+        monkeypatch.setattr(module, "N", 6, raising=False)
+    small = {name: team.model_copy(update={"count": 6}) for name, team in range_runs.TEAMS.items()}
+    for module in (ranges, range_runs):
+        monkeypatch.setattr(module, "TEAMS", small, raising=False)
 
 
 @pytest.mark.slow
@@ -238,21 +242,21 @@ def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened):
     shortened(1.0)
     document, _, picture = study(ranges.main, "--runs", "2")
     static = {(each["team"], each["range"]): each for each in document["games"]}
-    for team in ranges.TEAMS:
-        near, middle, far = (static[team, radius] for radius in ranges.RANGES)
-        assert near["games"] == 2 * ranges.GAMES_PER_RUN
+    for team in range_runs.TEAMS:
+        near, middle, far = (static[team, radius] for radius in range_runs.RANGES)
+        assert near["games"] == 2 * range_runs.GAMES_PER_RUN
         assert (far["components"], far["unsettled"], far["independent"]) == (1.0, 0.0, pytest.approx(1.0, abs=0.2))
         assert near["components"] > middle["components"] > far["components"]
     assert static["all able", 8.0]["unsettled"] > 0.2
-    assert all(each["difference"] == 0.0 for each in document["pursuits"] if each["protocol"] == ranges.REFERENCE)
+    assert all(each["difference"] == 0.0 for each in document["pursuits"] if each["protocol"] == range_runs.REFERENCE)
     for label in ("range R (m)", "without equilibrium (%)", "sum of active times (s)"):
         assert label in picture
 
 
 def test_the_games_of_the_range_study_are_those_of_the_runs():
     """Who hears whom is the disk graph of the positions with which a run begins."""
-    base = ranges.scenario("all able", 6.0, "local mean")
-    phi, hearing, graph = ranges.game(base, 5)
+    base = range_runs.scenario("all able", 6.0, "local mean")
+    phi, hearing, graph = range_runs.game(base, 5)
     start = run(base.model_copy(update={"horizon": 0.01}), 5).trace.of(Started)[0]
     places = np.array(start.pursuers)
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
@@ -261,4 +265,4 @@ def test_the_games_of_the_range_study_are_those_of_the_runs():
     ]
     gaps = np.linalg.norm(places - np.array(start.evader), axis=1)
     assert phi == pytest.approx((gaps - 0.1) / (1.2 - 0.9))
-    assert len(graph) == ranges.N
+    assert len(graph) == range_runs.N

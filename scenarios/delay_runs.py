@@ -1,0 +1,121 @@
+"""What `python -m scenarios.delay` measures."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from desim import Scenario
+from desim.analysis.metrics import active_time, excess_time
+from desim.analysis.statistics import estimate
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.pursuit.announcements import Announcements
+from desim.scenario.scenario import Motion, Recording, Team
+from protocols.centralised import Centralised
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson, Rounds, Schedule, SharedSeed
+from protocols.temperature import ConstantTau
+from protocols.token import TokenRing
+from scenarios.study import Options
+
+N = 20
+LAMBDA = 5.0
+"""Decision rate lambda of one pursuer in the static games, 1/s."""
+DELAYS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 16.0, 64.0)
+"""Values of L lambda."""
+SCHEDULES: dict[str, Callable[[float], Schedule]] = {
+    "poisson": lambda slot: Poisson(rate=1.0 / (N * slot)),
+    "shared_seed": lambda slot: SharedSeed(slot=slot),
+    "rounds": lambda slot: Rounds(period=N * slot),
+    "token_ring": lambda slot: TokenRing(holding_time=slot),
+}
+SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
+"""Values of delta in the pursuits, s."""
+LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Values of L in the pursuits, s."""
+CRITICAL = 3.0
+"""L lambda at which the excess is about twice that without latency."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """g at one L lambda under one schedule: the excess on static games in units of N^2 delta."""
+
+    schedule: str
+    delay: float
+    excess: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The mean sum of active times of the pursuit at one latency and slot, and the prediction of the law, s."""
+
+    latency: float
+    slot: float
+    active_time: float
+    standard_error: float
+    predicted: float
+
+
+def static(schedule: Schedule, latency: float) -> Scenario:
+    """Return a game without motion, in which all pursuers start active and decide greedily."""
+    return Scenario(
+        name="static game",
+        horizon=60.0 + 10.0 * latency,
+        team=Team(count=N),
+        motion=Motion(static=True),
+        protocol=SpatialAdaptivePlay(tau=ConstantTau(value=1e-9), schedule=schedule),
+        announce=Announcements(trigger="change"),
+        network=Links(latency=Constant(value=latency)),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def pursuit(latency: float, slot: float) -> Scenario:
+    """Return the pursuit of the paper under Poisson clocks."""
+    return Scenario(
+        name="pursuit",
+        team=Team(count=N),
+        protocol=SpatialAdaptivePlay(schedule=SCHEDULES["poisson"](slot)),
+        network=Links(latency=Constant(value=latency)),
+        record=Recording(trajectory=0.0),
+    )
+
+
+def measure_law(options: Options) -> list[Point]:
+    """Return g for each schedule and delay; for the ring, whose slots grow with the latency, at zero latency only."""
+    slot = 1.0 / (N * LAMBDA)
+    keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]
+    scenarios = [static(SCHEDULES[name](slot), delay / LAMBDA) for name, delay in keys]
+    found = means(scenarios, options, "static games", excess_time)
+    unit = N * N * slot
+    return [Point(*key, mean / unit, error / unit) for key, (mean, error) in zip(keys, found, strict=True)]
+
+
+def law(points: Sequence[Point]) -> Callable[[float], float]:
+    """Return g under Poisson clocks as a function of L lambda, interpolated between the measured points."""
+    poisson = [(point.delay, point.excess) for point in points if point.schedule == "poisson"]
+    delays, excess = zip(*poisson, strict=True)
+    return lambda delay: float(np.interp(delay, delays, excess))
+
+
+def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
+    """Return the phase diagram, measured and predicted by the law."""
+    g = law(points)
+    keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
+    alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})
+    (relay, _), *found = means([alone, *(pursuit(*key) for key in keys)], options, "pursuits", active_time)
+    return [
+        Cell(latency, slot, mean, error, relay + g(latency / (N * slot)) * N * N * slot)
+        for (latency, slot), (mean, error) in zip(keys, found, strict=True)
+    ]
+
+
+def means(
+    scenarios: Sequence[Scenario], options: Options, label: str, metric: Callable[..., float]
+) -> list[tuple[float, float]]:
+    """Return the mean and the standard error of a metric over the runs of each scenario."""
+    estimates = [estimate(values) for values in options.measure(scenarios, label, metric)]
+    return [(each.mean, each.standard_error) for each in estimates]

@@ -1,0 +1,128 @@
+"""What `python -m scenarios.range` measures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from desim import Scenario
+from desim.analysis.metrics import active_time
+from desim.analysis.statistics import estimate, wilson
+from desim.kernel.latency import Constant
+from desim.kernel.links import Links
+from desim.kernel.topology import Topology
+from desim.pursuit.announcements import Announcements
+from desim.pursuit.capture import capture_time
+from desim.pursuit.game import equilibria, greedy_maximal_independent_set
+from desim.pursuit.utility import Component, EdgePenalty, LocalMean
+from desim.scenario.scenario import Team
+from desim.study.batch import seeds_from
+from protocols.dissemination import Flooding
+from protocols.local_min import ArgminKnown, LocalMin
+from protocols.sap import SpatialAdaptivePlay
+from protocols.schedules import Poisson
+from scenarios.study import Options
+
+N = 10
+TEAMS: Mapping[str, Team] = MappingProxyType({"paper": Team(count=N), "all able": Team(count=N, speeds=1.2)})
+RANGES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
+"""Communication ranges R, m."""
+TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+GAMES_PER_RUN = 20
+"""Number of enumerated games of t = 0 for each run."""
+CLOCKS = Poisson(rate=10.0)
+HEARTBEAT = 0.3
+"""Time between two announcements without a change, s."""
+PROTOCOLS: Mapping[str, tuple[Any, Any]] = MappingProxyType(
+    {
+        "component": (SpatialAdaptivePlay(schedule=CLOCKS, utility=Component()), Flooding(hops=N)),
+        "local mean": (SpatialAdaptivePlay(schedule=CLOCKS, utility=LocalMean()), None),
+        "edge penalty": (SpatialAdaptivePlay(schedule=CLOCKS, utility=EdgePenalty()), None),
+        "local min": (LocalMin(schedule=CLOCKS), None),
+        "argmin known": (ArgminKnown(schedule=CLOCKS), Flooding(hops=N)),
+    }
+)
+REFERENCE = "component"
+
+
+@dataclass(frozen=True)
+class Games:
+    """Statistics of the games of t = 0 of one team at one range."""
+
+    team: str
+    range: float
+    games: int
+    unsettled: float
+    """Share without a pure equilibrium under the utility of neighbours (`LocalMean`), in [0, 1]."""
+    unsettled_low: float
+    """Lower end of its 95 % Wilson interval."""
+    unsettled_high: float
+    components: float
+    """Mean number of network components."""
+    independent: float
+    """Mean size of the greedy independent set."""
+
+
+@dataclass(frozen=True)
+class Pursuits:
+    """The results of the pursuits of one team under one protocol at one range."""
+
+    team: str
+    range: float
+    protocol: str
+    active_time: float
+    half_width: float
+    """Half width of its 95 % interval, s."""
+    difference: float
+    """Paired difference to the active time of the game per component, s."""
+    difference_half_width: float
+
+
+def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
+    """Return the scenario of the paper with a team whose members communicate up to a range, m."""
+    chosen, dissemination = PROTOCOLS[protocol]
+    settings = {} if dissemination is None else {"dissemination": dissemination}
+    return Scenario(
+        name=f"{protocol}, R = {range:g} m",
+        team=TEAMS[team],
+        protocol=chosen,
+        announce=Announcements(heartbeat=HEARTBEAT, **settings),
+        network=Links(range=range, latency=Constant(value=0.005)),
+    )
+
+
+def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
+    """Return the game of t = 0: (N,) capture times, s; the pursuers that each pursuer hears; and the graph of links."""
+    at, evader = base.team.start(seed), base.evaders[0].start(seed)
+    phi = capture_time(evader, at, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
+    graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
+    return phi, [list(graph.predecessors(i)) for i in sorted(graph)], graph
+
+
+def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
+    """Enumerate the games of t = 0 of a team at one range."""
+    base = scenario(team, range, "local mean")
+    seeds = seeds_from(options.seed, options.runs * GAMES_PER_RUN)
+    unsettled, components, independent = 0, [], []
+    for phi, hearing, graph in (game(base, seed) for seed in seeds):
+        unsettled += not equilibria(phi, base.horizon, LocalMean(), hearing)
+        components.append(nx.number_weakly_connected_components(graph))
+        independent.append(sum(greedy_maximal_independent_set(phi, base.horizon, hearing)))
+    low, high = wilson(unsettled, len(seeds))
+    share = unsettled / len(seeds)
+    return Games(team, range, len(seeds), share, low, high, float(np.mean(components)), float(np.mean(independent)))
+
+
+def measure(options: Options) -> list[Pursuits]:
+    """Run each protocol for each team at each range."""
+    keys = [(team, range_, protocol) for team in TEAMS for range_ in RANGES for protocol in PROTOCOLS]
+    times = dict(zip(keys, options.measure([scenario(*key) for key in keys], "ranges", active_time), strict=True))
+    found = []
+    for key in keys:
+        own, other = times[key], times[(*key[:2], REFERENCE)]
+        active, paired = estimate(own), estimate([a - b for a, b in zip(own, other, strict=True)])
+        found.append(Pursuits(*key, active.mean, active.half_width, paired.mean, paired.half_width))
+    return found
