@@ -22,7 +22,7 @@ from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 Epoch = tuple[int, int, float]
-"""Number, regenerating pursuer and the time on its clock, s: unique for each token, even after a loss of memory."""
+"""Serial number, pursuer that started the epoch, and its clock then, s: unique even if that pursuer loses its memory."""
 Age = tuple[Epoch, int]
 """Epoch and hop of a token or a message about it, greater for a newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
@@ -69,7 +69,7 @@ def visited(token: Token, pursuer: int) -> tuple[int, ...]:
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a pursuer that is not absent was not visited for N hops and may assume that the token is lost."""
+    """Return whether a present pursuer was not visited for more than N hops, so that it may take the token for lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
@@ -102,7 +102,7 @@ def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attemp
 
 
 def full_token(me: Agent) -> Token:
-    """Return a token as long as one that carries the records of all pursuers."""
+    """Return a token of full size, with one record per pursuer; only its size matters."""
     records = (Record(me.id, 0, 0, me.announcement()),) * me.team_size
     return Token(UNHEARD, 0, (0,) * me.team_size, (), records)
 
@@ -132,7 +132,7 @@ class TokenNode:
         self._answered: set[int] = set()  # pursuers that answered since the last token left or a new epoch began
         self._memory_lost = me.restarts > 0  # a crash may have cleared the memory of tokens held
         self._hop_time = hop_time(me)
-        # A round trip, with the messages that may be queued in front of the token and its receipt.
+        # The time-out covers a round trip and the airtime of messages queued ahead of the token and of its receipt.
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
         )
@@ -282,7 +282,7 @@ class TokenNode:
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _without(self, token: Token, dst: int) -> Token:
-        """Return the token, with a silent pursuer recorded as absent; a new epoch invalidates any copy it received."""
+        """Record a silent pursuer as absent and start a new epoch, which invalidates any copy that the pursuer received."""
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token

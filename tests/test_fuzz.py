@@ -606,7 +606,7 @@ def test_a_command_that_is_killed_leaves_nothing_half_written(tmp_path, how):
     file.write_text("horizon = 1.0\nteam.count = 3\nsweep = { reps = 4, grid = { 'team.count' = [2, 3] } }\n")
     moments = random.Random(f"{how} {CASES}")
     kills = 0
-    for seed in range(max(CASES // 100, 3)):
+    for seed in range(max(CASES // 100, 2)):
         options = [*COMMANDS[how][1:], "-o", out, *(["--seed", seed] if how != "sweep" else [])]
         kills += killed(int(2 ** moments.uniform(0, 5)), out, COMMANDS[how][0], file, *options)
         if how != "sweep":

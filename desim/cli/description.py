@@ -31,8 +31,8 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     """Yield the lines of `described` for one key or kind below a model.
 
     Args:
-        place: the keys from the outermost to the innermost, such as network, latency, gamma, scale; the kind of a model
-            follows its key.
+        place: the path from the outermost key to the innermost. A kind may follow the key of its model: in network,
+            latency, gamma, scale, `gamma` is the kind of `latency`.
         model: the outermost model.
 
     Raises:

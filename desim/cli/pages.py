@@ -16,7 +16,7 @@ from desim.config.file_names import STORE
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="The page; default: replay.html in DIR; for a FILE, its name with suffix .html in the working directory.",
+    help="The page; default: DIR/replay.html for a DIR, ./NAME.html for a FILE named NAME.toml.",
 )
 @SEED
 @ALLOW_IMPORT

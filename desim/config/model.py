@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 MAX_COORDINATE = 1e9
-"""Largest absolute coordinate or speed; its square does not overflow, m or m/s."""
+"""Largest absolute coordinate, m, or speed, m/s."""
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False, strict=True)]
 """m"""
 
@@ -57,9 +57,9 @@ Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
 MAX_TIME = 1e9
 """Longest time, about thirty years, s."""
 RESOLUTION = 1e-9
-"""Resolution of the clock, one nanosecond; times up to half a nanosecond are rounded to 0, s."""
+"""Resolution of the clock, s. Times up to half of it are rounded to 0."""
 MIN_PERIOD = 1e-6
-"""Shortest period of recurring events; with a shorter period a run would take too long, s."""
+"""Shortest period of recurring events, s. With a shorter one a run would take too long."""
 Unsigned = AfterValidator(lambda number: number + 0.0)
 """Replaces -0 by 0, because numpy rejects -0 as a negative scale."""
 
@@ -138,8 +138,8 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models_in(inner)
 
 
-# The strings below fields are their descriptions. They are parsed from the source of a module on demand: pydantic's
-# `use_attribute_docstrings` parses them when each model class is created, which takes longer than a short run.
+# The strings below fields are their descriptions. They are parsed from the source of a module on demand.
+# pydantic's `use_attribute_docstrings` would parse them as each class is created, which takes longer than a short run.
 
 Docs = Mapping[str, str]
 """The descriptions of the fields of a class, by name; fields without a string below them are absent."""

@@ -1,6 +1,6 @@
 """Message loss: frozen models that decide for all receivers of a transmission at once.
 
-A stateful model has a method `start_run(size)` that returns the model of one run with its state.
+A model with state is frozen, too: its method `start_run(size)` returns an object that holds the state of one run.
 """
 
 from collections import defaultdict

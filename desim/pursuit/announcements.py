@@ -117,8 +117,8 @@ class Announcements(Value):
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
-    """Time for which an announcement is believed after its arrival, s; "auto" is 3 heartbeats plus twice the typical
-    latency and airtime of an announcement, or inf without heartbeats."""
+    """Time for which an announcement is believed after its arrival, s; "auto" is 3 heartbeats + 2 (typical latency
+    + airtime of an announcement), or inf without heartbeats."""
     warm_start: Flag = True
     """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)

@@ -51,7 +51,7 @@ def raising() -> Iterator[None]:
 
 
 def _terminate(number: int, _: FrameType | None) -> None:
-    """Raise Terminated, unless one is being handled already: `timeout` and terminals send a signal twice."""
+    """Raise Terminated, unless a Terminated is being handled: `timeout` and terminals may send a signal twice."""
     error = sys.exc_info()[1]
     while error is not None:
         if isinstance(error, Terminated):

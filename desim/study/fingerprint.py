@@ -1,8 +1,8 @@
 """Content hashes of objects: of all their parts, recursively, code included.
 
 An object is decomposed as in pickling. An importable class or function is hashed by its name and the source of its
-module; by its name only if it belongs to desim, to Python or to a library whose version is recorded. One that is
-defined in a script, at a prompt or within a function is hashed by its compiled code and all values that the code reads.
+module. If it belongs to desim, to Python or to a library whose version is recorded, its name alone is hashed. One that
+is defined in a script, at a prompt or within a function is hashed by its compiled code and all values that the code reads.
 """
 
 import copyreg
@@ -47,7 +47,9 @@ class Fingerprint:
 
     def __init__(self) -> None:
         self._seen: dict[int, tuple[int, Any]] = {}  # holds the object, so that its id is not reused
-        self._module_source = cache(_module_source)  # per instance: a module may have changed before the next one
+        self._module_source = cache(
+            _module_source
+        )  # one cache per Fingerprint: modules may change before the next is made
 
     def __call__(self, value: Any) -> str:
         """Return the hash of an object, 16 hexadecimal digits; O(n) in the number and size of its parts."""
@@ -214,8 +216,8 @@ def parts(value: Any, seen: set[int] | None = None) -> Iterator[Any]:
     """Yield each callable object inside a value once.
 
     Args:
-        value: a model, a list, a tuple, a partial call, or any other object, which has no parts.
-        seen: the `id` of each object visited already, which is skipped; many runs share a scenario.
+        value: a model, a list, a tuple or a partial call, whose parts are visited; any other object has none.
+        seen: the `id`s of objects to skip; the same set serves several values that share objects, such as runs.
     """
     seen = set() if seen is None else seen
     if id(value) in seen:

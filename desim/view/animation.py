@@ -37,8 +37,7 @@ HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
-"""Share of an evader's hue, blended with white, in the colour of pursuers that chase it together; used if there are
-several evaders."""
+"""With several evaders, pursuers that chase one together are drawn in its hue blended with white: weight of the hue."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 SHORT = 0.02
@@ -180,7 +179,7 @@ class _Scene:
         self.moving = self._in_order()
 
     def _chasers(self) -> list[Line2D]:
-        """Return the legend entries of active pursuers; grey if there are several evaders, each with its own hue."""
+        """Return the legend entries of active pursuers, in grey if their colours depend on their evaders."""
         first = self._evaders[0]
         if len(self._evaders) == 1:
             return [first.beside, first.alone]
@@ -228,8 +227,8 @@ class _Scene:
     def _chases(self, t: int) -> dict[int, int]:
         """Return the evader of each active pursuer at a time, ns.
 
-        The last frame shows the pursuers that were active until the end of the run. If there are several evaders, it
-        omits the pursuers of one captured at the end.
+        The last frame shows the pursuers that were active until the end of the run. With several evaders, it
+        omits pursuers whose evader was captured then.
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {

@@ -398,8 +398,8 @@ def test_two_that_each_hold_themselves_for_the_owner_find_out():
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_random_static_games_end_in_the_relay_profile(payload):
-    """15 games: any speeds by time of capture, equal ones by distance or intercept; told word is late, or lost."""
-    for seed in range(15):
+    """9 games: any speeds by time of capture, equal ones by distance or intercept; told word is late, or lost."""
+    for seed in range(9):
         rng = np.random.default_rng(seed)
         count = int(rng.integers(2, 13))
         protocol = [Argmin(slot=0.1), Voronoi(slot=0.1), Argmin(by="intercept_time", slot=0.1)][

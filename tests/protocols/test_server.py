@@ -320,8 +320,8 @@ def test_nobody_is_sent_who_would_be_late():
 
 @pytest.mark.slow
 def test_random_static_games_end_in_the_relay_profile():
-    """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 15 games."""
-    for seed in range(15):
+    """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 9 games."""
+    for seed in range(9):
         rng = np.random.default_rng(seed)
         count = int(rng.integers(2, 13))
         scenario = Scenario(

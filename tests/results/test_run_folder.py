@@ -376,4 +376,4 @@ def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
 @pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
 def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path):
     short = record(tmp_path / name, name, "horizon=1.0", *(["team.count=6"] if name in {"radio", "flooding"} else []))
-    shown_or_refused(short, tmp_path, range(1000, 1040), (["replay"], ["draw", "perfetto"], ["draw", "spacetime"]))
+    shown_or_refused(short, tmp_path, range(1000, 1025), (["replay"], ["draw", "perfetto"], ["draw", "spacetime"]))

@@ -78,7 +78,6 @@ def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):
     [
         (2, signal.SIGINT, os.killpg, ""),
         (1, signal.SIGTERM, os.kill, " by SIGTERM"),
-        (2, signal.SIGTERM, os.kill, " by SIGTERM"),
         (2, signal.SIGHUP, os.killpg, " by SIGHUP"),
     ],
 )
