@@ -22,7 +22,7 @@ from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 Epoch = tuple[int, int, float]
-"""Serial number, pursuer that started the epoch, and its clock then, s: unique even if that pursuer loses its memory."""
+"""Serial number, pursuer that started the epoch, and its clock then, s: unique even after a loss of memory."""
 Age = tuple[Epoch, int]
 """Epoch and hop of a token or a message about it, greater for a newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
@@ -282,7 +282,7 @@ class TokenNode:
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _without(self, token: Token, dst: int) -> Token:
-        """Record a silent pursuer as absent and start a new epoch, which invalidates any copy that the pursuer received."""
+        """Record a silent pursuer as absent and start a new epoch, which invalidates any copy it received."""
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token

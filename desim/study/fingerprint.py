@@ -2,7 +2,7 @@
 
 An object is decomposed as in pickling. An importable class or function is hashed by its name and the source of its
 module. If it belongs to desim, to Python or to a library whose version is recorded, its name alone is hashed. One that
-is defined in a script, at a prompt or within a function is hashed by its compiled code and all values that the code reads.
+is defined in a script, at a prompt or within a function is hashed by its compiled code and all values that it reads.
 """
 
 import copyreg

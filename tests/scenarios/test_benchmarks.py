@@ -103,7 +103,8 @@ def test_ways_and_workloads_can_be_chosen(few):
 def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, monkeypatch, tmp_path):
     peer = Peer("peer_ns3.cpp", ("there-is-no-such-package",))
     monkeypatch.setattr(elsewhere, "PEERS", {"ns-3": peer})
-    monkeypatch.setattr(benchmarks, "PEERS", {"ns-3": peer})
+    for module in (benchmarks, benchmarks_runs):
+        monkeypatch.setattr(module, "PEERS", {"ns-3": peer}, raising=False)
     document = few("--parts", "broadcasts", "--only", "ns-3,publish", "--workloads", "W1")
     assert [each["way"] for each in document["broadcasts"]] == ["publish"]
     assert "apt-get" in document["missing"]["ns-3"]
@@ -117,7 +118,8 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
             delivered, tables = super().outcome()
             return Outcome(delivered, [{}, *tables[1:]])
 
-    monkeypatch.setattr(benchmarks, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful})
+    for module in (benchmarks, benchmarks_runs):
+        monkeypatch.setattr(module, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful}, raising=False)
     laps = benchmarks_runs.Laps(TINY[0], {}, {})
     laps.lap("simpy-message")
     with pytest.raises(RuntimeError, match="the final tables of forgetful differ"):
@@ -125,7 +127,10 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
 
 
 def test_a_long_lap_is_not_repeated(monkeypatch):
-    monkeypatch.setattr(benchmarks, "PEERS", {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())})
+    for module in (benchmarks, benchmarks_runs):
+        monkeypatch.setattr(
+            module, "PEERS", {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())}, raising=False
+        )
     commands = {
         name: [sys.executable, "-c", SAYS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
         for name, seconds in (("slow", benchmarks_runs.LONG + 1.0), ("fast", 0.5))
@@ -149,7 +154,8 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
 )
 def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, says, reason):
     """60 turns to 4 neighbours each are 240 deliveries."""
-    monkeypatch.setattr(benchmarks, "PEERS", {"other": Peer("peer_mesa.py", ())})
+    for module in (benchmarks, benchmarks_runs):
+        monkeypatch.setattr(module, "PEERS", {"other": Peer("peer_mesa.py", ())}, raising=False)
     missing = {}
     laps = benchmarks_runs.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
     for _ in range(2):
