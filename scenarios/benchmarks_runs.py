@@ -1,4 +1,4 @@
-"""What `python -m scenarios.benchmarks` measures."""
+"""The measurements of `python -m scenarios.benchmarks`."""
 
 import gc
 import time

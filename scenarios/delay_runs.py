@@ -1,4 +1,4 @@
-"""What `python -m scenarios.delay` measures."""
+"""The scenarios and measurements of `python -m scenarios.delay`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

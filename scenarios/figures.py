@@ -103,7 +103,7 @@ def initial(result: Result) -> "Figure":
 def trajectories(results: "Mapping[str, Result]") -> "Figure":
     """Draw the trajectories of the runs, in four panels with shared axes."""
     from desim.analysis import plots
-    from desim.view.paths import draw_pursuit, label_takeovers
+    from desim.view.paths import draw_pursuit, label_handovers
 
     with plots.styled((plots.COLUMN, 4.1), font=7) as figure:
         labels: dict[str, Artist] = {}
@@ -122,7 +122,7 @@ def trajectories(results: "Mapping[str, Result]") -> "Figure":
         figure.legend(list(labels.values()), list(labels), loc="outside lower center", ncols=3, **look)
         figure.draw_without_rendering()
         for axes, result in zip(grid, results.values(), strict=True):
-            label_takeovers(axes, result)
+            label_handovers(axes, result)
     return figure
 
 
@@ -144,11 +144,11 @@ def utilities(results: "Mapping[str, Result]") -> "Figure":
         figure.legend(handles, names, loc="outside lower center", ncols=3)
         figure.draw_without_rendering()
         for axes, result in zip(rows, results.values(), strict=True):
-            _name_takeovers(axes, result)
+            _name_handovers(axes, result)
     return figure
 
 
-def _name_takeovers(axes: "Axes", result: Result) -> None:
+def _name_handovers(axes: "Axes", result: Result) -> None:
     """Label the beginning of each bold line with the id of its pursuer."""
     from desim.analysis import plots
     from desim.view.labels import label_points

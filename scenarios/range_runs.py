@@ -1,4 +1,4 @@
-"""What `python -m scenarios.range` measures."""
+"""The scenarios and measurements of `python -m scenarios.range`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

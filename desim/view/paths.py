@@ -136,7 +136,7 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     """Draw the paths of active pursuers, bold while alone and thin with others, with a diamond at each handover.
 
     The first diamond of an evader marks the first pursuer that chases it alone. A pursuer that was never active has
-    only the circle at its initial position. `label_takeovers` adds the numbers of the pursuers.
+    only the circle at its initial position. `label_handovers` adds the numbers of the pursuers.
 
     Raises:
         ValueError: if no positions were recorded.
@@ -180,7 +180,7 @@ def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, E
             label = ""
 
 
-def label_takeovers(axes: Axes, result: Result) -> None:
+def label_handovers(axes: Axes, result: Result) -> None:
     """Label each diamond of `draw_pursuit` with the number of its pursuer.
 
     If there are several evaders, their initial positions are labelled with their numbers. See `label_points` for the

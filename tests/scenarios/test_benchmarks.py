@@ -21,6 +21,7 @@ from scenarios.peers.elsewhere import PROGRAMS, Peer, UnavailableError
 from scenarios.peers.simpy_ways import PerMessage
 from scenarios.peers.workloads import LOGNORMAL, TICK, Outcome, Workload
 from scenarios.table1 import configuration, decentralised
+from tests.scenarios.patching import patch_study
 
 TINY = [
     Workload("T1: complete, constant", nx.complete_graph(5), 60, Constant(value=0.0151)),
@@ -103,8 +104,7 @@ def test_ways_and_workloads_can_be_chosen(few):
 def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, monkeypatch, tmp_path):
     peer = Peer("peer_ns3.cpp", ("there-is-no-such-package",))
     monkeypatch.setattr(elsewhere, "PEERS", {"ns-3": peer})
-    for module in (benchmarks, benchmarks_runs):
-        monkeypatch.setattr(module, "PEERS", {"ns-3": peer}, raising=False)
+    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", {"ns-3": peer})
     document = few("--parts", "broadcasts", "--only", "ns-3,publish", "--workloads", "W1")
     assert [each["way"] for each in document["broadcasts"]] == ["publish"]
     assert "apt-get" in document["missing"]["ns-3"]
@@ -118,8 +118,9 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
             delivered, tables = super().outcome()
             return Outcome(delivered, [{}, *tables[1:]])
 
-    for module in (benchmarks, benchmarks_runs):
-        monkeypatch.setattr(module, "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful}, raising=False)
+    patch_study(
+        monkeypatch, (benchmarks, benchmarks_runs), "WAYS", {"simpy-message": PerMessage, "forgetful": Forgetful}
+    )
     laps = benchmarks_runs.Laps(TINY[0], {}, {})
     laps.lap("simpy-message")
     with pytest.raises(RuntimeError, match="the final tables of forgetful differ"):
@@ -127,10 +128,8 @@ def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
 
 
 def test_a_long_lap_is_not_repeated(monkeypatch):
-    for module in (benchmarks, benchmarks_runs):
-        monkeypatch.setattr(
-            module, "PEERS", {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())}, raising=False
-        )
+    peers = {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())}
+    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", peers)
     commands = {
         name: [sys.executable, "-c", SAYS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
         for name, seconds in (("slow", benchmarks_runs.LONG + 1.0), ("fast", 0.5))
@@ -154,8 +153,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
 )
 def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, says, reason):
     """60 turns to 4 neighbours each are 240 deliveries."""
-    for module in (benchmarks, benchmarks_runs):
-        monkeypatch.setattr(module, "PEERS", {"other": Peer("peer_mesa.py", ())}, raising=False)
+    patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", {"other": Peer("peer_mesa.py", ())})
     missing = {}
     laps = benchmarks_runs.Laps(TINY[0], {"other": [sys.executable, "-c", says]}, missing)
     for _ in range(2):

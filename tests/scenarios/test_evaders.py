@@ -18,6 +18,7 @@ from desim.simulation.run import Result
 from desim.study.batch import run_many
 from scenarios import evaders, evaders_runs
 from scenarios.evaders_runs import CLAIMED, IDEAL, REFERENCE
+from tests.scenarios.patching import patch_study
 
 TINY = ("pure evasion", "pure, of active", "still")
 
@@ -25,12 +26,15 @@ TINY = ("pure evasion", "pure, of active", "still")
 @pytest.fixture
 def tiny(monkeypatch):
     """The study, cut down to what a test has time for."""
-    for module in (evaders, evaders_runs):
-        monkeypatch.setattr(module, "STRATEGIES", {name: evaders_runs.STRATEGIES[name] for name in TINY}, raising=False)
-        monkeypatch.setattr(module, "PROTOCOLS", (IDEAL, "sap", "voronoi", "centralised"), raising=False)
-        monkeypatch.setattr(module, "RADII", (2.0, np.inf), raising=False)
-        monkeypatch.setattr(module, "MORE", 2, raising=False)
-        monkeypatch.setattr(module, "WATCHED", evaders_runs.WATCHED.model_copy(update={"horizon": 2.0}), raising=False)
+    patch_study(
+        monkeypatch, (evaders, evaders_runs), "STRATEGIES", {name: evaders_runs.STRATEGIES[name] for name in TINY}
+    )
+    patch_study(monkeypatch, (evaders, evaders_runs), "PROTOCOLS", (IDEAL, "sap", "voronoi", "centralised"))
+    patch_study(monkeypatch, (evaders, evaders_runs), "RADII", (2.0, np.inf))
+    patch_study(monkeypatch, (evaders, evaders_runs), "MORE", 2)
+    patch_study(
+        monkeypatch, (evaders, evaders_runs), "WATCHED", evaders_runs.WATCHED.model_copy(update={"horizon": 2.0})
+    )
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from desim import run
 from desim.pursuit.assignment import optimal_assignment, welfare
 from desim.pursuit.events import Captured, Started
 from scenarios import many, many_runs
+from tests.scenarios.patching import patch_study
 
 FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "local min")
 
@@ -14,16 +15,15 @@ FEW = ("SAP, slow", "SAP, fast", "Selective SAP, slow", "Selective SAP, fast", "
 @pytest.fixture
 def few(monkeypatch):
     """The study, cut down to what a test has time for."""
-    for module in (many, many_runs):
-        monkeypatch.setattr(module, "SIZES", ((2, 2), (3, 2)), raising=False)
-        monkeypatch.setattr(module, "HARD", (2, 2), raising=False)
-        monkeypatch.setattr(module, "BUDGETS", (10, 20), raising=False)
-        monkeypatch.setattr(module, "BUDGET", 20, raising=False)
-        monkeypatch.setattr(module, "TEMPERATURES", (0.1, 1.0), raising=False)
-        monkeypatch.setattr(module, "HORIZON", 4.0, raising=False)
-        monkeypatch.setattr(module, "SLOT", 0.05, raising=False)
-        monkeypatch.setattr(module, "BOX", (0.0, 5.0), raising=False)
-        monkeypatch.setattr(module, "CONTENDERS", {name: many_runs.CONTENDERS[name] for name in FEW}, raising=False)
+    patch_study(monkeypatch, (many, many_runs), "SIZES", ((2, 2), (3, 2)))
+    patch_study(monkeypatch, (many, many_runs), "HARD", (2, 2))
+    patch_study(monkeypatch, (many, many_runs), "BUDGETS", (10, 20))
+    patch_study(monkeypatch, (many, many_runs), "BUDGET", 20)
+    patch_study(monkeypatch, (many, many_runs), "TEMPERATURES", (0.1, 1.0))
+    patch_study(monkeypatch, (many, many_runs), "HORIZON", 4.0)
+    patch_study(monkeypatch, (many, many_runs), "SLOT", 0.05)
+    patch_study(monkeypatch, (many, many_runs), "BOX", (0.0, 5.0))
+    patch_study(monkeypatch, (many, many_runs), "CONTENDERS", {name: many_runs.CONTENDERS[name] for name in FEW})
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from scenarios import (
     two_clocks,
 )
 from scenarios import range as ranges
+from tests.scenarios.patching import patch_study
 
 STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
 
@@ -181,17 +182,13 @@ def test_the_first_picture_counts_the_active_until_the_end(run_of):
 @pytest.fixture
 def few(monkeypatch):
     """The studies of rivals and of range, cut down to what a test has time for."""
-    for module in (rivals, rivals_runs):
-        monkeypatch.setattr(module, "N", 8, raising=False)
-        monkeypatch.setattr(module, "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))}, raising=False)
-        monkeypatch.setattr(module, "LATENCIES", (0.0, 0.2), raising=False)
-    for module in (ranges, range_runs):
-        monkeypatch.setattr(module, "RANGES", (0.5, 8.0, 30.0), raising=False)
-    for module in (ranges, range_runs):
-        monkeypatch.setattr(module, "N", 6, raising=False)
+    patch_study(monkeypatch, (rivals, rivals_runs), "N", 8)
+    patch_study(monkeypatch, (rivals, rivals_runs), "WORLDS", {"paper": Scenario(name="paper", team=Team(count=8))})
+    patch_study(monkeypatch, (rivals, rivals_runs), "LATENCIES", (0.0, 0.2))
+    patch_study(monkeypatch, (ranges, range_runs), "RANGES", (0.5, 8.0, 30.0))
+    patch_study(monkeypatch, (ranges, range_runs), "N", 6)
     small = {name: team.model_copy(update={"count": 6}) for name, team in range_runs.TEAMS.items()}
-    for module in (ranges, range_runs):
-        monkeypatch.setattr(module, "TEAMS", small, raising=False)
+    patch_study(monkeypatch, (ranges, range_runs), "TEAMS", small)
 
 
 @pytest.mark.slow

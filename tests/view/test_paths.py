@@ -5,7 +5,7 @@ import pytest
 
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.paths import HUES, MARKS, EvaderStyle, Paths, draw_pursuit, label_takeovers
+from desim.view.paths import HUES, MARKS, EvaderStyle, Paths, draw_pursuit, label_handovers
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -17,7 +17,7 @@ def drawn(result):
         axes = figure.add_subplot()
         draw_pursuit(axes, result)
         figure.draw_without_rendering()
-        label_takeovers(axes, result)
+        label_handovers(axes, result)
     return axes
 
 
