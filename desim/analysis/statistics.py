@@ -4,8 +4,8 @@ All intervals are 95 % intervals. A *look* checks in the course of a study wheth
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are for studies that stop at the first look at
-which the half width is at most 1.96 sigma / sqrt(20), what 20 runs would have; their first look is at 3 or at 30 values
-(40,000 studies each, s.e. at most 0.22).
+which the half width is at most 1.96 sigma / sqrt(20), that of 20 values with known sigma; their first look is at 3 or
+at 30 values (40,000 studies each, s.e. at most 0.22).
 
     distribution                             2 values   5 values   30 values   looks from 3   looks from 30
     normal                                       94.9       95.0        95.0           91.6            95.2
@@ -66,14 +66,14 @@ def estimate(values: Sequence[float]) -> Estimate:
 
 
 def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
-    """Return the mean difference values - others of runs with common random numbers, pair by pair.
+    """Return the mean of `values - others` over pairs of runs with common random numbers.
 
     Its variance is (var + var' - 2 cov) / n, less than that of independent runs if the two values of a pair are
     positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
-    then holds for the seeds with both values; also report how many values each of the two has. Without any pair the
-    count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
+    then holds for the seeds with both values; also report how many values `values` and `others` each have. Without
+    any pair the count is 0 and the mean nan, because a study without a capture is a valid outcome, not an error.
 
     If few seeds make up most of the difference, its distribution is far from normal and the t interval of few pairs is
     too narrow. For example, for the active time of 8 pursuers with and without a latency of 0.2 s, the interval covers
@@ -84,7 +84,7 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
         ValueError: if the lengths differ.
     """
     if len(values) != len(others):
-        raise ValueError(f"the numbers should be equal, got {len(values)} values and {len(others)} others")
+        raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
     pairs = zip(values, others, strict=True)
     differences = [float(one) - float(other) for one, other in pairs if _is_present(one) and _is_present(other)]
     return estimate(differences) if differences else Estimate(nan, nan, 0)
@@ -102,7 +102,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
     """
     if not 0 <= successes <= trials or not trials:
-        raise ValueError(f"successes should be 0 .. trials, of at least one trial, got {successes} of {trials}")
+        raise ValueError(f"there should be at least one trial, and 0 to trials successes, got {successes} of {trials}")
     share, z2 = successes / trials, NORMAL_975**2 / trials
     middle, half = share + z2 / 2.0, sqrt(z2 * (share * (1.0 - share) + z2 / 4.0))
     low = (middle - half) / (1.0 + z2) if successes else 0.0
@@ -133,11 +133,11 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     1965, "On the asymptotic theory of fixed-width sequential confidence intervals for the mean"). The next look is at
     the number of runs predicted from the values, n (half width / target)^2, but at least at 1.1 n and at most at 2 n.
     The upper limit bounds the effect of a bad estimate of the variance: at most half of the runs are superfluous. The
-    lower limit keeps the looks few, for each may stop too early by chance.
+    lower limit keeps the looks few, because each may end the study too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
-    value (None or nan) counts as a run but not for the mean: no look stops with fewer than `first_look` values.
-    If all numbers are equal, the t interval has width 0, and the look stops.
+    value (None or nan) counts as a run but not for the mean: no look before `at_most` ends the study with fewer than
+    `first_look` values. If all values are equal numbers, the t interval has width 0, and the look ends the study.
 
     Assumes independent runs in the order of their seeds, not in the order in which they end, which would favour short
     ones. The coverage is nominal only in the limit of a small target.

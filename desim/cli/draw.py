@@ -85,7 +85,7 @@ class _Pursuers(click.ParamType[tuple[int, ...]]):
     "--to",
     "end",
     type=click.FloatRange(min=0),
-    help="End of the window, s; default: the latest end with which messages are easy to tell apart.",
+    help="End of the window, s; default: as late as the messages stay easy to tell apart.",
 )
 @click.option(
     "--pursuers",

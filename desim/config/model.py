@@ -79,7 +79,7 @@ Horizon = Annotated[float, Field(gt=0, le=MAX_TIME, allow_inf_nan=False, strict=
 Timeout = Annotated[Extent, Counted]
 """A time-out, s; inf = never."""
 Duration = Annotated[float, Field(ge=MIN_PERIOD, le=MAX_TIME, allow_inf_nan=False, strict=True)]
-"""Duration of a recurring event, s."""
+"""A duration of at least `MIN_PERIOD`, s."""
 Period = Annotated[Duration, Recurring]
 """Time between successive events, s."""
 Rate = Annotated[float, Field(ge=1 / MAX_TIME, le=1 / MIN_PERIOD, allow_inf_nan=False, strict=True)]

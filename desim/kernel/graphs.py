@@ -93,9 +93,9 @@ class Edge(Value):
     """An edge of a graph; its latency, loss and order override those of the network."""
 
     src: Node
-    """The sender."""
+    """The sender, or one end of an undirected edge."""
     dst: Node
-    """The receiver."""
+    """The receiver, or the other end of an undirected edge."""
     latency: Annotated[Latency, LATENCIES] | None = None
     """One-way latency, s."""
     loss: Annotated[Loss, LOSSES] | None = None
@@ -150,7 +150,7 @@ class Edges(Value):
         for k, edge in enumerate(self.edges):
             ends = (edge.src, edge.dst) if self.directed else (min(edge.src, edge.dst), max(edge.src, edge.dst))
             if (first := seen.setdefault(ends, k)) != k:
-                raise ValueError(f"edges {first} and {k} are parallel, both from {edge.src} to {edge.dst}")
+                raise ValueError(f"edges {first} and {k} are parallel: both join nodes {edge.src} and {edge.dst}")
         return self
 
     @classmethod
@@ -167,7 +167,7 @@ class Edges(Value):
         import networkx as nx
 
         if self.nodes is not None and self.nodes != size:
-            raise ValueError(f"the graph has {self.nodes} nodes, the team {size}")
+            raise ValueError(f"the graph has {self.nodes} nodes, the network {size}")
         graph: nx.Graph[int] = nx.empty_graph(size, create_using=nx.DiGraph if self.directed else nx.Graph)
         for edge in self.edges:
             if max(edge.src, edge.dst) >= size:

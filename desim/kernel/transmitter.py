@@ -32,8 +32,8 @@ Item = TypeVar("Item", bound=Transmittable)
 class Transmitter(Generic[Item]):
     """The transmitters of all nodes, or the shared channel of all nodes.
 
-    A transmission waits while its channel is busy, then it is on the air for its airtime. A waiting transmission is
-    dropped if the queue of its node is full, or removed by `flush`.
+    A transmission waits while its channel is busy, then it is on the air for its airtime. If a node
+    has more than `queue_limit` waiting transmissions, its oldest is dropped; `flush` removes all those of a node.
 
     Args:
         env: the clock of the simulation.
@@ -42,8 +42,8 @@ class Transmitter(Generic[Item]):
         leave: called when a transmission starts, with its airtime in ns.
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
-        lag: the delay from the end of a reception to the call of `transmitted` for it: the processing delays at both
-            ends together, ns.
+        lag: the processing delays of sender and receiver, ns. Both are counted after a reception, so `transmitted` is
+            called this long after its end.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Transmitter(Generic[Item]):
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
         """Return whether a node transmitted during the reception of a message, from received - airtime to received, ns.
 
-        `received` is the end of the reception, without the processing delays at both ends.
+        `received` is the end of the reception, which precedes the call by `lag`.
         """
         return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
 

@@ -30,7 +30,7 @@ class TimedAssignment(NamedTuple):
 
     active: int
     capture_time: float
-    """Capture time of the evader that it chases or, if it stays, the least over all evaders, s."""
+    """Capture time of the evader that it chases or, if it stays, the least over the evaders not yet captured, s."""
 
     @classmethod
     def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
@@ -111,14 +111,15 @@ class Announcements(Value):
     """Dead reckoning of a moving teammate from its announced state. exact: along its path of pursuit; straight_line:
     straight towards the present position of the evader."""
     trigger: Literal["change", "heartbeat", "both", "revision", "never"] = "both"
-    """When an action is announced: when it changes, every heartbeat, both, at every revision, or never."""
+    """When an action is announced. change: when it changes; heartbeat: at every heartbeat; both: at either; revision:
+    after every decision, even if the action has not changed; never."""
     heartbeat: Period = 0.1
     """Time between two heartbeats of a pursuer, s."""
     belief_timeout: Annotated[
         Annotated[Timeout, Tag("number")] | Annotated[Literal["auto"], Tag("text")], Discriminator(_form_of_timeout)
     ] = "auto"
-    """Time for which an announcement is believed after its arrival, s; "auto" is 3 heartbeats + 2 (typical latency
-    + airtime of an announcement), or inf without heartbeats."""
+    """Time for which an announcement is believed after its arrival, s; "auto" is 3 * heartbeat + 2 * (typical
+    latency + airtime of an announcement), or inf without heartbeats."""
     warm_start: Flag = True
     """Whether all pursuers know the initial actions; if not, they start without beliefs."""
     dissemination: Annotated[Any, DISSEMINATIONS] = Field(default_factory=one_hop)
@@ -126,7 +127,10 @@ class Announcements(Value):
 
     @property
     def payload_size(self) -> int:
-        """Size of a payload in bytes; protocols with a payload of their own have a `claim_size` instead."""
+        """Size of an announcement, header included, bytes.
+
+        For a protocol with a payload of its own, its `claim_size` is used instead.
+        """
         return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
 
     @property

@@ -43,7 +43,7 @@ def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
 
 
 def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
-    """Return the marginal contribution of pursuer i to the global utility, s, that is to the term of its evader."""
+    """Return the marginal contribution of pursuer i to the global utility, or equally to the term of its evader, s."""
     if not actions[i]:
         return 0.0
     times, chasing = _games(phi, actions)[actions[i] - 1]

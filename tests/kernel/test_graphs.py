@@ -64,7 +64,7 @@ def test_edges_are_the_graph_they_list_one_way_if_directed():
 
 
 def test_a_graph_for_another_number_of_nodes_is_refused():
-    with pytest.raises(ValueError, match="the graph has 4 nodes, the team 5"):
+    with pytest.raises(ValueError, match="the graph has 4 nodes, the network 5"):
         Edges(nodes=4)(5)
     with pytest.raises(ValueError, match=r"edge 1 to 5: the nodes should be 0 \.\. 4"):
         Edges(edges=(Edge(src=1, dst=5),))(5)
@@ -142,7 +142,7 @@ def test_parallel_edges_are_refused_and_two_ways_are_not_parallel(tmp_path, kind
     file = write(parallel, tmp_path, kind.split()[-1])
     if kind == "simple json":
         file.write_text(file.read_text().replace('"multigraph": true', '"multigraph": false'))
-    with pytest.raises(ValidationError, match="edges 0 and 1 are parallel, both from 0 to 1"):
+    with pytest.raises(ValidationError, match="edges 0 and 1 are parallel: both join nodes 0 and 1"):
         Edges.of(parallel) if kind == "of" else from_file(file)
 
 
