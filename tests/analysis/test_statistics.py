@@ -226,7 +226,7 @@ def test_the_difference_of_truth_values_is_that_of_their_shares(kind):
 
 @pytest.mark.parametrize(("values", "others"), [([1.0, 2.0], [1.0]), ([], [1.0])])
 def test_runs_that_are_no_pairs_are_an_error(values, others):
-    with pytest.raises(ValueError, match=f"{len(values)} values and {len(others)} others"):
+    with pytest.raises(ValueError, match=f"{len(values)} and {len(others)}"):
         paired(values, others)
 
 
