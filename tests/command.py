@@ -9,7 +9,7 @@ from desim.cli import main
 
 WRONG_INPUT = 2
 JARGON = re.compile(r"Traceback|Input should|Value error|[Tt]uple|\bvalid\b|pydantic|Keys should be strings")
-"""Words of the machinery, of no use to a person who writes a scenario file."""
+"""Internal terms, of no use to a person who writes a scenario file."""
 
 
 def desim(*args: object) -> Result:

@@ -1,4 +1,4 @@
-"""Figures as text, for golden files: each line, arrow, area and word with its place and its look, a line each."""
+"""Figures as text, for golden files: each line, arrow, area and text with its position and style, a line each."""
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -44,7 +44,7 @@ def line_of(line):
 
 
 def text_of(text):
-    """Return a word on a figure as text."""
+    """Return a text on a figure as a line."""
     look = f"{to_hex(text.get_color())} {text.get_fontsize():g} {text.get_weight()} {text.get_ha()} {text.get_va()}"
     return f"text {text.get_text()!r} {look}: {_points([text.xy if hasattr(text, 'xy') else text.get_position()])}"
 

@@ -20,7 +20,7 @@ BATCHES = 5
 
 
 def static_game(protocol, network=None):
-    """Four pursuers of speed 1 at distances phi + eps of an evader that stands still; nobody moves, r = 25 s."""
+    """Four pursuers of speed 1 at distances phi + eps of an evader that stands still; no pursuer moves, r = 25 s."""
     return Scenario(
         horizon=HORIZON,
         team=Team(positions=[(phi + 0.1, 0.0) for phi in PHI], speeds=1.0),

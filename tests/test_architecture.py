@@ -106,7 +106,7 @@ def test_a_module_imports_only_what_lies_below_it(path):
     assert not theirs & rule_for(name, FORBIDDEN)
 
 
-def test_an_arrow_the_wrong_way_would_be_noticed():
+def test_an_import_in_the_wrong_direction_would_be_detected():
     assert wrong_arrows("desim.kernel.network", ["desim.simulation.world"]) == ["desim.simulation.world"]
     assert wrong_arrows("desim.scenario.toml", ["protocols.sap", "desim.kernel.links"]) == ["protocols.sap"]
     assert wrong_arrows("desim.view.report", ["desim.study.store", "desim.cli.run", "tests.law"]) == [
@@ -187,7 +187,7 @@ def test_no_last_digit_depends_on_the_processor():
         "from numpy import exp",
     ],
 )
-def test_a_digit_that_depends_on_the_processor_would_be_noticed(line):
+def test_a_digit_that_depends_on_the_processor_would_be_detected(line):
     assert rounded_by_processor(line)
     assert not rounded_by_processor("from math import exp; exp(a) + math.log(b) + np.sqrt(c) + (a * b).sum()")
 

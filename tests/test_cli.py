@@ -1,4 +1,4 @@
-"""The command line: what it refuses and in which words, and what it prints and writes."""
+"""The command line: refusals with their messages, output and files."""
 
 import csv
 import json
@@ -42,8 +42,8 @@ speed = 1.0
 kind = "centralised"
 """
 
-# One of three pursuers speaks at 0.1, 0.2, ... 0.9 s; the horizon precedes the slot of 1.0 s. 9 broadcasts x 2 hearers.
-TALK = """\
+# One of three pursuers announces at 0.1, ... 0.9 s; the horizon precedes the slot of 1.0 s. 9 broadcasts x 2 receivers.
+BROADCASTS = """\
 name = "talk"
 horizon = 1.0
 team.count = 3
@@ -56,7 +56,7 @@ schedule = { kind = "shared_seed", slot = 0.1 }
 """
 
 # Chance in the positions, the revisions, the decisions and the losses.
-LUCK = """\
+RANDOM = """\
 name = "luck"
 seed = 7
 horizon = 1.0
@@ -95,7 +95,7 @@ def file(tmp_path):
 # What is refused.
 
 
-def test_all_faults_of_a_file_are_told_at_once_in_order_of_lines(file):
+def test_all_errors_of_a_file_are_reported_at_once_in_order_of_lines(file):
     """Keys are neither in the order of the model nor of the alphabet, and 10 comes after 9."""
     path = file(
         "seed = -1\nhorizon = 0.0\n\n[team]\ncount = 0\nactive_at_start = 2.0\n\n[evader]\nspeed = 'x'\nsped = 1\n"
@@ -107,7 +107,7 @@ def test_all_faults_of_a_file_are_told_at_once_in_order_of_lines(file):
     assert [each.split(": ")[:2] for each in said] == [f"{path}:{place}".split(": ") for place in places]
 
 
-def test_faults_of_overrides_are_told_with_those_of_the_file_and_named_as_such(file):
+def test_errors_of_overrides_are_reported_with_those_of_the_file_and_labelled(file):
     path = file("horizn = 1.0\n[evader]\nspeed = 'x'\n")
     said = refused("check", path, "--set", "capture.radius=0", "--set", "evader.sped=1")
     starts = [
@@ -173,7 +173,7 @@ def test_ctrl_c_ends_with_exit_code_130(file, monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["run", "check"])
-def test_a_team_of_which_nobody_is_faster_than_the_evader_is_warned_of(file, command):
+def test_a_team_without_a_pursuer_faster_than_the_evader_gives_a_warning(file, command):
     path = file(DUEL)
     result = accepted(command, path, "--set", "evader.speed=2.0")
     assert result.stderr.startswith(f"warning: {path}:7: team.speeds: no pursuer is faster than the evader: ")
@@ -184,14 +184,14 @@ def test_a_team_of_which_nobody_is_faster_than_the_evader_is_warned_of(file, com
 @pytest.mark.parametrize(
     "change", ["evader.speed=1.99", "capture={ test = 'sample' }", "motion.step=0.2"], ids=["fast", "sample", "segment"]
 )
-def test_what_is_in_order_is_not_warned_of(file, change):
+def test_a_sound_scenario_gives_no_warning(file, change):
     assert accepted("check", file(DUEL), "--set", change).stderr == ""
 
 
 # replay
 
 
-def test_a_replay_that_cannot_be_made_is_said_in_a_line(file, tmp_path, monkeypatch):
+def test_a_replay_that_cannot_be_made_is_reported_in_one_line(file, tmp_path, monkeypatch):
     def fail(result):
         raise ValueError("no positions were recorded")
 
@@ -219,7 +219,7 @@ def leaves(value: Value, place: tuple[str, ...] = ()):
             yield (*place, name), each
 
 
-@pytest.mark.parametrize("text", ["", DUEL, LUCK], ids=["empty", "duel", "luck"])
+@pytest.mark.parametrize("text", ["", DUEL, RANDOM], ids=["empty", "duel", "luck"])
 def test_check_prints_a_valid_scenario_file_with_every_default_filled_in(file, text):
     path = file(text)
     printed = accepted("check", path).stdout
@@ -240,7 +240,7 @@ def test_check_prints_what_an_override_changed(file):
     assert (tables["evader"]["speed"], tables["name"]) == (0.5, "other")
 
 
-def test_the_override_that_the_help_names_works_on_a_file_that_says_nothing_of_the_network(file):
+def test_the_override_in_the_help_works_on_a_file_without_a_network_table(file):
     example = re.search(r"e\.g\.\s+(network\S+=\S+?)\.?\s", accepted("run", "--help").stdout)[1]
     printed = accepted("check", file(DUEL), "--set", example).stdout
     assert tomllib.loads(printed)["network"]["latency"] == {"kind": "constant", "value": 0.05}
@@ -283,7 +283,7 @@ def test_the_schema_is_strict_json():
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_the_schema_knows_every_key_of_the_scenarios(schema, path):
+def test_the_schema_has_every_key_of_the_scenarios(schema, path):
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     assert unknown_keys(schema, schema, tables) == []
     tables.setdefault("team", {})["cuont"] = 3
@@ -357,8 +357,8 @@ def test_run_prints_what_happened_as_a_table(file):
     assert re.fullmatch(r"\d+\.\d{3} s 0 messages/s", table["wall time"])
 
 
-def test_run_tells_when_the_evader_got_away(file):
-    """A capture would take 0.9 s, so for 0.5 s the centre sends nobody."""
+def test_run_reports_when_the_evader_escaped(file):
+    """A capture would take 0.9 s, so for 0.5 s the centre sends no pursuer."""
     table = rows(accepted("run", file(DUEL), "--set", "horizon=0.5").stdout)
     assert table["captured"] == "no, the pursuit ended after 0.500 s"
     assert table["idle time"].startswith("0.500 s")
@@ -377,8 +377,8 @@ def test_run_tells_when_the_evader_got_away(file):
     ],
     ids=["ideal", "all lost", "all late", "some late"],
 )
-def test_run_tells_what_became_of_the_messages(file, change, delivered, lost, in_flight):
-    path = file(TALK)
+def test_run_reports_the_message_counts(file, change, delivered, lost, in_flight):
+    path = file(BROADCASTS)
     table = rows(accepted("run", path, "--set", change).stdout)
     names = ("messages sent", "delivered", "lost", "in flight")
     assert [int(table[name].split()[0]) for name in names] == [18, delivered, lost, in_flight]
@@ -388,7 +388,7 @@ def test_run_tells_what_became_of_the_messages(file, change, delivered, lost, in
     assert [run[f"messages_{name}"] for name in ("sent", "delivered", "lost")] == [18, delivered, lost]
 
 
-def test_json_tells_the_numbers_of_a_capture(file):
+def test_json_has_the_numbers_of_a_capture(file):
     document = strict_json(accepted("run", file(DUEL), "--json").stdout)
     assert set(document) == {"scenario", "runs"}
     (run,) = document["runs"]
@@ -411,7 +411,7 @@ def test_json_tells_the_numbers_of_a_capture(file):
 @pytest.mark.parametrize("options", [(), ("-n", 2)], ids=["one run", "two runs"])
 def test_json_is_one_document_on_stdout_and_all_else_is_on_stderr(file, tmp_path, options):
     """The evader is too fast, which is warned of, and its range of hearing is infinite, which is no JSON number."""
-    path = file(LUCK)
+    path = file(RANDOM)
     overrides = ("evader.speed=9.0", "record.trajectory=0")
     result = accepted("run", path, "--json", *(f"--set={each}" for each in overrides), "-o", tmp_path / "out", *options)
     assert result.stderr.startswith("warning: ")
@@ -421,7 +421,7 @@ def test_json_is_one_document_on_stdout_and_all_else_is_on_stderr(file, tmp_path
 
 
 def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_of_its_seed(file):
-    path = file(LUCK)
+    path = file(RANDOM)
     runs = strict_json(accepted("run", path, "-n", 3, "--json").stdout)["runs"]
     assert [run["seed"] for run in runs] == [7, 8, 9]
     alone = [strict_json(accepted("run", path, "-s", seed, "--json").stdout)["runs"] for seed in (7, 8, 9)]
@@ -431,7 +431,7 @@ def test_several_runs_have_the_seeds_that_follow_and_each_equals_the_single_run_
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
-    path = file(LUCK)
+    path = file(RANDOM)
     runs = strict_json(accepted("run", path, "-s", seed, "-n", 2, "--json").stdout)["runs"]
     assert [run["seed"] for run in runs] == [seed, seed + 1]
     changed = strict_json(accepted("run", path, "--set", f"seed={seed}", "-n", 2, "--json").stdout)["runs"]
@@ -439,7 +439,7 @@ def test_the_seed_of_the_command_line_replaces_that_of_the_file(file, seed):
 
 
 def test_the_table_of_several_runs_has_means_with_intervals(file):
-    result = accepted("run", file(LUCK), "-n", 3)
+    result = accepted("run", file(RANDOM), "-n", 3)
     assert result.stderr == ""
     assert "seeds 7 to 9" in result.stdout.splitlines()[0]
     table = rows(result.stdout)
@@ -450,16 +450,16 @@ def test_the_table_of_several_runs_has_means_with_intervals(file):
 
 
 @pytest.mark.parametrize(("options", "jobs"), [((), 1), (("-j", 2), 2), (("-j", 0), 0)], ids=["default", "2", "0"])
-def test_as_many_workers_are_asked_for_as_the_option_says(file, monkeypatch, options, jobs):
+def test_the_option_sets_the_number_of_workers(file, monkeypatch, options, jobs):
     asked = []
     monkeypatch.setattr(batch, "run_many", lambda tasks, jobs, *_, **__: asked.append(jobs) or run_many(tasks, 1))
-    accepted("run", file(LUCK), "-n", 2, *options)
+    accepted("run", file(RANDOM), "-n", 2, *options)
     assert asked == [jobs]
 
 
 @pytest.mark.slow
 def test_the_number_of_workers_changes_nothing_that_is_printed_or_written(file, tmp_path):
-    path = file(LUCK)
+    path = file(RANDOM)
     written = []
     for jobs in (1, 2):
         out, options = tmp_path / f"jobs-{jobs}", ("--set", "record.trajectory=0", "--json")
@@ -480,7 +480,7 @@ def names(folder: Path) -> list[str]:
 
 def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, tmp_path, pictures):
     out = tmp_path / "deep" / "out"
-    printed = accepted("run", file(LUCK), "-s", 11, "-o", out, "--json").stdout
+    printed = accepted("run", file(RANDOM), "-s", 11, "-o", out, "--json").stdout
     assert names(out) == FILES + PICTURES
     assert strict_json((out / "summary.json").read_text(encoding="utf-8")) == strict_json(printed)["runs"][0]
     events = [strict_json(line) for line in (out / "trace.jsonl").read_text(encoding="utf-8").splitlines()]
@@ -499,7 +499,7 @@ def test_the_folder_of_a_run_holds_its_trace_numbers_scenario_and_picture(file, 
 def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
     """Its seed is that of the command line, and what was overridden stays so."""
     first, second = tmp_path / "first", tmp_path / "second"
-    accepted("run", file(LUCK), "-s", 11, "--set", "evader.speed=0.5", "-o", first)
+    accepted("run", file(RANDOM), "-s", 11, "--set", "evader.speed=0.5", "-o", first)
     accepted("run", first / "scenario.toml", "-o", second)
     for name in FILES[1:]:
         assert (first / name).read_bytes() == (second / name).read_bytes(), name
@@ -508,7 +508,7 @@ def test_the_scenario_that_is_written_repeats_the_run_exactly(file, tmp_path):
 
 @pytest.mark.slow
 def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
-    path = file(LUCK)
+    path = file(RANDOM)
     accepted("run", path, "-n", 2, "-o", tmp_path / "both")
     accepted("run", path, "-s", 8, "-o", tmp_path / "alone")
     assert names(tmp_path / "both") == ["run.json", "seed-7", "seed-8"]
@@ -521,7 +521,7 @@ def test_several_runs_are_written_below_folders_of_their_seeds(file, tmp_path):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_messages_that_go_to_a_file_are_in_the_folders_of_all_runs(file, tmp_path, jobs):
     """The traces are those of runs that keep their messages; repeated from run.json, all is the same."""
-    path, out = file(LUCK.replace("messages = true", "trajectory = 0.0")), tmp_path / "file"
+    path, out = file(RANDOM.replace("messages = true", "trajectory = 0.0")), tmp_path / "file"
     accepted("run", path, "--set", 'record.messages="file"', "-n", 2, "-j", jobs, "-o", out)
     accepted("run", path, "--set", "record.messages=true", "-n", 2, "-o", tmp_path / "kept")
     for seed in ("seed-7", "seed-8"):
@@ -532,21 +532,21 @@ def test_messages_that_go_to_a_file_are_in_the_folders_of_all_runs(file, tmp_pat
         assert (tmp_path / "again" / name).read_bytes() == (out / "seed-8" / name).read_bytes(), name
 
 
-def test_a_trace_that_cannot_be_written_is_told(file, tmp_path):
+def test_a_trace_that_cannot_be_written_is_reported(file, tmp_path):
     (tmp_path / "out" / "trace.jsonl.part").mkdir(parents=True)
-    (said,) = refused("run", file(LUCK), "--set", 'record.messages="file"', "-o", tmp_path / "out")
+    (said,) = refused("run", file(RANDOM), "--set", 'record.messages="file"', "-o", tmp_path / "out")
     assert said.startswith(f"--out {tmp_path / 'out' / 'trace.jsonl.part'}: cannot be written")
 
 
 def test_without_recorded_positions_there_is_no_picture(file, tmp_path, pictures):
-    result = accepted("run", file(LUCK), "--set", "record.trajectory=0", "-o", tmp_path / "out")
+    result = accepted("run", file(RANDOM), "--set", "record.trajectory=0", "-o", tmp_path / "out")
     assert names(tmp_path / "out") == FILES
     assert result.stderr == f"wrote {tmp_path / 'out'}\n"
 
 
 def test_without_matplotlib_there_is_a_warning_and_no_picture(file, tmp_path, pictures, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # importing it now raises ImportError
-    result = accepted("run", file(LUCK), "-o", tmp_path / "out")
+    result = accepted("run", file(RANDOM), "-o", tmp_path / "out")
     assert names(tmp_path / "out") == FILES
     warning = "warning: no picture without matplotlib: pip install 'pursuit-desim[plot]'"
     assert result.stderr.splitlines() == [warning, f"wrote {tmp_path / 'out'}"]
@@ -556,7 +556,7 @@ def test_the_default_scenario_needs_no_key_at_all(file):
     assert load(file("")) == Scenario()
 
 
-def test_a_folder_that_cannot_be_made_for_one_of_several_runs_is_told(file, tmp_path):
+def test_a_folder_that_cannot_be_created_for_one_of_several_runs_is_reported(file, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "seed-8").touch()
     (said,) = refused("run", file(DUEL), "-n", "2", "-o", tmp_path / "out")
@@ -571,7 +571,7 @@ def test_keys_lists_every_key_of_a_table_with_default_and_unit():
     assert not any(line.startswith("network") for line in lines)
 
 
-def test_keys_goes_as_deep_as_it_is_asked_to():
+def test_keys_goes_to_the_given_depth():
     latency = accepted("keys", "network.latency").stdout.splitlines()
     assert latency[0].startswith("latency = { kind = 'constant' }: ")
     gamma = accepted("keys", "network.latency.gamma").stdout.splitlines()
@@ -598,7 +598,7 @@ def test_keys_that_do_not_exist_are_refused(key, why):
     assert said.startswith(why)
 
 
-def test_protocols_lists_one_if_one_is_asked_for():
+def test_protocols_lists_a_single_protocol_on_request():
     text = accepted("protocols", "local_min").stdout
     assert text.startswith("local_min: ")
     assert "\nsap: " not in text
@@ -644,8 +644,8 @@ start = 6.0
 """
 
 
-def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
-    """A preset, a range, word, a timer and a fault that do not do what they seem to; the scenario is valid."""
+def test_every_warning_is_printed_on_stderr_with_file_line_and_key(file):
+    """A preset, a range, an announcement, a timer and a fault with unintended effects; the scenario is valid."""
     path = file(ODD)
     result = accepted("check", path)
     said = [re.match(r"warning: (.*): ([\w.]+): (.*)", line).groups() for line in result.stderr.splitlines()]
@@ -665,7 +665,7 @@ def test_every_warning_is_told_on_stderr_with_file_line_and_key(file):
     assert "warning" not in result.stdout
 
 
-def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_is_warned_of():
+def test_an_override_of_one_key_of_a_preset_keeps_the_others_and_gives_a_warning():
     """One may wait, on LoRa at SF 7 and a shared channel as before."""
     (lora,) = (path for path in SCENARIOS if path.stem == "lora")
     override = "network.medium.queue_limit=1"
@@ -714,7 +714,7 @@ def seeds_of(table: Path) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.slow
-def test_a_sweep_prints_means_and_differences_and_says_where_its_runs_are(coins):
+def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
     folder, result = coins
     means, differences = result.stdout.split("\n\n")
     assert means.startswith("coins: 4 configurations, 12 runs; ")
@@ -781,7 +781,7 @@ def test_overrides_reach_the_grid_and_what_is_varied(file, tmp_path):
     assert all(each["metrics"]["end_time"]["mean"] <= 0.2 for each in made["configurations"])
 
 
-def test_what_would_be_run_is_said_and_nothing_is_written(file, tmp_path):
+def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):
     out = tmp_path / "out"
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")
     assert result.stdout.startswith("coins: 4 configurations, 12 runs; 0 are stored, 12 remain\n")
@@ -817,14 +817,14 @@ def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path, coins):
 
 
 def asked(folder):
-    """Return the command lines that a run.json tells of, without the program, the last one last."""
+    """Return the command lines in a run.json, without the program, in order."""
     made = provenance.read(folder / "run.json")
     return [each["argv"][1:] for each in (*made.get("earlier", ()), made)]
 
 
 @pytest.fixture
 def typed(monkeypatch):
-    """Return what calls the command, and sees to it that run.json has these words as typed."""
+    """Return a function that calls the command and puts its arguments in run.json as typed."""
 
     def call(*words):
         monkeypatch.setattr("sys.argv", ["desim", *map(str, words)])
@@ -835,7 +835,7 @@ def typed(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_smaller_sweep_into_the_same_folder_leaves_what_is_written_of_the_larger(file, tmp_path, typed):
+def test_a_smaller_sweep_into_the_same_folder_keeps_the_output_of_the_larger(file, tmp_path, typed):
     out = ("-o", tmp_path / "out")
     typed("sweep", file(COINS), *out)
     whole = (tmp_path / "out" / "run.json").read_bytes()
@@ -860,7 +860,7 @@ def test_a_larger_sweep_takes_the_place_of_a_smaller_and_what_neither_covers_is_
 
 
 @pytest.mark.slow
-def test_a_merged_store_tells_the_command_of_each_part(file, tmp_path, typed):
+def test_a_merged_store_has_the_command_of_each_part(file, tmp_path, typed):
     path = file(COINS)
     parts = [typed("sweep", path, "-o", tmp_path / "parts", "--shard", f"{k}/3") for k in (1, 2, 3)]
     assert asked(tmp_path / "parts") == parts[:1], "they may be done at once, and all write the same"
@@ -908,8 +908,8 @@ def test_a_sweep_that_makes_no_sense_is_refused_before_anything_is_written(file,
 
 
 def test_a_file_without_a_grid_is_refused(file, tmp_path):
-    (line,) = refused("sweep", file(LUCK), "-o", tmp_path / "out")
-    assert line.startswith(f"{file(LUCK)}:1: sweep.grid: should have at least one key of the scenario")
+    (line,) = refused("sweep", file(RANDOM), "-o", tmp_path / "out")
+    assert line.startswith(f"{file(RANDOM)}:1: sweep.grid: should have at least one key of the scenario")
 
 
 @pytest.mark.parametrize(
@@ -932,7 +932,7 @@ def test_an_option_of_a_sweep_out_of_range_is_refused(file, options):
     assert any("Invalid value for" in line for line in refused("sweep", file(COINS), *options))
 
 
-def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_path):
+def test_the_store_of_another_sweep_is_refused_with_the_differences(file, tmp_path):
     path, out = file(COINS), tmp_path / "out"
     accepted("sweep", path, "-o", out, "-n", 1)
     store, hint = out / "sweep.sqlite", "; remove it, or choose another folder (-o)"
@@ -946,7 +946,7 @@ def test_the_store_of_another_sweep_is_refused_and_says_what_differs(file, tmp_p
     assert not (tmp_path / "all").exists()
 
 
-def test_what_is_no_store_is_refused(file, tmp_path):
+def test_a_file_that_is_not_a_store_is_refused(file, tmp_path):
     (tmp_path / "hello.sqlite").write_text("hello")
     (tmp_path / "empty.sqlite").write_text("")
     (tmp_path / "folder").mkdir()

@@ -96,18 +96,18 @@ def outcome(result):
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_every_asynchronous_case_ends_in_the_relay_profile(schedule):
-    """12 to 14 random cases of each schedule: 2 to 12 pursuers, reordering, up to half of all word lost."""
+    """12 to 14 random cases of each schedule: 2 to 12 pursuers, reordering, up to half of all messages lost."""
     cases = [case(schedule, number) for number in range(CASES.get(schedule, 14))]
     outcomes = run_many([(each, each.seed) for each in cases], jobs=1, measure=outcome)
     for each, (profile, relay, settled) in zip(cases, outcomes, strict=True):
         assert profile == relay, f"after {settled} s: {each!r}"
 
 
-# What is needed: that lost news is repeated, and that it reaches everybody.
+# The conditions: lost records are repeated, and they reach every pursuer.
 
 
 def without_repetition(trigger, seed, horizon):
-    """Return how a game of 5 ends when half of all word is lost."""
+    """Return how a game of 5 ends when half of all messages are lost."""
     scenario = Scenario(
         horizon=horizon,
         team=Team(count=5, active_at_start=0.5),
@@ -121,8 +121,8 @@ def without_repetition(trigger, seed, horizon):
 
 
 @pytest.mark.slow
-def test_news_that_is_lost_and_never_repeated_can_be_wrong_for_ever():
-    """Told on change only, 12 of 20 seeds settle within 10 s on what is wrong until 100 s; with heartbeats none."""
+def test_without_repetition_a_lost_announcement_can_leave_beliefs_wrong_forever():
+    """Announced on change only, 12 of 20 seeds stay wrong from 10 s until 100 s; with heartbeats none."""
     wrong = {}
     for seed in range(20):
         profile, relay, settled = without_repetition("change", seed, 100.0)
@@ -137,11 +137,12 @@ def test_news_that_is_lost_and_never_repeated_can_be_wrong_for_ever():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dissemination", "settles"), [(OneHop(), False), (Flooding(hops=5), True)])
-def test_on_a_path_only_word_that_is_passed_on_leads_to_one_relay_pursuer(dissemination, settles):
-    """Six on a path, phi = 1, 2, 4, 8, 16, 32 s: who hears of nobody near it chases, however far pursuer 0 is ahead.
+def test_on_a_path_only_forwarded_records_lead_to_one_relay_pursuer(dissemination, settles):
+    """Six on a path, phi = 1, 2, 4, 8, 16, 32 s: a pursuer that learns of no better one chases, however far pursuer 0
+    is ahead.
 
     With one hop each weighs its phi against those of its active neighbours, by the utility of the whole game; 2 to 5
-    never hear of 0. That is not a potential game, and even three on a path with phi = 1, 2, 4 have no equilibrium;
+    never learn of 0. That is not a potential game, and even three on a path with phi = 1, 2, 4 have no equilibrium;
     utilities made for neighbours only are not built yet. So the profile goes on changing, and after less than a
     twentieth of the decisions from 10 s on 0 chases alone. Flooded over 5 hops, after each.
     """

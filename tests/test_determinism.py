@@ -78,7 +78,7 @@ def test_traces_and_summaries_are_equal_in_any_process_at_any_place(names, optio
     ],
     ids=["kernel", "threads", "loops"],
 )
-def test_what_is_rounded_by_processor_is_rounded_otherwise_at_these_places(rounded, environment):
+def test_processor_dependent_rounding_differs_in_these_environments(rounded, environment):
     """The control: were it used, the digests would differ."""
     program = f"import numpy as np; x, y = np.random.default_rng(5).random((2, 20_001)); print({rounded})"
     here, there = (printed("-c", program, environment=given) for given in ({}, environment))
@@ -92,7 +92,7 @@ def test_other_seeds_make_other_traces_and_summaries():
 
 
 @pytest.mark.slow
-def test_a_name_that_a_terminal_has_no_letters_for_is_printed_all_the_same(tmp_path):
+def test_a_name_that_a_terminal_cannot_encode_is_printed_all_the_same(tmp_path):
     file = tmp_path / "named.toml"
     file.write_text('name = "Jäger ≤ 3"\nhorizon = 1.0\n', encoding="utf-8")
     turkish = os.environ | {"PYTHONIOENCODING": "iso8859-9"}
@@ -176,7 +176,7 @@ def test_recording_and_watching_change_nothing_that_happens():
     assert list(run(quiet, 2, lambda event: None).trace) == events
 
 
-def test_scenarios_with_one_seed_share_their_luck():
+def test_scenarios_with_one_seed_share_their_random_streams():
     """A swept value moves no stream: start and order of decisions are the same at any latency and loss."""
     near, far = (
         run(load(RELAY, [f"network.latency.value={x}", f"network.loss.p={p}"])) for x, p in [(0, 0), (0.5, 0.3)]

@@ -79,7 +79,7 @@ def test_a_robot_that_breaks_down_stands_still_and_decides_nothing_until_it_is_r
     assert track(result, 2)[1][-1] == pytest.approx(5.0 - 1.9, abs=1e-5)
 
 
-def test_a_pursuer_whose_radio_alone_is_broken_goes_on_and_is_not_heard():
+def test_a_pursuer_with_only_its_radio_broken_continues_without_being_received():
     result = play(chasing, Crash(node=1, start=0.75, end=1.55, scope="radio"), horizon=1.9)
     assert not result.trace.of(BrokeDown)
     assert len(decided(result, 1)) == len(decided(result, 0)) == 19
@@ -97,7 +97,7 @@ def east(state, rng):
 
 @pytest.mark.parametrize("at", [1.0, 2.9 - 1e-6])
 @pytest.mark.parametrize(("scope", "capturer"), [("robot", None), ("radio", 1)])
-def test_who_is_broken_captures_nobody(scope, capturer, at):
+def test_a_broken_down_pursuer_captures_no_evader(scope, capturer, at):
     """The evader runs over pursuer 1, which stands at 3 m: with a broken radio only it captures at 2.9 s.
 
     It does not matter whether that was foreseen when it broke down; a motion step is 0.25 s.
@@ -122,10 +122,10 @@ def test_who_is_broken_captures_nobody(scope, capturer, at):
         (1.895, (2.0, 2.05, 5.0), 2, 0.25, (1, 1.95)),
     ],
 )
-def test_who_breaks_down_just_before_it_would_capture_does_not_and_others_do(at, places, chasers, step, end):
+def test_a_breakdown_just_before_a_capture_prevents_it_only_for_that_pursuer(at, places, chasers, step, end):
     """A capture at 1.9 s is foreseen as pursuer 0 breaks down, 1 us before it; the control: 1 us later is too late.
 
-    If that is inside the very step in which 1, who is 0.05 m behind, captures, it does so at 1.95 s.
+    If that is within the step in which 1, which is 0.05 m behind, captures, it does so at 1.95 s.
     """
 
     def protocol(me):
@@ -138,8 +138,8 @@ def test_who_breaks_down_just_before_it_would_capture_does_not_and_others_do(at,
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(memory):
-    """Pursuer 0 says at 0.5 s that it chases, and nothing afterwards; 1 is broken down from 1 until 2 s."""
+def test_a_robot_recovers_with_its_memory_or_restarts_with_an_empty_table(memory):
+    """Pursuer 0 announces at 0.5 s that it chases, and nothing afterwards; 1 is broken down from 1 until 2 s."""
     log = []
 
     def protocol(me):
@@ -171,7 +171,7 @@ def test_a_robot_recovers_with_what_it_knew_or_starts_anew_with_an_empty_table(m
         ({"end": 2.0, "memory": False, "scope": "radio"}, [0.75, 1.5, 2.25], [[0, 2], [0, 2], []]),
     ],
 )
-def test_a_short_breakdown_does_not_end_a_wait_unless_it_is_forgotten_nor_does_one_of_the_radio(crash, times, heard):
+def test_a_short_breakdown_ends_a_wait_only_if_memory_is_lost(crash, times, heard):
     """Broken down from 1 s on while it sleeps until 1.5 s; without memory a robot begins to sleep for 0.75 s anew."""
     log = []
 
@@ -229,15 +229,15 @@ CRASH = Crash(node=0, start=1.0)
 
 
 def first_chase_after(result, time):
-    """Return who is the first to begin to chase after a time (s), and when, s; None if nobody does."""
+    """Return the first pursuer to begin a chase after a time (s), and when, s; None if there is none."""
     later = [(d.pursuer, d.t / 1e9) for d in result.trace.of(Decided) if d.t > time * 1e9 and d.active]
     return later[0] if later else None
 
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", PAYLOADS)
-def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_forgotten(payload):
-    """Its last heartbeat came up to 1.02 s; it is forgotten 3 T + 2 L = 0.34 s later; somebody revises within 1 s."""
+def test_when_the_active_pursuer_breaks_down_another_takes_over_after_the_belief_timeout(payload):
+    """Its last heartbeat came up to 1.02 s; it is forgotten 3 T + 2 L = 0.34 s later; another revises within 1 s."""
     announce = Announcements(payload=payload)
     for seed in range(5):
         healthy = summary(relay_breaks_down(announce, seed))
@@ -254,8 +254,8 @@ def test_when_the_active_pursuer_breaks_down_another_takes_over_because_it_is_fo
 @pytest.mark.parametrize(
     "announce", [{"belief_timeout": inf}, {"trigger": "change"}], ids=["never forget", "on change"]
 )
-def test_whoever_never_forgets_waits_for_the_broken_one_for_ever(payload, announce):
-    """The mission ends at the horizon, with nobody active since 1 s. The control: 2 s of memory are enough."""
+def test_without_a_belief_timeout_a_broken_down_pursuer_is_waited_for_forever(payload, announce):
+    """The mission ends at the horizon, with no pursuer active since 1 s. The control: 2 s of memory are enough."""
     for seed in range(3):
         result = relay_breaks_down(Announcements(payload=payload, **announce), seed, CRASH)
         assert first_chase_after(result, 1.0) is None
@@ -351,7 +351,7 @@ def test_a_shared_seed_drifts_apart():
 @pytest.mark.parametrize("schedule", [Poisson(rate=10.0), Periodic(period=0.1), Rounds(period=0.1)])
 @pytest.mark.parametrize("offset", [-2.0, 2.0])
 def test_a_wrong_clock_neither_bunches_nor_stops_revisions(schedule, offset):
-    """The offset is at most what a schedule by common rounds is early or late; nobody decides twice at one instant."""
+    """The offset is at most what a schedule by common rounds is early or late; none decides twice at one instant."""
     protocol = SpatialAdaptivePlay(schedule=schedule)
     result = play(protocol, ClockSkew(node=1, offset=offset), motion=Motion(static=True), horizon=10.0)
     times = decided(result, 1)
@@ -375,7 +375,7 @@ def test_a_time_that_passed_during_a_breakdown_comes_at_once():
     assert times[1] == [k / 10 for k in range(1, 10)]
 
 
-def test_the_centre_sends_another_while_the_relay_is_broken_and_the_relay_again_when_it_is_repaired():
+def test_the_centre_sends_a_substitute_until_the_relay_pursuer_is_repaired():
     """Pursuer 0 (2 m) is the relay; while it is broken pursuer 1 is, which has come nearer when 0 is repaired."""
     result = play(Centralised(slot=0.1), Crash(node=0, start=0.55, end=0.85), Crash(node=1, start=0.7), horizon=9.0)
     orders = [(round(d.t / 1e9, 6), d.pursuer, d.active) for d in result.trace.of(Decided)]
@@ -393,13 +393,13 @@ def test_heartbeats_keep_their_period_on_a_clock_that_is_wrong(offset):
 
 
 def test_dead_reckoning_survives_clocks_that_are_ahead():
-    """What was said at the start seems older than the pursuit; nobody is reckoned before the evader has moved."""
+    """The initial announcements seem older than the pursuit; none is dead reckoned before the evader has moved."""
     ahead = {"fault": (ClockSkew(offset=0.03),), "announce": Announcements(payload="state")}
     assert summary(run(Scenario(team=Team(count=5), horizon=2.0, **ahead), 1)).decisions > 0
 
 
 @pytest.mark.parametrize("offset", [0.0, 2.0])
-def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offset):
+def test_the_initial_knowledge_carries_the_time_stamp_of_its_source_clock(offset):
     """All clocks are wrong alike, so pursuer 0, active at 2 m and still at 2 m in a frozen game, is reckoned there."""
 
     def look(me):
@@ -414,15 +414,15 @@ def test_what_everyone_knows_from_the_start_carries_the_stamp_of_its_clock(offse
     assert seen == [pytest.approx({0: 1.9, 2: 4.9})]
 
 
-def test_nobody_is_captured_in_a_frozen_game_when_somebody_breaks_down():
+def test_a_breakdown_causes_no_capture_in_a_static_game():
     near = Team(positions=[(0.0, 0.0), (5.0, 0.0), (6.0, 0.0)], speeds=1.0, active_at_start=0.0)
     still = {"team": near, "evader": Evader(position=(0.05, 0.0), speed=0.0), "motion": Motion(static=True)}
     result = play(lambda me: iter(()), Crash(node=1, start=1.0, end=2.0), **still)
     assert result.trace.of(Ended) == [Ended(4 * 10**9, "horizon", None)]
 
 
-def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
-    """Pursuer 0 says at 0.5 s that it chases; 1, due to look at 0.55 s, is repaired as that arrives at 0.6 s."""
+def test_a_repaired_pursuer_decides_after_the_arrivals_of_that_instant():
+    """Pursuer 0 announces at 0.5 s that it chases; 1, due to look at 0.55 s, is repaired as that arrives at 0.6 s."""
 
     def look(me):
         yield me.at(0.5 if me.id == 0 else 0.55)
@@ -436,10 +436,10 @@ def test_who_is_repaired_decides_after_what_arrives_at_that_instant():
     assert seen[1] == (0.6, [0])
 
 
-# What a pursuer that was broken has said, and what it draws.
+# Announcements and random draws of a pursuer that broke down.
 
 
-def saying_at(*decisions):
+def announcing_at(*decisions):
     """Return a protocol by which pursuer 1 decides (t, active), s, and announces it if it is time to."""
 
     def protocol(me):
@@ -452,45 +452,46 @@ def saying_at(*decisions):
     return protocol
 
 
-def told(result, pursuer=1):
-    """Return what a pursuer said, as {time in s: active}."""
+def announced(result, pursuer=1):
+    """Return the announcements of a pursuer, as {time in s: active}."""
     return {b.t / 1e9: b.body.active for b in result.trace.of(Broadcast) if b.src == pursuer}
 
 
 @pytest.mark.parametrize("memory", [True, False])
 @pytest.mark.parametrize("announce", [Announcements(heartbeat=2.0), Announcements(trigger="change")])
-def test_who_was_stopped_by_a_breakdown_announces_that_it_chases_again(announce, memory):
-    """Active from 1 s on, stopped at 1.1 s without a word, repaired at 1.2 s: its decision at 2 s is told at 2 s.
+def test_a_pursuer_stopped_by_a_breakdown_announces_that_it_chases_again(announce, memory):
+    """Active from 1 s on, stopped at 1.1 s without an announcement, repaired at 1.2 s: it announces its decision at 2
+    s.
 
     Whether a heartbeat comes between depends on the seed. The control: without the breakdown nothing changed.
     """
     changes = {"announce": announce, "motion": Motion(static=True)}
-    protocol = saying_at((1.0, True), (2.0, True))
+    protocol = announcing_at((1.0, True), (2.0, True))
     for seed in range(6):
         crash = Crash(node=1, start=1.1, end=1.2, memory=memory)
         result = play(protocol, crash, seed=seed, **changes)
         assert [(h.t / 1e9, h.pursuer) for h in result.trace.of(BrokeDown)] == [(1.1, 1)]
-        assert told(result)[1.0] == told(result)[2.0] == 1
-        assert 2.0 not in told(play(protocol, seed=seed, **changes))
+        assert announced(result)[1.0] == announced(result)[2.0] == 1
+        assert 2.0 not in announced(play(protocol, seed=seed, **changes))
 
 
 @pytest.mark.parametrize("scope", ["radio", "robot"])
-def test_an_action_that_nobody_could_hear_of_is_announced_at_the_next_revision(scope):
-    """Inactive from 1.2 s on while its radio is down from 1.1 to 1.5 s; told at 2 s though it is the same, not at 3 s.
+def test_an_action_that_could_not_be_announced_is_announced_at_the_next_revision(scope):
+    """Inactive from 1.2 s on while its radio is down from 1.1 to 1.5 s; announced at 2 s though unchanged, not at 3 s.
 
-    A robot that is down decides nothing meanwhile, is inactive all the same, and tells that once.
+    A robot that is down decides nothing meanwhile, is inactive all the same, and announces that once.
     """
-    protocol = saying_at((1.0, True), (1.2, False), (2.0, False), (3.0, False))
+    protocol = announcing_at((1.0, True), (1.2, False), (2.0, False), (3.0, False))
     crash = Crash(node=1, start=1.1, end=1.5, scope=scope)
     changes = {"announce": Announcements(trigger="change"), "motion": Motion(static=True)}
     result = play(protocol, crash, **changes)
     late = {2.0: False} if scope == "radio" else {1.5: False}
-    assert told(result) == {1.0: True} | late
-    assert told(play(protocol, **changes)) == {1.0: True, 1.2: False}
+    assert announced(result) == {1.0: True} | late
+    assert announced(play(protocol, **changes)) == {1.0: True, 1.2: False}
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_chance_goes_on_after_a_repair(memory):
+def test_the_random_stream_continues_after_a_repair(memory):
     """Broken down from 1.05 to 2 s it draws on from where it was: the first numbers of its streams, each once."""
     drawn, mine = [], []
 
@@ -506,7 +507,7 @@ def test_chance_goes_on_after_a_repair(memory):
     assert mine == stream(0, "decisions", 1).random(len(mine)).tolist()
 
 
-def test_who_starts_anew_waits_for_new_poisson_times():
+def test_a_pursuer_restarted_without_memory_draws_new_poisson_times():
     """Waits are the draws of its stream: those before the breakdown, one that it cut short, and then the next."""
     protocol = SpatialAdaptivePlay(schedule=Poisson(rate=5.0))
     crash = Crash(node=1, start=1.0, end=2.0, memory=False)
@@ -523,7 +524,7 @@ def test_who_starts_anew_waits_for_new_poisson_times():
     ("scope", "memory", "restarts"),
     [("robot", False, [0, 1, 2]), ("robot", True, [0]), ("radio", False, [0]), ("radio", True, [0])],
 )
-def test_restarts_count_how_often_a_protocol_began_anew(scope, memory, restarts):
+def test_restarts_count_the_restarts_of_a_protocol(scope, memory, restarts):
     begun, last = [], []
 
     def protocol(me):

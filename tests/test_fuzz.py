@@ -285,11 +285,11 @@ def call(*args: object) -> tuple[int, str, str]:
 
 
 NO_KEY = "not TOML|should be KEY=VALUE|.* is not a TOML value|.* is more than one value|.* is not a key of a table"
-"""What is told of a line, or an override, that is of no key at all."""
+"""The message on a line, or an override, without any key."""
 
 
 def check_refusal(file: Path, said: str, overrides: tuple[str, ...] = ()) -> None:
-    """Check that each line tells the file, the line and the key of a fault, or the override."""
+    """Check that each line names the file, the line and the key of an error, or the override."""
     faults = [line for line in said.splitlines() if not line.startswith("warning: ")]
     assert faults
     starts = [re.escape(escaped(f"--set {each}")) for each in overrides] + [rf"{re.escape(str(file))}:\d+"]
@@ -369,14 +369,14 @@ FOUND = [
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("tables", FOUND, ids=lambda tables: ".".join(dict(keys(tables))))
-def test_what_was_wrong_once_runs_or_is_refused(tables):
+def test_former_failures_run_or_are_refused(tables):
     try_document({"horizon": 0.3, "team": {"count": 3}} | tables, "")
 
 
 @pytest.mark.slow
 @fuzz(0.7)
 @given(tables=documents(), more=HOW)
-def test_whatever_follows_the_schema_runs_or_is_refused_by_line_and_key(tables, more):
+def test_any_document_of_the_schema_runs_or_is_refused_by_line_and_key(tables, more):
     try_document(tables, more)
 
 
@@ -457,7 +457,7 @@ def mutations(draw) -> bytes:
 @example(content=b"[team]\npositions = [" + b"[1.0, 'x'], " * 20_000 + b"]")
 @example(content=b"name = '" + b"x" * 1_000_000 + b"'")
 @example(content=b"\n" * 1_000_000 + b"x = 1")
-def test_whatever_bytes_a_file_has_it_runs_or_is_refused_by_line(content):
+def test_a_file_of_any_bytes_runs_or_is_refused_by_line(content):
     try_bytes(content)
 
 
@@ -500,7 +500,7 @@ def overrides(draw) -> str:
 @example(changes=["horizon=" + "[" * 5000])
 @example(changes=["a." * 20_000 + "b=1"])
 @example(changes=["horizon={ " + "a." * 20_000 + "b = 1 }"])
-def test_whatever_is_set_runs_or_is_refused_by_what_set_it(changes):
+def test_any_override_runs_or_is_refused_by_its_option(changes):
     try_overrides(changes)
 
 
@@ -534,7 +534,7 @@ def sweeps_of(draw) -> tuple[dict[str, Any], dict[str, Any]]:
 @pytest.mark.slow
 @fuzz(0.03)
 @given(case=sweeps_of())
-def test_whatever_is_swept_runs_or_is_refused_and_its_store_is_whole(case):
+def test_any_sweep_runs_or_is_refused_and_its_store_is_intact(case):
     try_sweep(*case)
 
 

@@ -21,13 +21,13 @@ EVADERS = tuple(Evader(position=at, speed=0.0) for at in ((0.4, 0.5), (-0.5, 0.3
 ORDER = profiles(3, 3)
 TAU = 2.0
 """s: the best of four equilibria has 45 % of the law, the next 8 %."""
-QUIET = {"announce": Announcements(trigger="change")}
-"""Without heartbeats, which nobody needs where nothing is lost."""
+UNRECORDED = {"announce": Announcements(trigger="change")}
+"""Without heartbeats, which are not needed where nothing is lost."""
 SEVERAL = Scenario(horizon=4.0, team=Team(count=3, speeds=2.0), evader=Evader(count=2))
 
 
 def game_of_three(rule, schedule):
-    """Three pursuers and three evaders that stand still; the worth of a pair is -0.2 to 5.5 s; nobody moves."""
+    """Three pursuers and three evaders that stand still; the worth of a pair is -0.2 to 5.5 s; no pursuer moves."""
     return Scenario(
         horizon=HORIZON,
         team=TEAM,
@@ -63,7 +63,7 @@ def test_the_profile_over_three_targets_follows_the_gibbs_law_of_the_welfare(nam
     """24,000 decisions, one at a time, over instant links, in 10 batches: all 64 profiles within 5 errors.
 
     A batch of 2,400 decisions is long: a profile is forgotten within a hundred or two. The control: the laws of
-    temperatures that are 20 % off are 0.13 of total variation away. What tells temperatures apart best is the mean
+    temperatures that are 20 % off are 0.13 of total variation away. What distinguishes temperatures best is the mean
     welfare: of the others it is 7 errors off where the rule is the lazy one that tries its present action again, and
     14 to 19 where it is not.
     """
@@ -93,7 +93,7 @@ def test_the_welfare_is_on_the_average_that_of_the_gibbs_law():
 
 @pytest.mark.slow
 def test_at_once_the_law_over_three_targets_is_not_that_of_gibbs():
-    """Everybody every five milliseconds: 0.3 of total variation and tens of errors away."""
+    """All decide every five milliseconds: 0.3 of total variation and tens of errors away."""
     law, error = by_batches(batches(game_of_three(SpatialAdaptivePlay, Rounds(period=0.005)), 2, ORDER))
     exact = gibbs(PHI, HORIZON, TAU)
     assert distance(law, exact) > 0.2
@@ -108,7 +108,7 @@ def test_slow_cooling_finds_the_best_assignment_more_often_than_fast_cooling():
     """
     slow, fast = (
         [
-            many_runs.outcome(run(many_runs.frozen(4, 4, "sap", 300, tau).model_copy(update=QUIET), seed)).best
+            many_runs.outcome(run(many_runs.frozen(4, 4, "sap", 300, tau).model_copy(update=UNRECORDED), seed)).best
             for seed in range(120)
         ]
         for tau in (many_runs.slow(300), many_runs.FAST)
@@ -119,7 +119,7 @@ def test_slow_cooling_finds_the_best_assignment_more_often_than_fast_cooling():
 
 
 def assigned(action, evaders=2):
-    """Return the run in which pursuer 0 is told to do something at 1 s, and nobody else does anything."""
+    """Return the run in which pursuer 0 is given an action at 1 s, and no other pursuer decides."""
 
     def behaviour(me):
         yield me.at(1.0)
@@ -132,12 +132,12 @@ def assigned(action, evaders=2):
 
 @pytest.mark.parametrize("evaders", [1, 2])
 @pytest.mark.parametrize("action", [7, 3, -1, 0.5])
-def test_to_chase_an_evader_that_is_not_there_is_an_error_that_names_those_that_are(action, evaders):
+def test_chasing_an_unknown_evader_is_an_error_that_lists_the_known_ones(action, evaders):
     with pytest.raises(ValueError, match=f"an action should be 0 or an evader, 1 .. {evaders}, got {action}"):
         assigned(action, evaders)
 
 
-def test_to_chase_an_evader_that_is_there_is_none():
+def test_chasing_an_existing_evader_is_no_error():
     assert [each.active for each in assigned(2).trace.of(Decided)] == [2]
     assert [each.active for each in assigned(0).trace.of(Decided)] == [0]
 

@@ -15,7 +15,7 @@ from desim.study.explain import explain
 from desim.study.explanation import Explanation
 
 HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
-# One pursuer at the place of the evader, which is captured at once; or nobody anywhere near within 0.1 s.
+# One pursuer at the place of the evader, which is captured at once; or no capture possible within 0.1 s.
 AT_ONCE = Scenario(name=HOSTILE, team=Team(positions=[(1.0, 1.0)]), evader=Evader(position=(1.0, 1.0)))
 NEVER = Scenario(horizon=0.1, team=Team(positions=[(9.0, 1.0)]), evader=Evader(position=(1.0, 1.0)))
 
@@ -54,11 +54,11 @@ def test_a_run_shows_what_it_was_and_how_it_ended():
     assert set(table.tags) == {"table", "tr", "th", "td"}
 
 
-def test_a_run_without_a_capture_says_so():
+def test_a_run_without_a_capture_is_shown_as_such():
     assert ["ended", "not captured within 0.1 s"] in Table(run(NEVER)._repr_html_()).rows
 
 
-def test_a_run_with_several_evaders_says_how_many_it_is_about():
+def test_a_run_with_several_evaders_shows_their_number():
     """All of them stand where a pursuer does, or none of them is ever reached."""
     two = {"evader": (Evader(position=(0.0, 0.0), speed=0.0), Evader(position=(0.0, 0.0), speed=0.0))}
     team = Team(positions=((0.0, 0.0),), speeds=1.0)
@@ -68,7 +68,7 @@ def test_a_run_with_several_evaders_says_how_many_it_is_about():
     assert ["ended", "0 of 2 captured within 0.1 s"] in Table(none._repr_html_()).rows
 
 
-def test_a_run_that_a_watcher_stopped_says_so():
+def test_a_run_stopped_by_a_watcher_is_shown_as_such():
     result = run(NEVER, 1, lambda event: event.t > 0)
     assert result.trace.of(Ended)[0].reason == "stopped"
     ((_, ended),) = [row for row in Table(result._repr_html_()).rows if row[0] == "ended"]
@@ -97,7 +97,7 @@ def test_an_explanation_shows_its_table(found):
     assert found.remarks()
 
 
-def test_an_explanation_is_again_what_its_document_says(found):
+def test_an_explanation_can_be_restored_from_its_document(found):
     again = Explanation.of(json.loads(json.dumps(found.document())))
     assert again.table() == found.table()
     for metric, cost in found.costs.items():
@@ -108,7 +108,7 @@ def test_an_explanation_is_again_what_its_document_says(found):
 
 
 @pytest.mark.parametrize("made", [[], {}, {"costs": {}}, {"costs": {"active_time": 1}}, "no"])
-def test_what_is_no_document_of_an_explanation_is_refused(made):
+def test_a_document_that_is_not_of_an_explanation_is_refused(made):
     with pytest.raises(ValueError, match="is not an explanation"):
         Explanation.of(made)
 

@@ -27,7 +27,7 @@ def time_stepped_loop(x, e, active, v, v_e, eps, t_f, delta, owners=None, draws=
     """Algorithm 2 of Lee & Bakolas as one plain loop, or Algorithm 3 if there are no owners.
 
     owners[k] revises at k delta, with the draws of the generator draws[owner]. Returns the positions at every k delta
-    (pursuers, then evader), who was active in every slot, and the time of capture (None: not captured).
+    (pursuers, then evader), the active pursuers in every slot, and the time of capture (None: not captured).
     """
     x, e, active, paths, profiles = x.copy(), e.copy(), list(active), [], []
     for k in range(round(t_f / delta) + 1):
@@ -85,7 +85,7 @@ def simulated(case, protocol, trigger="revision"):
 
 
 def active_in_every_slot(trace, delta):
-    """Return who was active from k delta to (k + 1) delta, for every k before the end."""
+    """Return the active pursuers from k delta to (k + 1) delta, for every k before the end."""
     active, profiles = list(trace.of(Started)[0].active), []
     decisions = iter([*trace.of(Decided), Decided(10**18, 0, False)])
     decision = next(decisions)
@@ -118,7 +118,7 @@ def compare(case, result, owners=None, draws=None):
 @settings(max_examples=30)
 @given(pursuits(), st.sampled_from(["revision", "change", "both"]))
 def test_algorithm_2_is_the_plain_loop_step_for_step(case, trigger):
-    """Trajectory, assignments and capture time to 1e-9, with the same draws, whenever word goes out."""
+    """Trajectory, assignments and capture time to 1e-9, with the same draws, whenever announcements are sent."""
     count, steps = len(case["positions"]), round(case["horizon"] / case["delta"])
     slots = stream(case["seed"], "shared slots")
     blocks = [slots.integers(count, size=4096) for _ in range(1 + steps // 4096)]
@@ -135,7 +135,7 @@ def test_algorithm_3_is_the_plain_loop_step_for_step(case):
     compare(case, simulated(case, Centralised(slot=case["delta"])))
 
 
-def test_the_comparison_notices_a_pursuer_that_is_a_little_faster():
+def test_the_comparison_detects_a_slightly_faster_pursuer():
     """The control of the two tests above: a speed off by 1e-6 is seen."""
     case = {
         "positions": np.array([[0.0, 0.0], [9.0, 1.0]]),
@@ -152,7 +152,7 @@ def test_the_comparison_notices_a_pursuer_that_is_a_little_faster():
     compare(case, result)
 
 
-def test_every_decision_is_broadcast_to_everyone_and_arrives_at_once():
+def test_every_decision_is_broadcast_to_all_and_arrives_at_once():
     case = {
         "positions": np.random.default_rng(1).uniform(0, 20, (6, 2)),
         "evader": np.array([10.0, 10.0]),
@@ -211,8 +211,8 @@ def test_the_running_simulator_follows_the_gibbs_law(tau, relay):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("tau", "relay"), [(1.0, 0.2286), (0.2, 0.9037)])
-def test_when_everybody_decides_at_once_the_law_is_another(tau, relay):
-    """Four at every instant, each by what was said the instant before: not the Gibbs law, but an exact chain's.
+def test_with_simultaneous_decisions_the_law_differs(tau, relay):
+    """Four at every instant, each by the announcements of the instant before: not the Gibbs law, but an exact chain's.
 
     12,000 instants: the standard errors are about 0.006 and 0.003, and Gibbs is 19 and 4.5 of them away.
     """

@@ -57,13 +57,15 @@ CELLS = [
 FIRST = {cell[0]: cell for cell in reversed(CELLS)}
 """A cell of each protocol."""
 EQUAL_SPEEDS = {"voronoi"}
-"""Who assumes them."""
+"""The protocols that assume them."""
 AVERAGING = {"fictitious_play", "regret_matching"}
-"""Who averages over all turns: what they learnt first fades in r / (phi_2 - phi_1) turns, so the two should differ."""
+"""Protocols that average over all turns: what they learnt first fades in r / (phi_2 - phi_1) turns, so the two should
+differ.
+"""
 WHOLE_GAME = {*AVERAGING, "jsfp"}
-"""Who may need more than half of it, as what they learnt first fades."""
+"""Protocols that may need more than half of it, as what they learnt first fades."""
 ONE_LEADER = {"centralised", "server", "voronoi", "argmin"}
-"""Who promises nothing to parts of the team that are cut off."""
+"""Protocols without guarantees for disconnected teams."""
 
 
 def lines(scenario, seed, until):
@@ -103,7 +105,7 @@ def test_a_protocol_keeps_the_contract_in_every_scenario(kind, schedule, file):
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_the_contract_sees_of_a_protocol_is_pursuers_that_are_sent_and_stopped(kind):
+def test_in_the_contract_each_protocol_starts_and_stops_pursuers(kind):
     """Or the contract would be about nothing."""
     seen = set()
     for share in (0.0, 1.0):
@@ -208,7 +210,7 @@ def test_the_pairs_that_no_triple_covers_are_found():
 # Several evaders.
 
 OPEN = {*WHOLE_GAME, "generalised_regret_matching", "sap", "binary_log_linear", "selective_sap"}
-"""Who may not have settled after some seconds, or goes on trying what is worse."""
+"""Protocols that may not have settled after some seconds, or keep exploring."""
 MANY = {"ideal": Links(), "lossy": LOSSY}
 
 
@@ -236,7 +238,9 @@ def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind,
 @pytest.mark.parametrize("network", MANY)
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in OPEN])
 def test_at_rest_no_two_pursuers_are_left_on_one_evader_and_none_without_that_could_be_chased(kind, network):
-    """Three games of six after 4 s: who chases is in time, and who stays would be late for what nobody chases."""
+    """Three games of six after 4 s: every chaser is in time, and every other pursuer would be late for each evader
+    without a chaser.
+    """
     for seed in range(3):
         case = at_rest(quick(kind), 6, 3, seed, network=MANY[network], announce=Announcements(belief_timeout=np.inf))
         result = run(case, None, lambda event: event.t > 4 * SECOND)
@@ -251,7 +255,7 @@ PARTS = [*KINDS.values(), *SCHEDULES.choices().values(), *DISSEMINATIONS.choices
 
 
 @pytest.mark.parametrize("module", sorted({part.__module__ for part in PARTS}))
-def test_the_header_of_a_protocol_says_what_it_rests_on(module):
+def test_the_header_of_a_protocol_lists_its_assumptions(module):
     """Paper, parameters, assumptions, cost in messages, robustness: in this order, each at the head of a line."""
     head = import_module(module).__doc__
     places = [head.find(f"\n{word}: ") for word in ("Paper", "Parameters", "Assumes", "Messages", "Robust to loss")]
@@ -289,7 +293,7 @@ def no_process(me):
     ],
     ids=["divides", "ends", "returns", "no process"],
 )
-def test_what_is_wrong_with_a_protocol_of_ones_own_is_told_with_the_pursuer_and_the_time(protocol, what):
+def test_errors_of_a_user_protocol_are_reported_with_pursuer_and_time(protocol, what):
     with pytest.raises((ZeroDivisionError, ValueError, TypeError), match=what) as raised:
         run(Scenario(protocol=protocol), 0)
     (note,) = raised.value.__notes__

@@ -58,7 +58,7 @@ def test_the_grid_of_the_readme_is_one_of_its_example():
     assert len(configurations(base, grid)) == 4 * 3 * 2
 
 
-def test_the_table_of_packages_says_what_their_docstrings_say():
+def test_the_table_of_packages_equals_their_docstrings():
     rows = re.findall(r"^\| `((?:desim|protocols|scenarios)/\w*/?)` \| (.+) \|$", README, re.MULTILINE)
     packages = [path.parent.relative_to(ROOT) for top in ("desim", "protocols", "scenarios") for path in _inits(top)]
     assert sorted(name for name, _ in rows) == sorted(f"{each}/" for each in packages)

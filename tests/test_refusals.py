@@ -36,9 +36,9 @@ BOUNDS = {
     annotated_types.Le: ("le", "less than or equal to", inf),
     annotated_types.Lt: ("lt", "less than", 0.0),
 }
-"""Of each kind of bound its attribute, its words, and in which direction from it the nearest wrong number lies."""
+"""Of each kind of bound its attribute, its text, and in which direction from it the nearest wrong number lies."""
 TYPES = {float: ("true", "a number"), int: ("2.5", "an integer"), bool: ("1", "true or false"), str: ("3", "a string")}
-"""A TOML value of another type, and what is said of it."""
+"""A TOML value of another type, and its error message."""
 
 
 class Wrong(NamedTuple):
@@ -46,7 +46,7 @@ class Wrong(NamedTuple):
 
     toml: str
     words: str
-    """What is said after "should be"."""
+    """The text after "should be"."""
     below: tuple[int, ...] = ()
     """Positions in the lists that the value is, down to what is wrong."""
 
@@ -168,11 +168,11 @@ def _headers(table: Table) -> list[str]:
 
 TABLES = list(tables())
 BY_HAND = {(each.model, "kind") for each in TABLES} | {(each, "file") for each in (Empirical, Edges)}
-"""Keys whose refusals are written out below: what another key says decides what they take."""
+"""Keys whose refusals are written out below: the value of another key decides what they take."""
 
 
 @pytest.mark.parametrize("table", TABLES, ids=str)
-def test_a_wrong_value_is_told_with_file_line_key_and_what_is_allowed(table, tmp_path):
+def test_a_wrong_value_is_reported_with_file_line_key_and_allowed_values(table, tmp_path):
     assert not_refused(table, tmp_path) == []
 
 
@@ -217,7 +217,7 @@ class Lax(Value):
     """A length, m."""
 
 
-def test_a_bound_that_is_missing_or_not_enforced_is_noticed(tmp_path, monkeypatch):
+def test_a_bound_that_is_missing_or_not_enforced_is_detected(tmp_path, monkeypatch):
     monkeypatch.setattr(toml, "Scenario", create_model("Scenario", __base__=Scenario, lax=(Lax, Lax())))
     assert unbounded(Lax) == ["whatever"]
     missed = not_refused(Table((("lax", None, False),), Lax), tmp_path)
@@ -277,7 +277,7 @@ FAULTS = [
     "[[evader]]\ncolour = 'red'\n[evader.strategy]\nkind = 'zigzag'\namplitud = 0.1\n"
     "[[evader]]\nstrategy = { kind = 'voronoi_vertex' }",
 ]
-"""Files that are wrong in ways that no type tells, or in one way of each kind."""
+"""Files that are wrong in ways that no type expresses, or in one way of each kind."""
 GRIDS = [
     '"team.count" = [0]',
     "team.count = [1, 0]",
@@ -329,7 +329,7 @@ OVERRIDES = [
 """Files that are right, and overrides that are not."""
 
 
-def told(folder: Path, text: str, *overrides: str) -> str:
+def refusal(folder: Path, text: str, *overrides: str) -> str:
     """Return a file and its overrides, and how they are refused, with the name of the file instead of its path."""
     file = folder / "f.toml"
     file.write_text(f"{text}\n")
@@ -346,5 +346,5 @@ def told(folder: Path, text: str, *overrides: str) -> str:
     [("files", [(each,) for each in FAULTS]), ("grids", [(GRID + each,) for each in GRIDS]), ("overrides", OVERRIDES)],
 )
 def test_refusals_are_golden(name, cases, tmp_path):
-    """Each tells file, line, key and what is allowed: look at it when it is made anew."""
-    golden(f"refused_{name}.txt", "".join(told(tmp_path, *each) for each in cases))
+    """Each names file, line, key and allowed values: review it when it is regenerated."""
+    golden(f"refused_{name}.txt", "".join(refusal(tmp_path, *each) for each in cases))

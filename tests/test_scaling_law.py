@@ -77,7 +77,7 @@ def apart(found, published):
 def test_the_static_excess_is_that_of_two_prototypes(latency, duration, first, second):
     """L lambda = 0, 1, 4 with lambda = 5 per s: excess / (N^2 delta) within 3 joint standard errors of both.
 
-    24 runs, standard errors of about 0.1, 0.11 and 0.13. The control: L lambda = 0 and 1 are told apart, 0.54 or 5
+    24 runs, standard errors of about 0.1, 0.11 and 0.13. The control: L lambda = 0 and 1 are distinguished, 0.54 or 5
     joint errors, and so is 4 from half of it, for which 500 runs gave 2.916(24), by 1.2 or 9.
     """
     found = excess(Poisson(rate=5.0), latency / 5.0, 24, duration)
@@ -102,7 +102,7 @@ def test_the_static_excess_of_a_schedule_is_that_of_the_prototypes(schedule, run
 
     In units of the round P = N delta that of the rounds is 1.54 N P, or 1.54 / N in N^2 P. The prototypes' figures come
     without standard errors, which are taken to be as great as ours: 0.03, 0.06 and 0.027. Longer runs gave 0.835(10),
-    1.789(14) and 1.563(6). The control: 25 % more or less is told apart.
+    1.789(14) and 1.563(6). The control: 25 % more or less is distinguished.
     """
     found = excess(schedule, 0.0, runs, duration)
     assert found[1] < 0.07
@@ -118,7 +118,7 @@ ACTIVE_TIMES = {0.0: (11.92, 0.13), 0.5: (17.43, 0.18), 1.0: (22.99, 0.27)}
 def test_the_total_active_time_of_a_pursuit_is_that_of_two_prototypes(latency, first):
     """N = 20, delta = 0.01, h = 0.005, shared seed, all active at first, the paper's boxes: within 3 joint errors.
 
-    16 runs, standard errors 0.5 to 1.1. The control: half the latency, and twice the latency, is told apart.
+    16 runs, standard errors 0.5 to 1.1. The control: half the latency, and twice the latency, is distinguished.
     """
     scenario = Scenario(
         horizon=30.0,

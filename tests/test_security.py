@@ -150,14 +150,14 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("words", COMMANDS)
-def test_for_no_command_a_file_names_code(mark, written, words):
+def test_no_command_runs_code_named_in_a_file(mark, written, words):
     assert "f.toml:3: network.latency.kind: 'evil:late' names code" in refused(
         *words, written(f"network.latency = {CODE}")
     )
     assert not mark.exists()
 
 
-def test_what_is_typed_needs_the_option_too(mark, written):
+def test_code_named_in_an_override_needs_the_option_too(mark, written):
     file = written("")
     said = refused("run", file, "--set", "network.latency.kind=evil:late")
     assert said.startswith("--set network.latency.kind=evil:late: network.latency.kind: 'evil:late' names code")
@@ -166,7 +166,7 @@ def test_what_is_typed_needs_the_option_too(mark, written):
     assert mark.exists()
 
 
-def test_whatever_takes_keys_takes_the_option():
+def test_every_command_with_keys_has_the_option():
     def every(group):
         for each in group.commands.values():
             yield from every(each) if isinstance(each, click.Group) else [each]
@@ -177,7 +177,7 @@ def test_whatever_takes_keys_takes_the_option():
 
 
 @pytest.mark.parametrize("grid", ['network.latency.kind = ["evil:late"]', f"network.latency = [{CODE}]"])
-def test_a_grid_that_was_loaded_is_no_way_round(mark, written, grid):
+def test_a_loaded_grid_does_not_bypass_the_check(mark, written, grid):
     file = written(f"[sweep.grid]\n{grid}")
     with pytest.raises(ScenarioError, match="names code"):
         desim.load(file)
@@ -189,7 +189,7 @@ def test_a_grid_that_was_loaded_is_no_way_round(mark, written, grid):
 
 
 def test_from_python_code_is_code(mark):
-    """Who writes Python runs code already."""
+    """A user who writes Python runs code already."""
     sys.path.append(str(mark.parent))
     scenario = Scenario(network=Links(latency={"kind": "evil:late"}))
     assert scenario.network.latency(None, None) == 0.25
@@ -212,7 +212,7 @@ def test_with_the_option_a_file_names_code_everywhere(mark, written, tmp_path):
 
 
 @pytest.mark.parametrize(("key", "table"), [*((key, CAUGHT) for key in PLACES), ("network.latency", POPEN)])
-def test_with_the_option_nothing_is_called_that_is_no_model(mark, written, key, table):
+def test_with_the_option_only_models_are_called(mark, written, key, table):
     """A class whose instances cannot be called is refused before one is made; a module is run, as was asked."""
     file = written(PLACES[key].format(table.replace("MARK", str(mark))))
     sys.modules.pop("evil", None)
@@ -223,7 +223,7 @@ def test_with_the_option_nothing_is_called_that_is_no_model(mark, written, key, 
     assert not mark.exists()
 
 
-def test_with_the_option_a_class_is_not_made_that_is_called_with_something_else(mark, written):
+def test_with_the_option_a_class_with_another_call_signature_is_not_instantiated(mark, written):
     (mark.parent / "evil.py").write_text(
         EVIL.format(mark=str(mark)) + "\n    ...\n\nclass Other(Caught):\n    def __call__(self, one, two): ...\n"
     )
@@ -235,7 +235,7 @@ def test_with_the_option_a_class_is_not_made_that_is_called_with_something_else(
     assert not mark.exists()
 
 
-def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_path, monkeypatch):
+def test_models_installed_as_entry_points_may_be_named(mark, written, tmp_path, monkeypatch):
     """A distribution says so in a group `desim.*`; its other names need the option."""
     about = tmp_path / "site" / "evil-1.0.dist-info"
     about.mkdir(parents=True)
@@ -258,7 +258,7 @@ def test_what_is_installed_as_an_entry_point_may_be_named(mark, written, tmp_pat
         choice._named_by_entry_points.cache_clear()
 
 
-def test_what_code_is_given_may_lie_beside_the_file(mark, written, tmp_path):
+def test_files_for_user_models_may_lie_beside_the_scenario_file(mark, written, tmp_path):
     (tmp_path / "d.txt").write_text("0.125")
     inner = '{ kind = "empirical", file = "d.txt" }'
     file = written(f'network.latency = {{ kind = "evil:Twice", of = {inner} }}')
@@ -429,7 +429,7 @@ def test_a_graph_declares_no_document_type(written, tmp_path, name):
     accepted("check", written('network.graph = { kind = "edges", file = "g.graphml" }'))
 
 
-def test_a_graph_with_too_many_nodes_is_told_in_a_line(written, tmp_path):
+def test_a_graph_with_too_many_nodes_is_reported_in_one_line(written, tmp_path):
     nodes = [{"id": f"{k}{'x' * 100}"} for k in range(10_000)]
     (tmp_path / "g.json").write_text(json.dumps({"nodes": nodes, "edges": []}))
     said = refused("check", written('network.graph = { kind = "edges", file = "g.json" }'))
@@ -445,7 +445,7 @@ NESTED = {
 
 
 @pytest.mark.parametrize("name", NESTED)
-def test_what_is_too_deep_or_too_long_is_refused(written, tmp_path, name):
+def test_input_that_is_too_deep_or_too_long_is_refused(written, tmp_path, name):
     file, content, text, why = NESTED[name]
     (tmp_path / file).write_text(content)
     said = refused("check", written(text))
@@ -517,7 +517,7 @@ def test_a_run_json_does_not_choose_the_folder_of_its_files(ran, tmp_path):
 
 @pytest.fixture
 def precious(tmp_path):
-    """Return a file that nobody asked to be changed, and a function that puts a link to it in a stranger's folder."""
+    """Return a file that must not change, and a function that puts a link to it in an untrusted folder."""
     (tmp_path / "precious").write_text("mine")
     yield tmp_path / "precious"
     assert (tmp_path / "precious").read_text() == "mine"
@@ -586,7 +586,7 @@ def test_a_store_is_no_link(written, precious, tmp_path):
         (tmp_path / "sweep.sqlite").unlink()
 
 
-def test_a_name_that_is_fresh_is_a_file_s_own(tmp_path):
+def test_without_symlink_removes_links_and_keeps_files(tmp_path):
     (tmp_path / "file").write_text("kept")
     (tmp_path / "link").symlink_to(tmp_path / "file")
     assert without_symlink(tmp_path / "link") == tmp_path / "link"
@@ -604,7 +604,7 @@ def harmless(text: str) -> bool:
     return all(each.isprintable() or each == "\n" for each in text)
 
 
-def test_what_cannot_be_printed_is_escaped_as_toml_and_json_do():
+def test_unprintable_characters_are_escaped_as_in_toml_and_json():
     assert escaped("a\tb\n\u00e9 \u6f22 \U0001f600") == "a\tb\n\u00e9 \u6f22 \U0001f600"
     assert escaped("\x1b[2J\x9b\u202e\r\x00") == "\\u001b[2J\\u009b\\u202e\\u000d\\u0000"
     assert escaped("\U000e0001") == "\\U000e0001"
@@ -614,7 +614,7 @@ def test_what_cannot_be_printed_is_escaped_as_toml_and_json_do():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_no_pictures")
-def test_a_terminal_is_told_nothing_but_text(written, tmp_path):
+def test_a_terminal_receives_only_plain_text(written, tmp_path):
     file = written(f"name = {TOML}\n{GRID}")
     for words in (
         ["check"],
@@ -646,21 +646,21 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_an_error_tells_a_terminal_nothing_but_text(written, name):
+def test_an_error_sends_a_terminal_only_plain_text(written, name):
     said = refused("sweep", written(BAD[name]))
     assert "owned" in said
     assert harmless(said)
 
 
-def test_a_record_tells_a_terminal_nothing_but_text(ran):
+def test_a_record_sends_a_terminal_only_plain_text(ran):
     changed(ran / "run.json", lambda made: made["versions"].update({WORST: WORST}))
     done = call("run", "--from", ran / "run.json")
     assert "owned" in done.stderr
     assert harmless(done.stderr)
 
 
-def test_no_command_writes_past_the_guard():
-    """All that is told goes through `say`."""
+def test_no_command_prints_without_escaping():
+    """All output goes through the function that escapes it."""
     for path in (ROOT / "desim" / "cli").glob("*.py"):
         names = [ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         allowed = 1 if path.name == "options.py" else 0

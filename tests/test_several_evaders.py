@@ -1,4 +1,4 @@
-"""Runs with several evaders: who is captured when, what becomes of who chased it, and one evader as a special case."""
+"""Runs with several evaders: captures, what their chasers do next, and one evader as a special case."""
 
 import json
 from math import nan
@@ -80,7 +80,7 @@ def test_the_horizon_ends_a_run_in_which_some_are_captured():
     assert result.trace.of(Ended) == [Ended(5 * SECOND, "horizon", None)]
 
 
-def test_who_runs_into_another_evader_captures_it_too():
+def test_a_pursuer_that_runs_into_another_evader_captures_it_too():
     """On its way to the one at 4 m it passes through the one at 2 m; what it chases stays what it is."""
     result = desim.run(standing(4.0, 2.0))
     passed, chased = result.trace.of(Captured)
@@ -90,7 +90,7 @@ def test_who_runs_into_another_evader_captures_it_too():
 
 @pytest.mark.parametrize("test", ["segment", "sample"])
 @pytest.mark.parametrize("places", [(2.0, 4.0), (4.0, 2.0)])
-def test_of_those_that_are_reached_within_one_step_each_is_captured_as_it_is_reached(places, test):
+def test_several_evaders_reached_within_one_step_are_captured_at_their_own_instants(places, test):
     """One step of 5 s, in which the pursuer heads for the one at 4 m; three at one place are captured at once."""
     base = standing(*places, protocol=chase(1 + places.index(4.0)), motion=Motion(step=5.0))
     captures = desim.run(base).trace.of(Captured)
@@ -102,10 +102,10 @@ def test_of_those_that_are_reached_within_one_step_each_is_captured_as_it_is_rea
 
 
 @pytest.mark.parametrize(("until", "end"), [(None, 3.8), (3.0, 3.8), (4.0, 4.0), (4.0321, 4.0321), (9.0, None)])
-def test_who_is_broken_captures_nobody(until, end):
+def test_a_broken_down_pursuer_captures_no_evader(until, end):
     """An evader comes from 2 m away at 0.5 m/s: it touches the pursuer after 3.8 s, and leaves it after 4.2 s.
 
-    Who is repaired inside a motion step captures at once.
+    A pursuer repaired within a motion step captures at once.
     """
     comes = Evader(position=(-2.0, 0.0), speed=0.5, strategy=ConstantHeading(angle=0.0))
     fault = () if until is None else (Crash(node=0, start=0.5, end=until),)
@@ -115,8 +115,8 @@ def test_who_is_broken_captures_nobody(until, end):
     assert (ended.reason, seconds(ended.t)) == (("captured", pytest.approx(end)) if end else ("horizon", 9.0))
 
 
-def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
-    """Nobody decides after the start: both stop at the capture, within a step, and so does what was captured."""
+def test_a_pursuer_of_a_captured_evader_stays_until_its_next_decision():
+    """No pursuer decides after the start: both stop at the capture, within a step, and so does what was captured."""
 
     def once(me):
         me.assign(1)
@@ -138,8 +138,8 @@ def test_who_chased_a_captured_evader_stays_until_it_decides_anew():
     assert not [each for each in result.trace.of(Decided) if each.t > 0]
 
 
-def test_each_evader_flees_who_is_nearest_to_it_and_who_chases_it():
-    """Two teams far apart; the first evader heeds who is active, and nobody chases it."""
+def test_each_evader_flees_its_nearest_pursuer_and_its_chasers():
+    """Two teams far apart; the first evader flees active pursuers, and none chases it."""
     team = Team(positions=((0.0, 0.0), (100.0, 0.0)), speeds=1.0)
     evaders = (
         Evader(position=(2.0, 0.0), speed=0.5, strategy=PureEvasion(flees_from="active")),
@@ -152,7 +152,7 @@ def test_each_evader_flees_who_is_nearest_to_it_and_who_chases_it():
     assert last.others == ((pytest.approx(102.5), 0.0),)
 
 
-def test_a_captured_evader_may_not_be_chased_any_more_and_what_is_none_never():
+def test_captured_and_unknown_evaders_cannot_be_chased():
     seen = []
 
     def protocol(me):
@@ -170,8 +170,8 @@ def test_a_captured_evader_may_not_be_chased_any_more_and_what_is_none_never():
 
 
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
-def test_what_is_said_names_the_evader(payload):
-    """Teammates know who chases which, and their times of capture of it."""
+def test_announcements_name_the_evader(payload):
+    """Teammates know which evader each pursuer chases, and its time of capture."""
     seen = []
 
     def broadcast(me):
@@ -199,14 +199,14 @@ def test_what_is_said_names_the_evader(payload):
                 assert believed == {chaser: pytest.approx(phi[evader - 1][chaser])}
             known = {j: belief.active for j, belief in beliefs.items()}
             assert known == {j: j + 1 for j in range(3) if j != me}
-            # Of a time of capture that was told it is known to which evader it is.
+            # An announced time of capture is of a known evader.
             times = {j: nan if payload == "time" and j != chaser else phi[evader - 1][j] for j in known}
             assert {j: belief.capture_time for j, belief in beliefs.items()} == pytest.approx(times, nan_ok=True)
 
 
 @pytest.mark.parametrize("sensing", [Sensing(), Sensing(radius=1e6)], ids=["unlimited", "limited"])
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
-def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sensing):
+def test_a_chaser_is_dead_reckoned_towards_its_evader(reckoning, sensing):
     """At 1 m/s from the origin: after 1 s a metre up, where evader 2 stands, not to the right, where evader 1 does."""
     seen = []
 
@@ -228,7 +228,7 @@ def test_who_chases_is_reckoned_towards_the_evader_that_it_chases(reckoning, sen
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
+def test_a_chaser_is_dead_reckoned_up_to_the_capture_and_no_farther(exact):
     """Two chase an evader; seconds after the capture they are still where they were by then.
 
     Along the path of the evader that holds for both; straight to where it is, for the one that was right behind it.
@@ -251,7 +251,7 @@ def test_who_chased_is_reckoned_up_to_the_capture_and_no_farther(exact):
         for place, age in ((team.positions[pursuer], 8), ((told[pursuer].real, told[pursuer].imag), 7)):
             reckoned = world.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
             assert abs(reckoned - world.position(pursuer)) < 1e-9
-        # Who told it after the capture has not moved since.
+        # A pursuer that announced it after the capture has not moved since.
         assert world.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
 
 
@@ -261,7 +261,7 @@ def test_a_trace_with_several_evaders_reads_back():
     assert list(events_of(lines, EVENTS)) == result.trace.events
 
 
-def test_a_trace_with_one_evader_does_not_know_of_others():
+def test_a_trace_with_one_evader_has_no_fields_for_several():
     result = desim.run(Scenario(horizon=1.0))
     events = [json.loads(line) for line in map(line_of, result.trace)]
     assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "MessageCounts", "Ended"}
@@ -272,7 +272,7 @@ def test_a_trace_with_one_evader_does_not_know_of_others():
     assert {type(action) for action in (*started[0], *decided)} == {int}
 
 
-def test_an_order_that_is_a_truth_is_to_chase_the_first_evader():
+def test_an_action_true_chases_the_first_evader():
     def protocol(me):
         me.assign(True)
         yield me.sleep(0.0)

@@ -179,14 +179,14 @@ def anything(seed):
 
 
 def calm_at_last(seed):
-    """Return a scenario in which nothing breaks any more from 1 s on, nothing is lost, and all hear each other."""
+    """Return a scenario in which nothing breaks any more from 1 s on, nothing is lost, and all are linked."""
     dice = Dice(seed, "calm at last")
     schedule = {"kind": dice.one(["token_ring", "token_walk"]), "holding_time": 0.02}
     learning = [kind for kind, model in KINDS.items() if "schedule" in model.model_fields]
     table = anything(seed)
     size = table["team"]["count"]
     return table | {
-        "horizon": 1.0 + 3.0 * patience(size),
+        "horizon": 1.0 + 3.0 * detection_time(size),
         "motion": {"static": True},
         "protocol": protocol(dice, learning, schedule=schedule),
         "network": {
@@ -197,7 +197,7 @@ def calm_at_last(seed):
     }
 
 
-def patience(size):
+def detection_time(size):
     """Return how long it takes at most to miss a token that is held for 0.02 s and takes 0.03 s per hop, s."""
     return 5 * size * 0.05 + 5 * 0.075
 
@@ -265,7 +265,7 @@ def blocks(plans):
 
 
 def wrong(seeds, judge):
-    """Return what is wrong with the run of each seed, if anything is, in words."""
+    """Return a description of what is wrong with the run of each seed, if anything is."""
     found = ""
     for seed in seeds:
         try:
@@ -277,17 +277,17 @@ def wrong(seeds, judge):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", blocks(PLANS), ids=str)
-def test_all_invariants_hold_whatever_breaks(seeds, acted):
+def test_all_invariants_hold_under_any_faults(seeds, acted):
     assert not wrong(seeds, lambda seed: judged(anything(seed), acted=acted))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
-def test_one_token_is_left_when_nothing_breaks_any_more(seeds, acted):
+def test_one_token_is_left_when_faults_have_ended(seeds, acted):
     def judge(seed):
         table = calm_at_last(seed)
         size, schedule = table["team"]["count"], table["protocol"]["schedule"]["kind"]
-        settled = round((1.0 + 1.5 * patience(size)) * SECOND)
+        settled = round((1.0 + 1.5 * detection_time(size)) * SECOND)
         result = judged(table, OneToken(Token, settled=settled), acted=acted)
         visited = {decided.pursuer for decided in result.trace.of(Decided) if decided.t >= settled}
         assert len(visited) == size if schedule == "token_ring" else visited
@@ -297,7 +297,7 @@ def test_one_token_is_left_when_nothing_breaks_any_more(seeds, acted):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", blocks(PLANS // 4), ids=str)
-def test_no_decision_lowers_the_potential_of_serial_play_that_knows_all(seeds, acted):
+def test_no_decision_of_serial_play_with_full_information_lowers_the_potential(seeds, acted):
     def judge(seed):
         potential = PotentialWatcher(Scenario.model_validate(climbing(seed)))
         judged(climbing(seed), potential, acted=acted)

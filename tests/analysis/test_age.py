@@ -1,4 +1,4 @@
-"""Ages of information and beliefs: by hand, by brute force, by theory, and against what the pursuers really heard."""
+"""Ages of information and beliefs: by hand, by brute force, by theory, and against the records really received."""
 
 import importlib
 import pkgutil
@@ -57,13 +57,13 @@ def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
     return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
 
 
-def told(src, seq, created, arrivals, body=ACTIVE, flight=0):
+def announced(src, seq, created, arrivals, body=ACTIVE, flight=0):
     """Return an announcement that reaches each receiver at a time, s, or never (None)."""
     times = tuple(map(ns, arrivals.values()))
     return Broadcast(ns(created), flight, src, seq, tuple(arrivals), times, ns(created), 24, body)
 
 
-def relayed(src, dst, sent, arrival, *records, flight=0):
+def forwarded(src, dst, sent, arrival, *records, flight=0):
     """Return a message that passes on records."""
     return Sent(ns(sent), flight, src, dst, ns(arrival), ns(sent), 24, Forwarded(records))
 
@@ -80,73 +80,80 @@ def pair(result, reader=1, source=0):
 
 # Ages by hand.
 
-SAWTOOTH = (told(0, 1, 0.0, {1: 1.0}), told(0, 2, 3.0, {1: 3.5}), decided(0.5, 1), decided(2.0, 1), decided(4.0, 1))
+SAWTOOTH = (
+    announced(0, 1, 0.0, {1: 1.0}),
+    announced(0, 2, 3.0, {1: 3.5}),
+    decided(0.5, 1),
+    decided(2.0, 1),
+    decided(4.0, 1),
+)
 
 
 def test_the_age_is_a_sawtooth_from_the_first_reception_on():
     """From 1 to 3.5 s it grows from 1 to 3.5 s: 2.5 x 2.25; from 3.5 to 5 s from 0.5 to 2 s: 1.5 x 1.25; 7.5 / 4.
 
-    The peak is 3.5 s. The decision at 0.5 s comes before anything was heard, those at 2 and 4 s find 2 s and 1 s.
+    The peak is 3.5 s. The decision at 0.5 s comes before anything was received, those at 2 and 4 s find 2 s and 1 s.
     """
     result = by_hand((True, True), 5.0, *SAWTOOTH)
     assert pair(result) == [1.875, 3.5, 1.5]
     assert (age_mean(result), age_peak(result), age_at_decision(result)) == (1.875, 3.5, 1.5)
 
 
-def test_word_that_comes_once_has_no_peak_and_word_that_nobody_decides_by_no_age_at_decision():
-    mean, peak, at_decision = pair(by_hand((True, True), 3.0, told(0, 1, 0.0, {1: 1.0})))
+def test_a_single_record_has_no_peak_age_and_an_unused_record_no_age_at_decision():
+    mean, peak, at_decision = pair(by_hand((True, True), 3.0, announced(0, 1, 0.0, {1: 1.0})))
     assert mean == 2.0
     assert isnan(peak)
     assert isnan(at_decision)
 
 
-def test_summaries_weigh_every_pair_alike_however_often_it_hears():
-    """Reader 1 hears of 0 at 0 and 1 s and nobody else does; reader 2 at 0 s only: (0.5 + 1.0) / 2."""
-    result = by_hand((True,) * 3, 2.0, told(0, 1, 0.0, {1: 0.0, 2: 0.0}), told(0, 2, 1.0, {1: 1.0, 2: None}))
+def test_summaries_weigh_every_pair_alike_however_many_records_it_receives():
+    """Reader 1 receives records of 0 at 0 and 1 s; reader 2 at 0 s only: (0.5 + 1.0) / 2."""
+    result = by_hand((True,) * 3, 2.0, announced(0, 1, 0.0, {1: 0.0, 2: 0.0}), announced(0, 2, 1.0, {1: 1.0, 2: None}))
     assert age_mean(result) == 0.75
 
 
-def test_word_that_comes_after_the_end_is_not_heard_and_what_comes_at_the_end_is():
+def test_a_record_arriving_at_the_end_counts_and_one_arriving_after_it_does_not():
     """Number 1, of 0 s, comes at 1 s. Number 2 comes just after the end at 6 s, or just then: the one peak, 6 s."""
-    first = told(0, 1, 0.0, {1: 1.0})
-    mean, peak, _ = pair(by_hand((True, True), 6.0, first, told(0, 2, 2.0, {1: 6.000000001})))
+    first = announced(0, 1, 0.0, {1: 1.0})
+    mean, peak, _ = pair(by_hand((True, True), 6.0, first, announced(0, 2, 2.0, {1: 6.000000001})))
     assert mean == 3.5
     assert isnan(peak)
-    assert pair(by_hand((True, True), 6.0, first, told(0, 2, 2.0, {1: 6.0})))[:2] == [3.5, 6.0]
+    assert pair(by_hand((True, True), 6.0, first, announced(0, 2, 2.0, {1: 6.0})))[:2] == [3.5, 6.0]
 
 
-def test_a_message_is_lost_to_the_receiver_that_it_is_lost_to_and_to_nobody_else():
-    """Lost as it leaves to 1; lost on arrival to 2, by flight and receiver; heard by 3."""
-    word = told(0, 1, 0.0, {1: None, 2: 1.0, 3: 1.0}, flight=7)
+def test_a_message_is_lost_only_to_the_receiver_that_lost_it():
+    """Lost as it leaves to 1; lost on arrival to 2, by flight and receiver; received by 3."""
+    message = announced(0, 1, 0.0, {1: None, 2: 1.0, 3: 1.0}, flight=7)
     losses = Lost(0, 7, 0, 1, "loss"), Lost(ns(1.0), 7, 0, 2, "out_of_range"), Lost(ns(1.0), 6, 0, 3, "out_of_range")
-    mean = ages(by_hand((True,) * 4, 3.0, word, *losses)).mean[:, 0]
+    mean = ages(by_hand((True,) * 4, 3.0, message, *losses)).mean[:, 0]
     assert np.isnan(mean[:3]).all()
     assert mean[3] == 2.0
 
 
 def test_one_arrival_holds_for_all_receivers():
-    word = Broadcast(0, 0, 0, 1, (1, 2), (SECOND,), 0, 24, ACTIVE)
-    assert ages(by_hand((True,) * 3, 3.0, word)).mean[1:, 0].tolist() == [2.0, 2.0]
+    message = Broadcast(0, 0, 0, 1, (1, 2), (SECOND,), 0, 24, ACTIVE)
+    assert ages(by_hand((True,) * 3, 3.0, message)).mean[1:, 0].tolist() == [2.0, 2.0]
 
 
 def test_the_age_counts_from_the_announcement_and_not_from_when_the_transmitter_was_free():
-    word = Broadcast(ns(1.0), 0, 0, 1, (1,), (ns(2.0),), ns(0.5), 24, ACTIVE)
-    assert pair(by_hand((True, True), 2.5, word))[0] == 1.75
+    message = Broadcast(ns(1.0), 0, 0, 1, (1,), (ns(2.0),), ns(0.5), 24, ACTIVE)
+    assert pair(by_hand((True, True), 2.5, message))[0] == 1.75
 
 
-def test_word_that_others_pass_on_counts_from_its_announcement():
-    """1 hears of 0 at 1 s; 2 does through 1 at 3 s: 3 s old then, 5 s at the end."""
-    relay = relayed(1, 2, 2.0, 3.0, Record(0, 1, 0, ACTIVE))
-    result = by_hand((True,) * 3, 5.0, told(0, 1, 0.0, {1: 1.0}), relay)
+def test_the_age_of_a_forwarded_record_counts_from_its_announcement():
+    """1 receives a record of 0 at 1 s; 2 does through 1 at 3 s: 3 s old then, 5 s at the end."""
+    relay = forwarded(1, 2, 2.0, 3.0, Record(0, 1, 0, ACTIVE))
+    result = by_hand((True,) * 3, 5.0, announced(0, 1, 0.0, {1: 1.0}), relay)
     assert pair(result, reader=2)[0] == 4.0
     assert isnan(pair(result, reader=2, source=1)[0])
 
 
-def test_word_of_oneself_and_word_that_is_known_already_teach_nothing():
+def test_records_about_oneself_and_known_records_do_not_reset_the_age():
     known, own = Record(0, 1, 0, ACTIVE), Record(1, 1, 0, ACTIVE)
-    again = relayed(2, 1, 1.0, 2.0, known, own)
+    again = forwarded(2, 1, 1.0, 2.0, known, own)
     with_it, without = (
-        by_hand((True,) * 3, 5.0, told(0, 1, 0.0, {1: 1.0}), *more) for more in ((), (again, relayed(0, 1, 3, 4, own)))
+        by_hand((True,) * 3, 5.0, announced(0, 1, 0.0, {1: 1.0}), *more)
+        for more in ((), (again, forwarded(0, 1, 3, 4, own)))
     )
     for mine, other in zip(pair(with_it), pair(without), strict=True):
         assert mine == pytest.approx(other, nan_ok=True)
@@ -154,68 +161,71 @@ def test_word_of_oneself_and_word_that_is_known_already_teach_nothing():
     assert isnan(pair(without, source=1)[0])
 
 
-def test_messages_that_are_no_word_teach_nothing():
+def test_messages_without_records_do_not_reset_the_age():
     bid = Sent(0, 0, 0, 1, SECOND, 0, 24, ("bid", 3.5))
-    empty = relayed(0, 1, 0.0, 1.0)
+    empty = forwarded(0, 1, 0.0, 1.0)
     assert np.isnan(ages(by_hand((True, True), 2.0, bid, empty)).mean).all()
 
 
-def test_the_time_of_a_record_that_is_passed_on_is_set_right_if_the_clock_of_its_source_is_wrong():
+def test_the_time_of_a_forwarded_record_is_corrected_for_the_clock_error_of_its_source():
     """At 2 s the clock of pursuer 0 shows 5 + 1.5 x 2 = 8 s. The record is 1 s old as it comes, 3 s at the end."""
     skew = ClockSkew(node=0, offset=5.0, drift=0.5)
-    relay = relayed(1, 2, 2.5, 3.0, Record(0, 1, ns(8.0), ACTIVE))
+    relay = forwarded(1, 2, 2.5, 3.0, Record(0, 1, ns(8.0), ACTIVE))
     assert pair(by_hand((True,) * 3, 5.0, relay, fault=(skew,)), reader=2)[0] == 2.0
     assert pair(by_hand((True,) * 3, 5.0, relay), reader=2)[0] == -4.0  # the control
 
 
-def test_among_the_events_of_one_instant_a_decision_goes_by_what_came_before_it():
-    """The word of 1 s arrives at once. Decided before it: 1 s old; after it: 0 s."""
-    first, second = told(0, 1, 0.0, {1: 0.5}), told(0, 2, 1.0, {1: 1.0})
+def test_a_decision_depends_only_on_earlier_events_of_its_instant():
+    """The record of 1 s arrives at once. Decided before it: 1 s old; after it: 0 s."""
+    first, second = announced(0, 1, 0.0, {1: 0.5}), announced(0, 2, 1.0, {1: 1.0})
     assert pair(by_hand((True, True), 2.0, first, decided(1.0, 1), second))[2] == 1.0
     assert pair(by_hand((True, True), 2.0, first, second, decided(1.0, 1)))[2] == 0.0
 
 
-def test_who_loses_its_memory_has_heard_of_nobody_until_it_hears_again():
-    """Heard at 1 s (of 0 s), forgotten at 2 s, heard at 3 s (of 2.5 s), until 4 s: (1 x 1.5 + 1 x 1) / 2, no peak.
+def test_a_pursuer_that_loses_its_memory_has_no_records_until_the_next_reception():
+    """Received at 1 s (of 0 s), forgotten at 2 s, received at 3 s (of 2.5 s), until 4 s: (1 x 1.5 + 1 x 1) / 2, no
+    peak.
 
     What arrives as it recovers, at 2 s, is not forgotten, for faults come first: (1 x 1.5 + 2 x 3) / 3.
     """
-    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1, memory=False))
-    result = by_hand((True, True), 4.0, *words, told(0, 2, 2.5, {1: 3.0}), decided(2.5, 1), decided(3.5, 1))
+    announcements = announced(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1, memory=False))
+    result = by_hand(
+        (True, True), 4.0, *announcements, announced(0, 2, 2.5, {1: 3.0}), decided(2.5, 1), decided(3.5, 1)
+    )
     mean, peak, at_decision = pair(result)
     assert (mean, at_decision) == (1.25, 1.0)
     assert isnan(peak)
-    late = by_hand((True, True), 4.0, told(0, 2, 0.0, {1: 2.0}), *words)
+    late = by_hand((True, True), 4.0, announced(0, 2, 0.0, {1: 2.0}), *announcements)
     assert pair(late)[0] == 2.5
 
 
-def test_who_keeps_its_memory_goes_on():
-    words = told(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1))
-    assert pair(by_hand((True, True), 4.0, *words))[0] == 2.5
+def test_a_pursuer_that_keeps_its_memory_keeps_its_records():
+    announcements = announced(0, 1, 0.0, {1: 1.0}), FaultEnded(ns(2.0), Crash(start=1.5, end=2.0, node=1))
+    assert pair(by_hand((True, True), 4.0, *announcements))[0] == 2.5
 
 
 # Beliefs by hand.
 
 
 def stop_at(time, *, warm):
-    """Return two pursuers of which 0, active at first, stops at a time; it says so, and is heard at 2 s, of 4."""
-    return by_hand((True, False), 4.0, decided(time, 0, False), told(0, 1, time, {1: 2.0}, INACTIVE), warm=warm)
+    """Return two pursuers of which 0, active at first, stops at a time; its announcement is received at 2 s, of 4."""
+    return by_hand((True, False), 4.0, decided(time, 0, False), announced(0, 1, time, {1: 2.0}, INACTIVE), warm=warm)
 
 
-def test_belief_is_wrong_from_a_change_until_word_of_it_comes():
+def test_a_belief_is_wrong_from_a_change_until_its_announcement_arrives():
     """Wrong from 1.5 to 2 s about one of two pairs: 0.5 / (2 x 4)."""
     assert belief_error(stop_at(1.5, warm=True)) == 0.0625
 
 
-def test_word_that_does_not_tell_the_action_leaves_the_belief():
-    words = told(0, 1, 0.0, {1: 1.0}, INACTIVE), told(0, 2, 2.0, {1: 2.0}, "still here")
-    assert belief_error(by_hand((True, False), 4.0, *words)) == 0.375
-    assert pair(by_hand((True, False), 4.0, *words))[0] == pytest.approx((1.0 * 1.5 + 2.0 * 1.0) / 3.0)
+def test_a_record_without_an_action_leaves_the_belief_unchanged():
+    announcements = announced(0, 1, 0.0, {1: 1.0}, INACTIVE), announced(0, 2, 2.0, {1: 2.0}, "still here")
+    assert belief_error(by_hand((True, False), 4.0, *announcements)) == 0.375
+    assert pair(by_hand((True, False), 4.0, *announcements))[0] == pytest.approx((1.0 * 1.5 + 2.0 * 1.0) / 3.0)
 
 
-def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_nobody_else():
-    """1 forgets at 1 s; at 2 s it hears record number 0 of pursuer 0 again, 2 s old then and 4 s at the end."""
-    first = relayed(2, 1, 2.0, 2.0, Record(0, 0, 0, ACTIVE))
+def test_the_initial_knowledge_is_new_only_to_a_pursuer_that_lost_its_memory():
+    """1 forgets at 1 s; at 2 s it receives record number 0 of pursuer 0 again, 2 s old then and 4 s at the end."""
+    first = forwarded(2, 1, 2.0, 2.0, Record(0, 0, 0, ACTIVE))
     over = FaultEnded(ns(1.0), Crash(start=0.5, end=1.0, node=1, memory=False))
     result = by_hand((True, False, False), 4.0, over, first)
     assert (pair(result)[0], belief_error(result)) == (3.0, 1.0 / (6 * 4))
@@ -224,32 +234,32 @@ def test_what_everybody_knew_at_first_is_news_to_who_has_lost_its_memory_and_to_
     assert belief_error(result) == 0.0
 
 
-def test_leaders_are_those_who_are_active_and_have_heard_that_nobody_else_is():
-    """0 and 1 are active at first and know it. 1 stops at 1 s; 0 hears of it at 2 s and leads from then on. 2 starts
-    at 3 s; it has not heard of any stop, until word of 0's stop (false) and 1's comes at 3.5 s: two leaders to 4 s.
+def test_leaders_are_active_pursuers_that_believe_no_other_is_active():
+    """0 and 1 are active at first and know it. 1 stops at 1 s; 0 learns of it at 2 s and leads from then on. 2 starts
+    at 3 s; it has no record of any stop, until those of 0 (false) and 1 come at 3.5 s: two leaders to 4 s.
     """
-    stop = decided(1.0, 1, False), told(1, 1, 1.0, {0: 2.0, 2: 3.5}, INACTIVE)
-    start = decided(3.0, 2, True), told(0, 1, 3.0, {2: 3.5}, INACTIVE)
+    stop = decided(1.0, 1, False), announced(1, 1, 1.0, {0: 2.0, 2: 3.5}, INACTIVE)
+    start = decided(3.0, 2, True), announced(0, 1, 3.0, {2: 3.5}, INACTIVE)
     assert believed_leaders(by_hand((True, True, False), 4.0, *stop, *start)) == (2.0 + 0.5) / 4
 
 
-def test_after_a_cold_start_all_who_are_active_believe_that_they_lead():
+def test_after_a_cold_start_all_active_pursuers_believe_that_they_lead():
     assert believed_leaders(by_hand((True, True, False), 4.0, warm=False, sent=0)) == 2.0
     assert believed_leaders(by_hand((True, True, False), 4.0, sent=0)) == 0.0
 
 
-def test_word_of_another_evader_than_the_one_that_is_chased_is_wrong():
-    """0 goes from evader 1 to 2 at 1 s, and 1 hears of it at 2 s; 2 is captured at 3 s: wrong for 1 + 1 of 2 x 4 s."""
-    news = decided(1.0, 0, 2), told(0, 1, 1.0, {1: 2.0}, Assignment(2))
+def test_a_belief_in_another_evader_than_the_one_being_chased_is_wrong():
+    """0 goes from evader 1 to 2 at 1 s, and 1 learns of it at 2 s; 2 is captured at 3 s: wrong for 1 + 1 of 2 x 4 s."""
+    news = decided(1.0, 0, 2), announced(0, 1, 1.0, {1: 2.0}, Assignment(2))
     assert belief_error(by_hand((1, 0), 4.0, *news, evaders=2)) == 0.125
     assert belief_error(by_hand((1, 0), 4.0, *news, Captured(ns(3.0), 2, 0), evaders=2)) == 0.25
     assert belief_error(by_hand((1, 0), 4.0, *news, Captured(ns(3.0), 1, 0), evaders=2)) == 0.125
 
 
-def test_leaders_have_heard_of_nobody_else_on_the_same_evader():
-    """All know who chases what: 0 evader 1, 1 and 2 evader 2. Then 2 goes to evader 1; only 1 hears of it, at 2 s."""
+def test_leaders_believe_that_no_other_pursuer_chases_the_same_evader():
+    """All know who chases what: 0 evader 1, 1 and 2 evader 2. Then 2 goes to evader 1; only 1 learns of it, at 2 s."""
     assert believed_leaders(by_hand((1, 2, 2), 4.0, evaders=2, sent=0)) == 1.0
-    news = decided(1.0, 2, 1), told(2, 1, 1.0, {1: 2.0}, Assignment(1))
+    news = decided(1.0, 2, 1), announced(2, 1, 1.0, {1: 2.0}, Assignment(1))
     assert believed_leaders(by_hand((1, 2, 2), 4.0, *news, evaders=2)) == 1.0 + 2.0 / 4
 
 
@@ -262,7 +272,7 @@ def test_messages_that_were_sent_and_not_recorded_are_an_error(metric):
         metric(by_hand((True, True), 4.0))
 
 
-def test_a_network_that_is_silent_leaves_the_beliefs_of_the_start():
+def test_a_network_without_messages_leaves_the_initial_beliefs():
     result = by_hand((True, False), 4.0, decided(1.0, 0, False), sent=0)
     assert isnan(age_mean(result))
     assert belief_error(result) == 0.375
@@ -288,7 +298,9 @@ TICK = SECOND // 8
 
 @st.composite
 def histories(draw):
-    """Draw a run of up to four pursuers and three evaders on a grid of 1/8 s: words, relays, decisions, captures ..."""
+    """Draw a run of up to four pursuers and three evaders on a grid of 1/8 s: announcements, relays, decisions,
+    captures ...
+    """
     size, evaders = draw(st.integers(1, 4)), draw(st.integers(1, 3))
     large, actions = set(range(1, evaders + 1)), st.integers(0, evaders)
     nodes, ticks, truths = st.integers(0, size - 1), st.integers(0, 40), st.booleans()
@@ -392,7 +404,7 @@ def simulated(result):
 @pytest.mark.slow
 @settings(deadline=None, max_examples=200)
 @given(histories())
-def test_ages_and_beliefs_are_what_a_walk_through_the_run_finds(result):
+def test_ages_and_beliefs_equal_those_of_a_plain_loop_over_the_trace(result):
     mean, peak, at_decision, wrong, leaders = simulated(result)
     age = ages(result)
     np.testing.assert_allclose(age.mean, mean, rtol=0, atol=1e-12)
@@ -450,11 +462,11 @@ def test_without_loss_the_ages_of_theory_are_exact():
     assert age_peak(result) == pytest.approx(DELAY + PERIOD, abs=1e-12)
 
 
-# Against what pursuers really heard.
+# Against what pursuers really received.
 
 
-class Diary:
-    """A protocol that acts at random and writes down what it has heard at each decision, in the order of decisions."""
+class BeliefLog:
+    """A protocol that acts at random and logs its records at each decision, in the order of decisions."""
 
     def __init__(self):
         self.pages = []
@@ -485,9 +497,9 @@ FORGETTING = CRASHES.model_copy(update={"memory": False})
         (Flooding(), (CRASHES,)),
     ],
 )
-def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decided(dissemination, faults, warm):
-    """In each run some hundred decisions. Word is late, lost, overtaken, passed on, and forgotten."""
-    diary = Diary()
+def test_ages_from_the_trace_equal_those_each_pursuer_saw_when_deciding(dissemination, faults, warm):
+    """In each run some hundred decisions. Records are late, lost, overtaken, forwarded, and forgotten."""
+    belief_log = BeliefLog()
     scenario = Scenario(
         horizon=2.0,
         team=Team(count=6, active_at_start=0.5),
@@ -495,11 +507,11 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
         network=Links(graph=Ring(), latency=Uniform(low=0.0, high=0.1), loss=Bernoulli(p=0.2)),
         announce=Announcements(trigger="revision", dissemination=dissemination, warm_start=warm),
         record=Recording(messages=True),
-        protocol=diary,
+        protocol=belief_log,
         fault=faults,
     )
     result = run(scenario, 3)
-    known, pages = knowledge(result), iter(diary.pages)
+    known, pages = knowledge(result), iter(belief_log.pages)
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):
             mine = known[known["reader"] == event.pursuer]
@@ -513,10 +525,10 @@ def test_what_is_read_from_the_trace_is_what_each_pursuer_had_heard_as_it_decide
             assert {j: page[j][0] for j in heard} == heard
             assert warm or set(page) == set(heard)
     assert next(pages, None) is None
-    assert len(diary.pages) > 100
+    assert len(belief_log.pages) > 100
 
 
-# Word that a protocol passes on.
+# Records that a protocol forwards.
 
 
 def negotiating(schedule, dissemination=None, **links):
@@ -539,10 +551,10 @@ def negotiating(schedule, dissemination=None, **links):
 
 
 @pytest.mark.parametrize("schedule", [LocalMutex(), TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
-def test_word_that_only_the_messages_of_a_schedule_carry_has_an_age_and_corrects_beliefs(schedule):
-    """Everybody hears of everybody though nothing is announced; the control, who never talks, is wrong half the time.
+def test_records_carried_by_schedule_messages_have_an_age_and_correct_beliefs(schedule):
+    """All receive records of all though nothing is announced; the control, without messages, is wrong half the time.
 
-    Word is at most some rounds old, and belief errs as long as it travels.
+    Records are at most some rounds old, and beliefs are wrong while they travel.
     """
     result = negotiating(schedule)
     found = summary(result)
@@ -563,16 +575,18 @@ def test_a_message_of_any_protocol_that_carries_records_calls_them_records():
     def carries(each):
         return isinstance(each, Record) or (isinstance(each, tuple) and any(map(carries, each)))
 
-    told = {"Forwarded": {"records"}}
+    record_fields = {"Forwarded": {"records"}}
     for module in pkgutil.iter_modules(protocols.__path__, "protocols."):
         for each in vars(importlib.import_module(module.name)).values():
             if isinstance(each, type) and issubclass(each, tuple) and each.__module__ == module.name:
-                told[each.__name__] = {name for name, hint in each.__annotations__.items() if "Record" in str(hint)}
+                record_fields[each.__name__] = {
+                    name for name, hint in each.__annotations__.items() if "Record" in str(hint)
+                }
     ways = [(LocalMutex(rate=50.0), None), (TokenRing(), None), (Poisson(), Flooding()), (Poisson(), Gossip())]
     for way in ways:
         for sent in negotiating(*way, loss=Bernoulli(p=0.2)).trace.of(Sent):
             body = sent.body
-            told[type(body).__name__] |= {name for name in body._fields if carries(getattr(body, name))}
-    carriers = {name: fields for name, fields in told.items() if fields}
+            record_fields[type(body).__name__] |= {name for name in body._fields if carries(getattr(body, name))}
+    carriers = {name: fields for name, fields in record_fields.items() if fields}
     assert set(carriers) >= {"Forwarded", "Reply", "Token"}
     assert all(fields == {"records"} for fields in carriers.values())

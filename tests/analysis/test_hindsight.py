@@ -45,7 +45,7 @@ def by_hand(phi, active, decisions, end, frozen=True, samples=(), more=(), speed
     The evader is at the origin, at 1 m/s; pursuers are on the x axis at 2 m/s, and capture at 0.5 m: phi = d - 0.5.
 
     Args:
-        samples: (time, times of capture) of everyone later.
+        samples: (time, times of capture) of every pursuer later.
         more: other events.
     """
 
@@ -72,14 +72,14 @@ def by_hand(phi, active, decisions, end, frozen=True, samples=(), more=(), speed
 
 
 def still(phi, *rest, every=None, **options):
-    """Return a result of a pursuit in which nobody gets anywhere, sampled every so often."""
+    """Return a result of a pursuit in which no distance changes, sampled every so often."""
     end = rest[-1]
     times = np.arange(0.0, end + 1e-9, every or end)
     return by_hand(phi, *rest, frozen=False, samples=[(t, phi) for t in times], **options)
 
 
 GAME = ((1.0, 2.0, 4.0), (True,) * 3, [(1.0, 2, False), (2.0, 1, False), (4.0, 0, False), (5.0, 1, True)], 6.0)
-"""phi = (1, 2, 4), r = 8; active are 012 to 1 s, 01 to 2 s, 0 to 4 s, nobody to 5 s, 1 to 6 s."""
+"""phi = (1, 2, 4), r = 8; active are 012 to 1 s, 01 to 2 s, 0 to 4 s, no pursuer to 5 s, 1 to 6 s."""
 
 
 def test_the_misassigned_time_is_how_long_another_set_than_the_relay_pursuer_is_active():
@@ -87,7 +87,7 @@ def test_the_misassigned_time_is_how_long_another_set_than_the_relay_pursuer_is_
     assert misassigned_time(by_hand(*GAME)) == 4.0
 
 
-def test_the_potential_gap_is_the_integral_of_what_the_profile_lacks():
+def test_the_potential_gap_is_the_integral_of_the_missing_potential():
     """Phi* = 7; Phi = 8 - 7/3, 8 - 3/2, 7, 0 and 6: 4/3 + 1/2 + 0 + 7 + 1."""
     assert potential_gap(by_hand(*GAME)) == pytest.approx(4 / 3 + 8.5, abs=1e-14)
 
@@ -105,8 +105,9 @@ def test_regret_is_that_of_the_better_fixed_action_of_each_pursuer():
     assert regret(result) == pytest.approx(40 / 9 / 6, abs=1e-14)
 
 
-def test_regret_is_negative_for_who_does_better_than_with_any_fixed_action():
-    """phi = (1, 2), r = 8; who is alone has a good reason: pursuer 0 to 1 s gets 7, pursuer 1 from 1 to 2 s gets 6.
+def test_regret_is_negative_for_a_pursuer_that_beats_every_fixed_action():
+    """phi = (1, 2), r = 8; each single active pursuer has a good reason: pursuer 0 to 1 s gets 7, pursuer 1 from 1 to 2
+    s gets 6.
 
     0 would have got 7 + 1/2: regret 1/2. 1 would have got -1/2 + 6: it is 1/2 better off than that.
     """
@@ -160,7 +161,7 @@ def test_the_window_is_twice_the_latency_and_the_mean_time_between_decisions_of_
 @pytest.mark.parametrize(
     ("protocol", "between"), [(Centralised(slot=0.5), 0.5), (Server(period=0.25), 0.25), (Voronoi(slot=0.125), 0.125)]
 )
-def test_the_window_of_who_decides_at_ticks_is_that_of_its_ticks(protocol, between):
+def test_the_window_of_a_pursuer_that_decides_at_ticks_is_that_of_its_ticks(protocol, between):
     """What they decide is on record only if it changes an action."""
     result = by_hand(*GAME)
     scenario = result.scenario.model_copy(update={"protocol": protocol})
@@ -178,7 +179,7 @@ def test_the_window_of_a_big_team_is_that_of_its_first_links_if_all_are_alike():
     assert settling_window(Result(scenario, 0, result.trace)) > 2 * (0.25 + 60.0)
 
 
-def test_who_never_decides_has_settled_if_it_stays_so_to_the_end():
+def test_a_run_without_decisions_has_settled_if_the_relay_chases_alone_to_the_end():
     assert settling_window(by_hand((1.0, 2.0), (True, False), [], 3.0)) == inf
     assert time_to_relay(by_hand((1.0, 2.0), (True, False), [], 3.0)) == 0.0
     assert time_to_relay(by_hand((1.0, 2.0), (False, True), [], 3.0)) is None
@@ -198,8 +199,8 @@ def test_among_equals_the_lowest_id_is_the_relay_pursuer():
         assert misassigned_time(by_hand(both[0], active, [], both[1])) == misassigned
 
 
-def test_nobody_is_to_chase_who_would_be_late():
-    """phi = 8 = r: nobody is right, and the gap is that of who chases, 8 - 9 < 0."""
+def test_no_pursuer_should_chase_if_all_would_be_late():
+    """phi = 8 = r: no pursuer should chase, and the gap is that of the chaser, 8 - 9 < 0."""
     assert misassigned_time(by_hand((8.0, 9.0), (False, False), [], 3.0)) == 0.0
     assert time_to_relay(by_hand((8.0, 9.0), (False, False), [], 3.0)) == 0.0
     assert misassigned_time(by_hand((8.0, 9.0), (True, False), [], 3.0)) == 3.0
@@ -207,7 +208,7 @@ def test_nobody_is_to_chase_who_would_be_late():
     assert misassigned_time(by_hand((7.5, 9.0), (False, False), [], 3.0)) == 3.0
 
 
-def test_who_cannot_capture_is_never_right_and_has_no_regret_and_no_part_in_the_potential():
+def test_a_pursuer_that_cannot_capture_has_no_regret_and_no_part_in_the_potential():
     """Pursuer 1 is no faster than the evader. Alone it is misassigned, with Phi = 0 instead of 6.
 
     Pursuer 0 would gain 6 whatever 1 does, and regrets only to have stayed.
@@ -241,7 +242,7 @@ def test_a_robot_that_is_broken_is_not_the_relay_pursuer():
 
 
 def test_the_time_that_is_left_runs_in_a_pursuit():
-    """phi = 1, nobody active, r = 8 - t: misassigned to 7 s, the gap is the integral of 7 - t, 24.5.
+    """phi = 1, no pursuer active, r = 8 - t: misassigned to 7 s, the gap is the integral of 7 - t, 24.5.
 
     Samples every second have a breakpoint at 7 s, where it changes; the gap is linear but for that.
     """
@@ -271,18 +272,18 @@ def test_a_change_of_relay_between_two_samples_is_seen_at_one_of_them():
         assert misassigned_time(result) == seen
 
 
-def test_after_the_last_sample_everybody_stays_and_before_the_first_they_come_from_the_start():
+def test_positions_stay_after_the_last_sample_and_start_at_the_initial_ones_before_the_first():
     """phi = 4 - t to 2 s, and 2 from then on: the gap of an idle pursuer is 4 x 2 + (6 - t) from 2 to 4 s = 8 + 6."""
     result = by_hand((4.0,), (False,), [], 4.0, frozen=False, samples=[(2.0, (2.0,))])
     assert potential_gap(result) == 14.0
 
 
-def test_in_a_frozen_game_samples_are_not_looked_at():
+def test_in_a_static_game_samples_are_ignored():
     result = by_hand(*GAME, samples=[(0.0, (9.0, 9.0, 0.5)), (6.0, (9.0, 9.0, 0.5))])
     assert misassigned_time(result) == 4.0
 
 
-def test_without_positions_there_is_no_hindsight_and_the_summary_says_none():
+def test_without_positions_there_is_no_hindsight_and_the_summary_has_none():
     result = by_hand(*GAME, frozen=False)
     for metric in METRICS:
         with pytest.raises(ValueError, match=r"set record\.trajectory"):
@@ -308,7 +309,7 @@ CASES = {
 
 @cache
 def negotiated(case, seed, **changes):
-    """Return a run of five pursuers near the evader, some of whom may be too slow."""
+    """Return a run of five pursuers near the evader, some of which may be too slow."""
     near = {"team": Team(count=5, box=(7.0, 13.0), speeds=(1.0, 1.2, 0.8, 1.1, 1.6), active_at_start=0.5)}
     protocol = SpatialAdaptivePlay(schedule=Poisson(rate=4.0))
     links = Links(latency=Constant(value=0.1), loss=Bernoulli(p=0.3))
@@ -316,7 +317,7 @@ def negotiated(case, seed, **changes):
 
 
 @pytest.mark.parametrize("case", ["pursuit", "crashes"])
-def test_the_course_in_parts_is_the_whole_course(case, monkeypatch):
+def test_the_timeline_in_parts_is_the_whole_timeline(case, monkeypatch):
     result = negotiated(case, 1)
     (whole,) = timeline(result)
     expected = [metric(result) for metric in METRICS]
@@ -331,7 +332,7 @@ def test_the_course_in_parts_is_the_whole_course(case, monkeypatch):
         assert [metric(result) for metric in METRICS] == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_course_has_the_active_time_of_the_run():
+def test_the_timeline_has_the_active_time_of_the_run():
     result = negotiated("crashes", 2)
     (whole,) = timeline(result)
     assert (whole.durations > 0).all()
@@ -352,7 +353,7 @@ def test_between_samples_the_times_of_capture_are_nearly_those_of_fine_samples()
 
 
 @pytest.mark.slow
-def test_the_regret_of_a_network_is_what_a_metric_is_beyond_that_of_the_ideal_one():
+def test_the_regret_of_a_network_is_the_excess_of_a_metric_over_the_ideal_network():
     faults, network = 0, 0
     for seed in range(4):
         result = negotiated("crashes", seed)

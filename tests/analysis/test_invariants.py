@@ -84,7 +84,7 @@ def test_the_metrics_are_the_integrals_of_the_trace():
 
 
 @pytest.mark.parametrize(("kind", "words"), [(BrokeDown, "active time"), (Decided, "active time"), (Started, "energy")])
-def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
+def test_a_trace_with_missing_or_wrong_events_is_detected(kind, words):
     """Without the breakdown or the decisions, or with other speeds."""
     watcher = ActiveTimeWatcher()
     result = breakdown(watcher)
@@ -107,7 +107,7 @@ def test_a_trace_in_which_something_is_missing_or_wrong_is_noticed(kind, words):
         ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "no player exceeds its speed"),
     ],
 )
-def test_a_run_that_is_watched_is_judged_by_all(name, wrong, words, monkeypatch):
+def test_a_watched_run_is_checked_against_all_invariants(name, wrong, words, monkeypatch):
     breakdown()
     monkeypatch.setattr(name, wrong(resolve_name(name)))
     with pytest.raises(AssertionError, match=words):
@@ -174,17 +174,17 @@ def game_of(events):
 
 
 @pytest.mark.parametrize("events", RIGHT.values(), ids=RIGHT)
-def test_right_motion_passes(events):
+def test_correct_motion_passes(events):
     show(MotionWatcher(game_of(events)), *events)
 
 
 @pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
-def test_wrong_motion_is_noticed(words, events):
+def test_incorrect_motion_is_detected(words, events):
     with pytest.raises(AssertionError, match=f"no player exceeds its speed.*{words}"):
         show(MotionWatcher(game_of(events)), *events)
 
 
-def test_in_a_frozen_game_nobody_moves():
+def test_in_a_static_game_no_player_moves():
     watcher = MotionWatcher(GAME.model_copy(update={"motion": Motion(static=True)}))
     show(watcher, started(1, 1), sampled(1.0, (0.0, 0.0), (4.0, 0.0)))
     with pytest.raises(AssertionError, match="player 0"):
@@ -208,7 +208,7 @@ def deaf(_):
 
 
 def inert(_):
-    """A breakdown that is told, and does not stop anybody."""
+    """A breakdown that is recorded, and stops no pursuer."""
 
     def crash(self, pursuer):
         self._trace.append(BrokeDown(self._env.now, pursuer))
@@ -225,8 +225,8 @@ def inert(_):
         (World, "crash", inert),
     ],
 )
-def test_a_world_that_moves_players_wrongly_is_noticed(owner, method, break_it, monkeypatch):
-    """The evader is 0.1 % too fast, all jump by 1 um, orders wait for the next step, or who is broken goes on."""
+def test_a_world_that_moves_players_wrongly_is_detected(owner, method, break_it, monkeypatch):
+    """The evader is 0.1 % too fast, all jump by 1 um, actions wait for a step, or a broken down pursuer goes on."""
     breakdown()
     monkeypatch.setattr(owner, method, break_it(getattr(owner, method)))
     with pytest.raises(AssertionError, match="no player exceeds its speed"):
@@ -252,7 +252,7 @@ def decide(*decisions, active=(1, 1), motion=FROZEN, sample=None):
 
 
 def test_decisions_that_raise_the_potential_or_leave_it_pass():
-    """Phi is 30 s less the mean of 1 and 2.8 / 1.5 s, or less 1 s; 0 if nobody chases."""
+    """Phi is 30 s less the mean of 1 and 2.8 / 1.5 s, or less 1 s; 0 if no pursuer chases."""
     assert decide((1, 1, 0), (1, 1, 0), (2, 0, 1), active=(1, 1)) == 3
     assert decide((1, 1, 1), (1, 0, 1), (2, 1, 0), active=(0, 0)) == 3
 
@@ -261,7 +261,7 @@ def test_decisions_that_raise_the_potential_or_leave_it_pass():
     ("active", "decision", "fall"),
     [((1, 1), (1, 0, 0), 0.433333), ((1, 0), (1, 1, 1), 0.433333), ((1, 0), (1, 0, 0), 29.0)],
 )
-def test_a_decision_that_lowers_the_potential_is_noticed(active, decision, fall):
+def test_a_decision_that_lowers_the_potential_is_detected(active, decision, fall):
     """phi = (1, 2.8 / 1.5) s: the mean of both is 13/30 s more than the least and less than the greatest."""
     with pytest.raises(AssertionError, match=f"no decision lowers the potential: Decided.*by {str(fall)[:4]}"):
         decide(decision, active=active)
@@ -269,7 +269,7 @@ def test_a_decision_that_lowers_the_potential_is_noticed(active, decision, fall)
 
 @pytest.mark.parametrize("t", [1.0, 1.5])
 def test_in_motion_decisions_are_judged_at_samples_by_positions_and_time_left_of_that_instant(t):
-    """At 1 s phi = (2.9 / 0.5, 0.9 / 1.5) s; at 1.5 s nobody knows."""
+    """At 1 s phi = (2.9 / 0.5, 0.9 / 1.5) s; at 1.5 s they are unknown."""
     sample = sampled(1.0, (-2.0, 0.0), (2.0, 0.0), evader=(1.0, 0.0))
     assert decide((t, 0, 0), motion=Motion(), sample=sample) == (t == 1.0)
     with pytest.raises(AssertionError, match="lowers") if t == 1.0 else nullcontext():
@@ -337,6 +337,6 @@ def test_serial_play_with_true_knowledge_never_lowers_the_potential():
     ],
     ids=["hot", "at once", "no reply", "another game", "late", "lossy", "cold", "forgetful", "silent", "broken"],
 )
-def test_what_the_theorem_asks_for_is_needed(changes):
+def test_the_assumptions_of_the_theorem_are_necessary(changes):
     """The controls: without any one of its conditions some decisions lower the potential."""
     assert falls(**changes) > 0

@@ -131,7 +131,7 @@ def test_a_pursuer_that_breaks_down_is_no_longer_active_and_that_is_no_switch():
 
 
 def test_energy_is_the_integral_of_the_squared_speeds_of_the_active():
-    """At 2, 1 and 3 m/s for 2, 3 and 1 s: 4 x 2 + 1 x 3 + 9 x 1; who is repeated, halted or late adds nothing."""
+    """At 2, 1 and 3 m/s for 2, 3 and 1 s: 4 x 2 + 1 x 3 + 9 x 1; repeated, halted and late activity adds nothing."""
     result = by_hand((True, False, False), [(1.0, 1, True), (1.5, 1, True), (2.0, 0, False), (3.0, 2, True)], 4.0)
     result.trace.events[0] = result.trace.events[0]._replace(speeds=(2.0, 1.0, 3.0))
     assert energy(result) == 20.0
@@ -144,13 +144,13 @@ def exchange(*relays, start=(True, False, False), end=20.0):
     return by_hand(start, [each for t, i, j in relays for each in ((t, i, False), (t, j, True))], end)
 
 
-def test_a_hand_over_is_a_single_active_pursuer_that_is_another_than_the_last():
+def test_a_handover_is_a_change_of_the_single_active_pursuer():
     """0 -> 1 at 1 s, 1 -> 2 at 2 s."""
     assert handovers(exchange((1.0, 0, 1), (2.0, 1, 2))) == 2
 
 
-def test_nobody_and_several_between_two_single_ones_make_no_difference():
-    """0, nobody, 0 again: none. 0, then 0 and 1, then 1: one. Then 1, all, nobody, 1: none."""
+def test_phases_with_none_or_several_active_do_not_affect_handovers():
+    """0, none, 0 again: no handover. 0, then 0 and 1, then 1: one. Then 1, all, none, 1: no handover."""
     acts = [(1.0, 0, False), (2.0, 0, True)]
     assert handovers(by_hand((True, False, False), acts, 9.0)) == 0
     acts += [(3.0, 1, True), (4.0, 0, False)]
@@ -159,7 +159,7 @@ def test_nobody_and_several_between_two_single_ones_make_no_difference():
     assert handovers(by_hand((True, False, False), acts, 9.0)) == 1
 
 
-def test_who_is_alone_for_no_time_is_no_hand_over():
+def test_being_the_only_active_pursuer_for_zero_time_is_no_handover():
     """Between simultaneous changes, {0, 1} -> {1} -> {1, 2}, and at the end."""
     acts = [(1.0, 1, True), (2.0, 0, False), (2.0, 2, True), (3.0, 2, False), (3.0, 1, False), (3.0, 0, True)]
     assert handovers(by_hand((True, False, False), acts, 9.0)) == 0
@@ -167,12 +167,12 @@ def test_who_is_alone_for_no_time_is_no_hand_over():
     assert handovers(by_hand((True, False, False), [(0.0, 1, True), (0.0, 0, False)], 9.0)) == 0
 
 
-def test_the_first_single_pursuer_and_a_run_without_one_are_no_hand_over():
+def test_the_first_single_active_pursuer_and_a_run_without_one_are_no_handover():
     assert handovers(by_hand((True, True, True), [(1.0, 0, False), (2.0, 2, False)], 9.0)) == 0
     assert handovers(by_hand((False, False), [], 9.0)) == 0
 
 
-def test_a_ping_pong_is_a_hand_over_that_undoes_the_one_before_in_less_than_a_second():
+def test_a_ping_pong_is_a_handover_that_reverts_the_previous_one_within_a_second():
     """0 -> 1 at 1 s, back after 0.75 s (yes), there after 1 s (no), 1 -> 2 and 2 -> 0 at once (no), back (yes)."""
     result = exchange((1.0, 0, 1), (1.75, 1, 0), (2.75, 0, 1), (3.0, 1, 2), (3.25, 2, 0), (3.5, 0, 2))
     assert (handovers(result), ping_pongs(result)) == (6, 2)
@@ -181,8 +181,8 @@ def test_a_ping_pong_is_a_hand_over_that_undoes_the_one_before_in_less_than_a_se
     assert ping_pongs(result, within=0.25) == 0
 
 
-def test_a_ping_pong_counts_from_hand_over_to_hand_over_and_not_from_when_the_other_left():
-    """0 -> 1 at 2 s after a second with nobody; 1 leaves at 2.5 s; 0 is alone again at 2.75 s, 0.75 s after 2 s."""
+def test_a_ping_pong_is_timed_from_handover_to_handover():
+    """0 -> 1 at 2 s after a second with none; 1 leaves at 2.5 s; 0 is alone again at 2.75 s, 0.75 s after 2 s."""
     acts = [(1.0, 0, False), (2.0, 1, True), (2.5, 1, False), (2.75, 0, True)]
     result = by_hand((True, False), acts, 9.0)
     assert ping_pongs(result, within=0.8) == 1
@@ -190,7 +190,7 @@ def test_a_ping_pong_counts_from_hand_over_to_hand_over_and_not_from_when_the_ot
 
 
 def test_the_summary_of_a_run_whose_messages_are_recorded_has_ages_and_errors():
-    """Of 20 pursuers each hears the others at once, so that nobody is wrong; and nobody's word is old when it comes."""
+    """Each of 20 pursuers receives from the others at once: no belief is wrong, and records arrive fresh."""
     result = run(Scenario(horizon=0.5, record=Recording(messages=True)))
     numbers = summary(result)
     assert numbers.belief_error == 0.0
@@ -200,7 +200,7 @@ def test_the_summary_of_a_run_whose_messages_are_recorded_has_ages_and_errors():
     assert numbers.bytes_sent == 24 * numbers.transmissions > 0
 
 
-def test_a_pursuer_alone_has_nobody_to_hear_of():
+def test_a_single_pursuer_has_no_ages_or_belief_errors():
     numbers = summary(run(Scenario(horizon=0.1, team=Team(count=1), record=Recording(messages=True))))
     assert (numbers.age_mean, numbers.age_peak, numbers.age_at_decision, numbers.belief_error) == (None,) * 4
 
@@ -227,7 +227,7 @@ def test_events_that_do_not_concern_a_metric_do_not_change_it(relay):
     assert summary(relay) == before
 
 
-def test_ending_and_messages_are_the_last_words_of_a_trace(relay):
+def test_ending_and_messages_are_the_last_events_of_a_trace(relay):
     assert [messages(relay), ended(relay)] == relay.trace.events[-2:]
 
 
@@ -257,7 +257,7 @@ def test_active_time_is_the_sum_over_the_pursuers_of_how_long_each_was_active(re
 
 @settings(deadline=None)
 @given(histories())
-def test_energy_and_hand_overs_are_what_a_walk_through_the_run_finds(result):
+def test_energy_and_handovers_equal_those_of_a_plain_loop_over_the_trace(result):
     """Tick by tick of 1/8 s, on whose grid everything happens; speeds 1, 2, 3, ... m/s."""
     (start,) = result.trace.of(Started)
     start = start._replace(speeds=tuple(1.0 + i for i in range(len(start.active))))
@@ -279,7 +279,7 @@ def test_energy_and_hand_overs_are_what_a_walk_through_the_run_finds(result):
 
 @settings(deadline=None)
 @given(histories())
-def test_at_every_instant_nobody_is_active_or_one_is_or_the_rest_are_in_excess(result):
+def test_idle_single_and_excess_active_time_cover_the_run(result):
     """n - (n - 1)+ + 1{n = 0} = 1, and crowding is where there is excess."""
     assert active_time(result) - excess_time(result) + idle_time(result) == 10.0
     assert crowded_time(result) <= excess_time(result)
@@ -332,7 +332,7 @@ def test_a_summary_is_plain_numbers_that_survive_json_and_pickle():
     assert pickle.loads(pickle.dumps(numbers)) == numbers
 
 
-def test_what_is_remembered_is_derived_once_for_a_reading_and_anew_for_a_result(relay):
+def test_cached_values_are_derived_once_per_trace_index_and_again_for_a_result(relay):
     calls = []
 
     @remembered

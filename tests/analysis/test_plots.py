@@ -41,7 +41,7 @@ def texts(root) -> list[str]:
 
 @pytest.mark.slow
 def test_trajectories_are_golden():
-    """Who captured is drawn in a style of its own, who never moved where it stood; of two evaders, who captured which.
+    """Capturers have a style of their own, stationary pursuers a point; with two evaders, each capture is drawn.
 
     A captured evader is where its star is; a pursuer that captures twice is drawn once.
     """
@@ -149,7 +149,7 @@ def test_a_name_appears_as_the_text_it_is(tmp_path, name):
 
 
 @pytest.mark.slow
-def test_drawing_leaves_the_style_and_the_luck_of_others_alone(tmp_path):
+def test_drawing_leaves_the_global_style_and_random_generators_unchanged(tmp_path):
     luck = np.random.get_state()[1].tolist()  # noqa: NPY002 - the global generator is the subject
     with mpl.rc_context({"svg.fonttype": "path", "font.size": 17.0, "axes.spines.top": True}):
         style = dict(mpl.rcParams)

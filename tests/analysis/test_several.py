@@ -65,7 +65,7 @@ STORY = by_hand(
 """Evader 1: 0 and 1 to 1 s, 0 to 2 s. Evader 2: 1 from 1 s on, 0 and 1 from 3 s, 0 from 3.5 s, 0 and 2 from 4 s, 2."""
 
 
-def test_a_capture_releases_who_chased_the_evader_and_nobody_else():
+def test_a_capture_releases_only_the_pursuers_that_chased_the_evader():
     found = changes(STORY)
     assert [(each.t / SECOND, each.pursuer, action(each)) for each in found] == [
         *((1.0, 1, 2), (2.0, 0, 0), (3.0, 0, 2), (3.5, 1, 0), (4.0, 2, 2), (5.0, 0, 0), (6.0, 2, 0)),
@@ -73,18 +73,18 @@ def test_a_capture_releases_who_chased_the_evader_and_nobody_else():
     assert [type(each) for each in found if action(each) == 0] == [Released, BrokeDown, Decided, Released]
 
 
-def test_what_is_done_about_each_evader_is_summed_over_those_at_large():
+def test_times_per_evader_are_summed_over_the_uncaptured_evaders():
     numbers = summary(STORY)
     assert numbers.active_time == 2.0 + 2.0 + 1.0 + 2 * 0.5 + 0.5 + 2.0 + 1.0
     assert activity(STORY)[1].tolist() == [2, 2, 1, 2, 1, 2, 1, 0]
-    assert numbers.idle_time == 1.0  # evader 2 in the first second; evader 1 needs nobody after 2 s
+    assert numbers.idle_time == 1.0  # evader 2 in the first second; evader 1 needs no pursuer after 2 s
     assert numbers.crowded_time == numbers.excess_time == 1.0 + 0.5 + 1.0
     assert numbers.active_time - numbers.excess_time + numbers.idle_time == 2.0 + 6.0
     assert numbers.switches == 4
     assert energy(STORY) == 4.0 * numbers.active_time
 
 
-def test_who_captured_which_when_is_in_the_numbers_if_there_are_several():
+def test_the_summary_lists_capturer_and_time_per_evader_if_there_are_several():
     numbers = summary(STORY)
     assert (numbers.captured, numbers.capture_time, numbers.capturer) == (True, 6.0, 1)
     assert (numbers.captures, numbers.mean_capture_time) == (2, 4.0)
@@ -94,7 +94,7 @@ def test_who_captured_which_when_is_in_the_numbers_if_there_are_several():
     assert plain(nobody)["mean_capture_time"] is None
 
 
-def test_a_hand_over_is_from_one_to_another_on_the_same_evader():
+def test_a_handover_is_between_two_pursuers_on_the_same_evader():
     """On evader 1 only 0 is ever alone, 1 leaves it for evader 2; there 1, 0 and 2 are, one after the other."""
     assert relays(STORY) == [(SECOND, 0)]
     assert relays(STORY, 2) == [(SECOND, 1), (7 * SECOND // 2, 0), (5 * SECOND, 2)]
@@ -123,7 +123,7 @@ def test_two_evaders_that_want_the_same_pursuer_are_judged_by_the_best_assignmen
         assert found.relayed.tolist() == [start == (1, 2, 0)]
 
 
-def test_an_evader_that_nobody_chased_as_it_was_captured_is_no_longer_waited_for():
+def test_an_evader_captured_without_a_chaser_no_longer_counts_as_unchased():
     """Pursuer 0 would be best on evader 1 to 2 s, 1 on evader 2; from then on 0 is, on evader 2."""
     other = [np.hypot(3.0, far + 0.5) - 0.5 for far in (1.0, 2.0)]
     found = hindsight(by_hand((0, 0, 0), Captured(2.0, 1, 1)))
@@ -160,14 +160,14 @@ ALL = [(case, evaders) for case in CASES for evaders in (1, 2, 3)]
 
 @cache
 def negotiated(case, evaders, seed):
-    """Return a run of four pursuers, one of whom is too slow for two of the evaders, and which often clash."""
+    """Return a run of four pursuers, one of which is too slow for two of the evaders, and which often clash."""
     return run(Scenario(**BASE | CASES[case] | {"evader": EVADERS[:evaders]}), seed)
 
 
 def replayed(result):
     """Return (begin, until (ns), actions, evaders at large, (N, M) times of capture, time left) piece by piece.
 
-    A piece ends where something changes, or everyone's position is known; phi is that of its middle.
+    A piece ends where something changes, or positions are sampled; phi is that of its middle.
     """
     (start,), (end,), scenario = result.trace.of(Started), result.trace.of(Ended), result.scenario
     known = [start] if scenario.motion.static else [start, *result.trace.of(Sampled)]
@@ -179,7 +179,7 @@ def replayed(result):
         return [np.interp(middle, when, [of(each)[axis] for each in known]) for axis in (0, 1)]
 
     def close(until):
-        """End a piece; nobody moves after the last sample."""
+        """End a piece; positions stay after the last sample."""
         middle = (since + until) / 2
         places = [where(lambda each, i=i: each.pursuers[i], middle) for i in range(len(actions))]
         phi = np.full((len(actions), len(start.evaders)), inf)
@@ -209,7 +209,7 @@ def replayed(result):
 
 
 def best(phi, left):
-    """Return the greatest worth of all ways to send different pursuers, or nobody, to the evaders."""
+    """Return the greatest worth of all ways to send different pursuers, or none, to the evaders."""
     size, evaders = phi.shape
     worths = [[0.0, *(max(left - t, 0.0) for t in phi[:, j])] for j in range(evaders)]
     return max(
@@ -220,7 +220,7 @@ def best(phi, left):
 
 
 def is_best(actions, phi, left):
-    """Return whether at most one pursuer chases each evader, nobody in vain, and no other profile is worth more."""
+    """Return whether at most one pursuer chases each evader, none in vain, and no other profile is worth more."""
     chased = [(i, j) for i, j in enumerate(actions) if j]
     matched = len({j for _, j in chased}) == len(chased)
     in_time = all(phi[i, j - 1] < left for i, j in chased)
@@ -304,7 +304,7 @@ def test_all_numbers_are_what_brute_force_finds(case, evaders, seed):
 
 @pytest.mark.slow
 def test_brute_force_has_something_to_find():
-    """With several evaders there are captures, releases, clashes, crowds, idle evaders, and who goes to another one."""
+    """With several evaders there are captures, releases, clashes, crowds, idle evaders, and changes of evader."""
     runs = [negotiated(case, evaders, seed) for case, evaders in ALL if evaders > 1 for seed in (0, 1)]
     assert sum(len(result.trace.of(Captured)) for result in runs) > 4
     every = [each for result in runs for each in changes(result)]
@@ -321,7 +321,7 @@ def test_brute_force_has_something_to_find():
         assert sum(getattr(each, name) > 0 for each in numbers) > 4
 
 
-def test_the_course_of_each_evader_has_the_same_pieces_and_its_own_chasers():
+def test_the_timeline_of_each_evader_has_the_same_pieces_and_its_own_chasers():
     result = negotiated("pursuit", 3, 0)
     parts = [part for evader in (1, 2, 3) for part in timeline(result, evader)]
     assert all(part.times.tolist() == parts[0].times.tolist() for part in parts)

@@ -64,7 +64,7 @@ def test_the_interval_of_wilson_is_that_of_the_books(successes, trials, low, hig
 
 
 @given(st.integers(1, 1000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
-def test_the_ends_of_the_interval_of_wilson_are_just_as_far_from_the_share_as_their_own_law_allows(case):
+def test_the_ends_of_the_wilson_interval_solve_its_equation(case):
     """(p^ - p)^2 = z^2 p (1 - p) / n at both, one on either side of p^; failures mirror successes."""
     successes, trials = case
     low, high = wilson(successes, trials)
@@ -86,7 +86,7 @@ def test_the_interval_of_wilson_covers_a_rare_event_where_that_of_the_mean_does_
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 2)])
-def test_what_are_no_successes_of_trials_is_an_error(successes, trials):
+def test_impossible_numbers_of_successes_are_an_error(successes, trials):
     with pytest.raises(ValueError, match=f"{successes} of {trials}"):
         wilson(successes, trials)
 
@@ -134,7 +134,7 @@ def test_the_t_interval_covers_the_mean_as_often_as_the_header_says(law, count, 
         assert too_narrow < 0.95 - four_errors(0.95, 4000)
 
 
-def test_the_t_interval_of_two_exponential_times_covers_what_theory_says():
+def test_the_t_interval_of_two_exponential_times_has_the_coverage_of_theory():
     """Their sum S ~ Gamma(2) and |x - y| / S ~ U(0, 1) are independent, and 1 is covered if |S - 2| <= c |x - y|.
 
     With c = t(1, 0.975) and a = 2 / (1 + c), the integral over S of (1 - |S - 2| / (c S))+ is 0.9109.
@@ -180,7 +180,7 @@ def test_the_paired_difference_of_three_pairs_is_that_of_the_tables():
     assert found.half_width == pytest.approx(4.3026527300 * sqrt(7.0 / 3.0), rel=1e-9)
 
 
-def test_what_pairs_have_in_common_costs_no_precision():
+def test_variation_shared_by_pairs_costs_no_precision():
     """Values that differ by 2 in every pair, however much they vary: half width 0, where each mean has 2.27."""
     common = [float(k) for k in range(10)]
     found = paired([each + 2.0 for each in common], common)
@@ -275,7 +275,7 @@ def test_a_look_ends_where_the_half_width_is_at_most_the_target_and_not_before()
     ("ratio", "expected"),
     [(1.49, 45), (1.51, 46), (1.97, 60), (1.0001, 33), (1.09, 33), (1.11, 34), (3.0, 60), (1e300, 60)],
 )
-def test_the_next_look_is_where_the_half_width_predicts_it_between_a_tenth_more_and_twice_as_many(ratio, expected):
+def test_the_next_look_is_where_the_half_width_predicts_within_1_1_and_2_times_the_runs(ratio, expected):
     """n (half width / target)^2 of 30: 44.7, 45.3, 59.1; below 33 it is 33, above 60 it is 60."""
     assert next_look(SIGNS, HALF_30 / sqrt(ratio), at_most=100) == expected
 
@@ -336,7 +336,7 @@ def test_truth_values_among_numbers_are_numbers():
         (0, 30, 100.0, 60),
     ],
 )
-def test_missing_values_are_runs_and_say_nothing_of_the_mean(missing, there, runs, target, expected):
+def test_missing_values_count_as_runs_but_not_towards_the_mean(missing, there, runs, target, expected):
     """Of 30 values in 60 runs 41.7 would do: 83.5 runs. Of fewer than 30, none ends it: 60 * 30 / 20 = 90 have 30."""
     values = [missing] * (runs - there) + SIGNS[:there]
     assert next_look(values, target, at_most=1000) == expected
@@ -410,9 +410,7 @@ def coverage(law, ideal, first_look, studies=2000, at_most=300):
     ("law", "from_30", "from_3"),
     [("normal", 0.952, 0.916), ("exponential", 0.926, 0.799), ("lognormal", 0.884, 0.736), ("rare", 0.756, 0.257)],
 )
-def test_to_stop_when_narrow_enough_covers_the_mean_if_the_first_look_is_at_30_and_not_if_it_is_at_3(
-    law, from_30, from_3
-):
+def test_sequential_stopping_covers_the_mean_with_a_first_look_at_30_runs_and_not_at_3(law, from_30, from_3):
     """The target is what 20 runs would have; 2000 studies: within 4 s.e., at most 0.04.
 
     Negative control: from 3 on.

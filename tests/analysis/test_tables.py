@@ -21,18 +21,18 @@ from tests.view.by_hand import history
 SCENARIO = Scenario(name="relay", team=Team(count=3))
 PACK = SCENARIO.model_copy(update={"evader": (Evader(), Evader(count=2))})
 MANY = SCENARIO.model_copy(update={"evader": Evader(count=30)})
-SILENT = dict.fromkeys(("age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"))
+WITHOUT_AGES = dict.fromkeys(("age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"))
 UNSEEN = dict.fromkeys(("misassigned_time", "time_to_relay", "potential_gap", "regret"))
 CAUGHT = replace(
     summary(history()), seed=7, capture_time=3.9454, end_time=3.9454, active_time=12.7394, idle_time=0.0,
     crowded_time=1.23, excess_time=0.5, energy=16.25, decisions=1358, switches=19, handovers=3, ping_pongs=1,
     messages_sent=6802, messages_delivered=6610, messages_lost=116, messages_in_flight=76,
     messages_lost_by={"out_of_range": 16, "half_duplex": 100}, transmissions=3401, bytes_sent=81624, utilisation=0.0,
-    **SILENT, **UNSEEN,
+    **WITHOUT_AGES, **UNSEEN,
 )  # fmt: skip
 SEEN = replace(CAUGHT, misassigned_time=1.5, time_to_relay=1.25, potential_gap=40.5, regret=-0.125)
 AGES = {"age_mean": 0.0519, "age_peak": 0.1021, "age_at_decision": 0.0498}
-HEARD = replace(CAUGHT, **AGES, utilisation=0.25, belief_error=0.03125, believed_leaders=0.75)
+WITH_AGES = replace(CAUGHT, **AGES, utilisation=0.25, belief_error=0.03125, believed_leaders=0.75)
 ESCAPED = replace(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
 LOSSLESS = replace(CAUGHT, messages_lost=0, messages_lost_by={})
 TAKEN = replace(
@@ -47,7 +47,7 @@ THREE = [
 ]
 RUNS = {
     "captured; 6,802 messages in 0.05 s are 136,040 in a second": (SCENARIO, CAUGHT),
-    "of which word was measured": (SCENARIO, HEARD),
+    "of which word was measured": (SCENARIO, WITH_AGES),
     "of which positions are known": (SCENARIO, SEEN),
     "without losses": (SCENARIO, LOSSLESS),
     "that ended at the horizon": (SCENARIO, ESCAPED),
@@ -59,7 +59,7 @@ RUNS = {
 BATCHES = {
     "0, 3 and 6 s idle: s.e. sqrt(9 / 3), t(2, 0.975) = 4.3027; captured after 2 and 4 s: s.e. 1, t(1, 0.975) = 12.706":
     (SCENARIO, THREE),
-    "word was measured, the peak once": (SCENARIO, [replace(HEARD, age_peak=None), HEARD]),
+    "word was measured, the peak once": (SCENARIO, [replace(WITH_AGES, age_peak=None), WITH_AGES]),
     "the third without positions": (SCENARIO, [SEEN, replace(SEEN, time_to_relay=None, misassigned_time=2.5), CAUGHT]),
     "16 and 0 losses by reach: mean 8, s.e. 8": (SCENARIO, [CAUGHT, LOSSLESS]),
     "one capture has no interval": (SCENARIO, [CAUGHT, ESCAPED]),
@@ -108,7 +108,7 @@ def test_a_mean_has_its_half_width_and_how_many_values_it_is_of_if_not_one_per_r
     assert with_half_width(Estimate(nan, nan, 0), 2) == "-"
 
 
-def test_a_protocol_of_ones_own_is_called_by_its_name():
+def test_a_user_protocol_is_shown_by_its_name():
     def daydream(me):
         yield me.at(0.0)
 

@@ -1,4 +1,4 @@
-"""What is on record of a run: where everyone was, and its messages."""
+"""The record of a run: positions and messages."""
 
 import pytest
 
@@ -27,9 +27,7 @@ def ran(trajectory=0.0, messages=False, **given):
     ("trajectory", "frozen", "moments"),
     [(0.1, False, [0, 0, 100_000_000, 200_000_000]), (0.0, False, [0]), (0.1, True, [0]), (0.0, True, [0])],
 )
-def test_where_everyone_was_is_known_at_the_start_and_at_each_sample_or_always_if_nobody_moved(
-    trajectory, frozen, moments
-):
+def test_positions_are_known_at_samples_or_always_in_a_static_game(trajectory, frozen, moments):
     """The first sample is of the start, too."""
     result = ran(trajectory, motion=Motion(static=frozen))
     assert [each.t for each in samples(result)] == moments
@@ -37,14 +35,14 @@ def test_where_everyone_was_is_known_at_the_start_and_at_each_sample_or_always_i
     assert positions_known(result) == (frozen or trajectory > 0.0)
 
 
-def test_who_needs_samples_is_told_how_to_have_them():
+def test_missing_samples_are_an_error_that_explains_how_to_record_them():
     assert sampled(ran(0.1)) == ran(0.1).trace.of(Sampled)
     with pytest.raises(ValueError, match=r"^positions were not recorded: set record\.trajectory to a time greater"):
         sampled(ran())
 
 
 def test_messages_are_lacking_if_some_were_sent_and_none_is_on_record():
-    """Who sends none lacks none; asked to record them, that is all there is."""
+    """A run that sends none lacks none; if recorded, that is all there is."""
     mute = Centralised()
     assert not messages_recorded(ran())
     assert lacks_messages(ran())
@@ -56,7 +54,7 @@ def test_messages_are_lacking_if_some_were_sent_and_none_is_on_record():
 
 
 def test_a_run_whose_messages_went_to_a_file_has_them_if_its_trace_was_read_from_there():
-    """In memory it has none; `messages` is all that tells of them."""
+    """In memory it has none; only `messages` counts them."""
     result, there = ran(messages="file"), ran(messages=True)
     assert not messages_recorded(result)
     assert result.trace.of(MessageCounts)[0].sent
@@ -65,7 +63,7 @@ def test_a_run_whose_messages_went_to_a_file_has_them_if_its_trace_was_read_from
     assert messages_recorded(Result(result.scenario, result.seed, read))
 
 
-def test_who_needs_messages_is_told_how_to_have_them():
+def test_missing_messages_are_an_error_that_explains_how_to_record_them():
     require_messages(ran(messages=True))
     with pytest.raises(ValueError, match=r"^messages were sent and not recorded: set record\.messages = true"):
         require_messages(ran())

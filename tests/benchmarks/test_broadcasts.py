@@ -27,7 +27,7 @@ def outcome(workload: str) -> Outcome:
 @pytest.mark.parametrize("way", WAYS)  # changes first
 @pytest.mark.parametrize("lap", range(LAPS))
 @pytest.mark.parametrize("workload", WORKLOADS)
-def test_every_way_delivers_the_same(benchmark, workload, lap, way):
+def test_every_implementation_delivers_the_same(benchmark, workload, lap, way):
     benchmark.group = workload
     ready = WAYS[way](WORKLOADS[workload])
     expected = outcome(workload)

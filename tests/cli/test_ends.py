@@ -45,7 +45,7 @@ def file(tmp_path):
     "args",
     [("run",), ("run", "--json"), ("run", "-n", "2"), ("sweep",), ("sweep", "--dry-run"), ("check",), ("--help",)],
 )
-def test_a_stdout_that_is_full_is_told_in_a_line(file, tmp_path, monkeypatch, capsys, args):
+def test_a_full_stdout_is_reported_in_one_line(file, tmp_path, monkeypatch, capsys, args):
     monkeypatch.chdir(tmp_path)
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
@@ -94,7 +94,7 @@ def test_a_module_that_calls_exit_cannot_be_imported(file, tmp_path, monkeypatch
     ],
 )
 def test_a_pipe_is_refused_at_once(file, tmp_path, monkeypatch, line, pipe, args):
-    """To open one waits until somebody writes to it."""
+    """Opening one blocks until a writer opens it."""
     monkeypatch.chdir(tmp_path)
     os.mkfifo(pipe)
     done = desim(*args, *([file(line)] if line else []))
@@ -104,7 +104,7 @@ def test_a_pipe_is_refused_at_once(file, tmp_path, monkeypatch, line, pipe, args
 
 
 @pytest.mark.parametrize("text", ['"hello"', "[]", "1"])
-def test_json_that_is_no_graph_is_told_as_such(file, tmp_path, text):
+def test_json_that_is_not_a_graph_is_reported_as_such(file, tmp_path, text):
     (tmp_path / "graph.json").write_text(text)
     done = desim("check", file('network.graph = { kind = "edges", file = "graph.json" }\n'))
     assert done.exit_code == 2

@@ -152,7 +152,7 @@ class Blob:
         return self.area
 
 
-def test_a_dataclass_of_ones_own_is_written_with_what_it_was_made_of_and_read_again():
+def test_a_user_dataclass_is_written_with_its_fields_and_read_back():
     plain = Drawing(shape=Blob(area=2.0)).plain()["shape"]
     assert plain == {"kind": f"{__name__}:Blob", "area": 2.0}
     assert Drawing(shape=plain).shape == Blob(area=2.0)
@@ -166,7 +166,7 @@ def test_kind_of_a_model_is_its_default():
     ("given", "expected"),
     [({"kind": "square", "side": 3}, Square(side=3.0)), ({"kind": "circle"}, Circle()), (Square(), Square())],
 )
-def test_a_table_is_told_by_its_kind(given, expected):
+def test_a_table_is_discriminated_by_its_kind(given, expected):
     assert Drawing(shape=given).shape == expected
 
 
@@ -180,13 +180,13 @@ def test_a_bare_string_is_a_kind_and_a_bare_number_that_of_which_it_is_the_one_k
 
 
 @pytest.mark.parametrize("given", [{"kind": "triangle"}, {"kind": "square", "radius": 1.0}, "triangle", 3, None])
-def test_what_is_neither_a_table_of_a_kind_nor_callable_is_refused(given):
+def test_a_value_that_is_neither_a_table_with_a_kind_nor_callable_is_refused(given):
     with pytest.raises(ValidationError):
         Drawing(shape=given)
 
 
 @pytest.mark.parametrize("given", [abs, lambda: 1.0], ids=["function", "lambda"])
-def test_what_can_be_called_is_taken_as_it_is(given):
+def test_a_callable_is_accepted_unchanged(given):
     assert Drawing(shape=given).shape is given
 
 
@@ -213,7 +213,7 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
     assert set(groups) == {"shapes"}
 
 
-def test_only_what_a_table_asks_for_is_loaded(monkeypatch):
+def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):
     class Point:
         """An entry point that another distribution installs."""
 
@@ -254,7 +254,7 @@ def test_a_model_is_not_built_before_it_is_used():
         adapter.validate_python({"kind": "oval", "width": 0.0})
 
 
-def test_the_kinds_of_one_of_several_are_told_by_the_schema():
+def test_the_schema_lists_the_kinds_of_a_choice():
     found = TypeAdapter(Annotated[Any, OneOf(Circle, Square, number=("square", "side"))]).json_schema()
     tables, *bare = found["anyOf"]
     assert bare == [{"type": "string", "enum": ["circle", "square"]}, {"type": "number"}]

@@ -60,7 +60,7 @@ def test_an_instant_in_the_past_is_refused():
         Instant(clock, 9, Phase.MOTION)
 
 
-def test_a_clock_that_is_wrong_shows_offset_and_drift_and_knows_the_true_time():
+def test_a_clock_error_is_an_offset_and_a_drift_from_the_true_time():
     """It shows 2 + 1.5 t: 5 s at 2 s, and 3 s of its own are 2 true ones."""
     env = Clock()
     Instant(env, 2 * SECOND, Phase.SAMPLE)
@@ -89,7 +89,7 @@ def test_the_garbage_collector_looks_rarely_during_a_run_and_as_before_after_it(
     assert gc.get_threshold() == usual != RARELY
 
 
-def test_what_a_process_raises_comes_out_as_it_is():
+def test_an_exception_of_a_process_is_raised_unchanged():
     class ParticularError(Exception):
         def __init__(self, code, *, reason="none"):
             super().__init__(code)
@@ -109,7 +109,7 @@ def test_what_a_process_raises_comes_out_as_it_is():
     assert raised.value.__notes__ == ["a note"]
 
 
-def test_what_was_raised_from_something_else_is_not_replaced_by_it():
+def test_an_exception_is_not_replaced_by_its_cause():
     def process():
         yield Instant(env, 5, 0)
         try:

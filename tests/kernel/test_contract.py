@@ -50,14 +50,14 @@ from desim.kernel.network import Network
 from tests.kernel.test_network import Uniform
 
 WAYS = ("publish", "send", "send to all")
-SPOKEN, ARRIVAL = 1.0, 1.5
-"""When the word is spoken, and when it arrives, s."""
+SENT, ARRIVAL = 1.0, 1.5
+"""When the message is sent, and when it arrives, s."""
 ONE_SECOND_EACH = Bitrate(bitrate=160.0)
-"""A word has 20 bytes."""
+"""A message has 20 bytes."""
 
 
 class Outcome(NamedTuple):
-    """What became of a word."""
+    """The outcome of a message."""
 
     fate: str
     tally: tuple[int, int, int, int, dict[str, int]]
@@ -65,18 +65,18 @@ class Outcome(NamedTuple):
     lost_at: list[int]
 
 
-def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None, times=(SPOKEN,)):
-    """Let node 0 say a word to node 1 and return what became of it.
+def outcome_of(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None, times=(SENT,)):
+    """Let node 0 send a message to node 1 and return its outcome.
 
     Args:
-        way: how it is said.
-        faults: what happens.
+        way: how it is sent.
+        faults: the faults to inject.
         away: pairs (from, until) in s during which node 1 is 9 m away, out of a range of 2 m; else it is at 1 m.
-        check: when the range is judged.
+        check: when the range is checked.
         latency: s.
         end: when the run ends, s.
-        medium: what the air is like.
-        times: when the word is spoken, s.
+        medium: the medium of the links.
+        times: when the message is sent, s.
     """
     clock, trace = Clock(), Trace()
 
@@ -90,7 +90,7 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
     )
     inject(faults, clock, network, trace)
     for time in times:
-        Instant(clock, nanoseconds(time), Phase.DECISION).callbacks.append(lambda _: say(network, way))
+        Instant(clock, nanoseconds(time), Phase.DECISION).callbacks.append(lambda _: transmit(network, way))
     Instant(clock, nanoseconds(end), Phase.SAMPLE).callbacks.append(lambda _: trace.append(network.message_counts()))
     clock.run(until=nanoseconds(end) + 1)
     tally = network.message_counts()
@@ -98,7 +98,7 @@ def tell(way, *faults, away=(), check="send", latency=0.5, end=9.0, medium=None,
     return Outcome(fate_of(tally, read), tally[1:6], [event.t for event in trace.of(Lost)])
 
 
-def say(network, way):
+def transmit(network, way):
     if way == "publish":
         network.publish(0, "word")
     else:
@@ -106,7 +106,7 @@ def say(network, way):
 
 
 def fate_of(tally, read):
-    """Return what a tally says of a single word: delivered, the cause of its loss, in flight, or not sent."""
+    """Return the fate of a single message by its counts: delivered, the cause of its loss, in flight, or not sent."""
     assert read == (tally.delivered > 0)
     if read:
         return "delivered"
@@ -117,7 +117,7 @@ def crash(node, at, until=inf, **options):
     return Crash(node=node, start=at, end=until, **options)
 
 
-def parted(at, until=inf):
+def partitioned(at, until=inf):
     return Partition(groups=((0,),), start=at, end=until)
 
 
@@ -127,34 +127,36 @@ def jammed(at, until=inf):
 
 
 def lost(cause, at):
-    """Return the outcome of a word that is lost at a time, s."""
+    """Return the outcome of a message that is lost at a time, s."""
     return cause, (1, 0, 1, 0, {cause: 1}), [nanoseconds(at)]
 
 
-def case(expected, *faults, **story):
-    """Return a case: its fate, tally or whole outcome, perhaps by the way in which it is told; and what happens."""
-    return expected, faults, story
+def case(expected, *faults, **options):
+    """Return a case: its fate, tally or whole outcome, perhaps by the way in which it is sent; and the faults and
+    options.
+    """
+    return expected, faults, options
 
 
 NOT_SENT = ("not sent", (0, 0, 0, 0, {}), [])
-UNHEARD = {"publish": NOT_SENT, "send": lost("out_of_range", SPOKEN), "send to all": NOT_SENT}
+OUT_OF_RANGE = {"publish": NOT_SENT, "send": lost("out_of_range", SENT), "send to all": NOT_SENT}
 CHECKS = ("send", "delivery", "both")
 MEMORY = ({"memory": True}, {"memory": False})
 AT_ONCE = {"latency": 0.0}
 ON_THE_AIR = {"medium": ONE_SECOND_EACH}
-TWICE = {**ON_THE_AIR, **AT_ONCE, "times": (SPOKEN,) * 2}
-AGAIN = {**ON_THE_AIR, "times": (SPOKEN, SPOKEN, 3.0)}
-QUEUED = {**ON_THE_AIR, **AT_ONCE, "times": (SPOKEN,) * 3}
+TWICE = {**ON_THE_AIR, **AT_ONCE, "times": (SENT,) * 2}
+AGAIN = {**ON_THE_AIR, "times": (SENT, SENT, 3.0)}
+QUEUED = {**ON_THE_AIR, **AT_ONCE, "times": (SENT,) * 3}
 PASSED = Jamming(centre=(9.0, 0.0), radius=0.5, start=0.0)
 """A disc that node 1 is in while it is away."""
-STORIES = {
+CASES = {
     "the receiver leaves the range while it flies": [
         case("delivered" if check == "send" else "out_of_range", away=[(since, inf)], check=check)
         for check in CHECKS
         for since in (1.000000001, 1.2, ARRIVAL)
     ],
     "the receiver enters the range while it flies": [
-        case("delivered" if check == "delivery" else UNHEARD, away=[(0.0, until)], check=check)
+        case("delivered" if check == "delivery" else OUT_OF_RANGE, away=[(0.0, until)], check=check)
         for check in CHECKS
         for until in (1.2, ARRIVAL)
     ],
@@ -162,33 +164,34 @@ STORIES = {
         case("delivered", away=[(1.1, 1.4)], check=check) for check in CHECKS
     ],
     "the receiver is never within range": [
-        case("out_of_range" if check == "delivery" else UNHEARD, away=[(0.0, inf)], check=check) for check in CHECKS
+        case("out_of_range" if check == "delivery" else OUT_OF_RANGE, away=[(0.0, inf)], check=check)
+        for check in CHECKS
     ],
     "the range of a word that takes no time is judged at one instant": [
-        *(case("delivered", away=[(0.5, SPOKEN)], check=check, **AT_ONCE) for check in CHECKS),
+        *(case("delivered", away=[(0.5, SENT)], check=check, **AT_ONCE) for check in CHECKS),
         *(
-            case("out_of_range" if check == "delivery" else UNHEARD, away=[(SPOKEN, 1.1)], check=check, **AT_ONCE)
+            case("out_of_range" if check == "delivery" else OUT_OF_RANGE, away=[(SENT, 1.1)], check=check, **AT_ONCE)
             for check in CHECKS
         ),
     ],
-    "a partition begins while it flies": [case(lost("partition", ARRIVAL), parted(at)) for at in (1.2, ARRIVAL)],
-    "a partition begins just after the arrival": [case("delivered", parted(ARRIVAL + 1e-9))],
-    "a partition begins and heals while it flies": [case("delivered", parted(1.1, end)) for end in (1.2, ARRIVAL)],
+    "a partition begins while it flies": [case(lost("partition", ARRIVAL), partitioned(at)) for at in (1.2, ARRIVAL)],
+    "a partition begins just after the arrival": [case("delivered", partitioned(ARRIVAL + 1e-9))],
+    "a partition begins and heals while it flies": [case("delivered", partitioned(1.1, end)) for end in (1.2, ARRIVAL)],
     "a partition is open as it leaves": [
-        case(lost("partition", SPOKEN), parted(start, stop))
-        for start in (0.5, SPOKEN)
+        case(lost("partition", SENT), partitioned(start, stop))
+        for start in (0.5, SENT)
         for stop in (1.000000001, 1.2, ARRIVAL, 2.0)
     ],
-    "a partition heals as it leaves": [case("delivered", parted(0.5, SPOKEN))],
+    "a partition heals as it leaves": [case("delivered", partitioned(0.5, SENT))],
     "a word that takes no time meets the partition of its instant": [
-        case("partition", parted(SPOKEN), **AT_ONCE),
-        case("delivered", parted(0.5, SPOKEN), **AT_ONCE),
-        case("delivered", parted(SPOKEN + 1e-9), **AT_ONCE),
+        case("partition", partitioned(SENT), **AT_ONCE),
+        case("delivered", partitioned(0.5, SENT), **AT_ONCE),
+        case("delivered", partitioned(SENT + 1e-9), **AT_ONCE),
     ],
-    # The second of two words waits from 1 s to 2 s; it leaves as the partition heals, or begins.
+    # The second of two messages waits from 1 s to 2 s; it leaves as the partition heals, or begins.
     "a partition counts as a message leaves the transmitter, not as it is spoken": [
-        case((2, 2, 0, 0, {}), parted(1.5, 2.0), **TWICE),
-        case((2, 0, 2, 0, {"partition": 2}), parted(2.0, 2.5), **TWICE),
+        case((2, 2, 0, 0, {}), partitioned(1.5, 2.0), **TWICE),
+        case((2, 0, 2, 0, {"partition": 2}), partitioned(2.0, 2.5), **TWICE),
     ],
     "the receiver is in a jamming disc as it arrives": [
         case(lost("jamming", ARRIVAL), jammed(at)) for at in (0.5, 1.2, ARRIVAL)
@@ -201,22 +204,22 @@ STORIES = {
         case("jamming", PASSED, away=[(1.1, 1.6)]),
     ],
     "a word that takes no time meets the jamming of its instant": [
-        case("jamming", jammed(SPOKEN), **AT_ONCE),
-        case("delivered", jammed(0.5, SPOKEN), **AT_ONCE),
+        case("jamming", jammed(SENT), **AT_ONCE),
+        case("delivered", jammed(0.5, SENT), **AT_ONCE),
     ],
     "the sender is down when it wants to send": [
         case(NOT_SENT, crash(0, *window), latency=latency)
-        for window in ((0.5, 2.0), (SPOKEN, 1.2), (0.5, 1.000000001))
+        for window in ((0.5, 2.0), (SENT, 1.2), (0.5, 1.000000001))
         for latency in (0.0, 0.5)
     ],
     "the sender recovers as it wants to send": [
-        case("delivered", crash(0, 0.5, SPOKEN), latency=latency) for latency in (0.0, 0.5)
+        case("delivered", crash(0, 0.5, SENT), latency=latency) for latency in (0.0, 0.5)
     ],
     "the sender crashes while it flies": [case("delivered", crash(0, at)) for at in (1.000000001, 1.2, ARRIVAL)],
     # Half transmitted it is worth nothing, though the transmitter may be repaired before it would be over.
     "the sender crashes while it is on the air": [
         case(lost("crash", 2.5), crash(0, *window), **ON_THE_AIR)
-        for window in ((SPOKEN + 1e-9, 1.2), (1.5, inf), (1.999999999, inf))
+        for window in ((SENT + 1e-9, 1.2), (1.5, inf), (1.999999999, inf))
     ],
     "the sender crashes as it has been transmitted": [case("delivered", crash(0, 2.0), **ON_THE_AIR)],
     # One has been transmitted at 2 s and arrives; two wait, and are lost at once.
@@ -225,12 +228,12 @@ STORIES = {
             ("delivered", (3, 1, 2, 0, {"crash": 2}), [nanoseconds(2.0)] * 2),
             crash(0, 2.0),
             **ON_THE_AIR,
-            times=(SPOKEN,) * 3,
+            times=(SENT,) * 3,
         )
     ],
     # Faults come first: at 2 s the transmitter is free, and the node down.
     "the sender crashes as the next would leave": [
-        case((2, 1, 1, 0, {"crash": 1}), crash(0, 2.0), **ON_THE_AIR, times=(SPOKEN,) * 2)
+        case((2, 1, 1, 0, {"crash": 1}), crash(0, 2.0), **ON_THE_AIR, times=(SENT,) * 2)
     ],
     # Spoken at 1 s, 1 s, 3 s: the first two are lost at 1.2 s, the third leaves at 3 s and arrives at 4.5 s.
     "what it says after its recovery is not held up by what was lost": [
@@ -248,9 +251,9 @@ STORIES = {
         case("delivered", crash(1, 1.1, 1.2, **memory)) for memory in MEMORY
     ],
     "a word that takes no time meets the crash of its instant": [
-        case("crash", crash(1, SPOKEN), **AT_ONCE),
-        case("delivered", crash(1, 0.5, SPOKEN), **AT_ONCE),
-        case("delivered", crash(1, SPOKEN + 1e-9), **AT_ONCE),
+        case("crash", crash(1, SENT), **AT_ONCE),
+        case("delivered", crash(1, 0.5, SENT), **AT_ONCE),
+        case("delivered", crash(1, SENT + 1e-9), **AT_ONCE),
     ],
     "the run ends while it flies": [case(("in flight", (1, 0, 0, 1, {}), []), end=1.2), case("delivered", end=ARRIVAL)],
     "the run ends while messages wait": [
@@ -261,13 +264,13 @@ STORIES = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("cases", STORIES.values(), ids=STORIES)
-def test_what_becomes_of_a_message(cases, way):
-    for expected, faults, story in cases:
-        outcome = tell(way, *faults, **story)
+@pytest.mark.parametrize("cases", CASES.values(), ids=CASES)
+def test_the_outcome_of_a_message(cases, way):
+    for expected, faults, options in cases:
+        outcome = outcome_of(way, *faults, **options)
         wanted = expected[way] if isinstance(expected, dict) else expected
         found = outcome.fate if isinstance(wanted, str) else outcome.tally if len(wanted) == 5 else outcome
-        assert found == wanted, (faults, story)
+        assert found == wanted, (faults, options)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -276,7 +279,7 @@ def test_the_receiver_crashes_after_the_arrival(way, memory):
     """It has been delivered in any case; whether it is remembered is another matter."""
     clock, fault_state = Clock(), FaultState()
     network = Network(clock, nx.complete_graph(2), fault_state=fault_state)
-    say(network, way)
+    transmit(network, way)
     inject([crash(1, 1.0, 2.0, memory=memory)], clock, network)
     clock.run()
     assert network.message_counts()[1:5] == (1, 1, 0, 0)
@@ -285,15 +288,15 @@ def test_the_receiver_crashes_after_the_arrival(way, memory):
 
 def test_several_causes_at_one_arrival_count_as_the_first_of_crash_partition_jamming_and_reach():
     def cause(*faults):
-        return tell("send", *faults, away=[(1.1, inf)], check="delivery").fate
+        return outcome_of("send", *faults, away=[(1.1, inf)], check="delivery").fate
 
-    everything = [crash(1, 1.2), parted(1.2), Jamming(centre=(9.0, 0.0), radius=0.5, start=1.2)]
+    everything = [crash(1, 1.2), partitioned(1.2), Jamming(centre=(9.0, 0.0), radius=0.5, start=1.2)]
     assert [cause(*everything[k:]) for k in range(4)] == ["crash", "partition", "jamming", "out_of_range"]
 
 
 @pytest.mark.parametrize("fault_state", [None, FaultState()])
-def test_mail_that_arrives_at_one_instant_is_read_in_the_order_in_which_it_was_sent(fault_state):
-    """Node 1 speaks at 0 s and its mail takes 2 s; node 0 speaks at 1 s and its mail takes 1 s."""
+def test_messages_arriving_at_one_instant_are_read_in_sending_order(fault_state):
+    """Node 1 transmits at 0 s with 2 s of latency; node 0 transmits at 1 s with 1 s."""
     clock = Clock()
     links = Links(latency=lambda context, rng: 2.0 if context.src else 1.0)
     network = Network(clock, nx.complete_graph(3), links, fault_state=fault_state)
@@ -372,12 +375,12 @@ def observe(make, graph, links, acts, seed, **options):
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(histories())
-def test_landing_by_events_is_observationally_equal_to_arriving_without(history):
+def test_delivery_by_events_is_observationally_equal_to_delivery_without_events(history):
     """Conditions in which nothing is ever broken change nothing that can be read, counted or traced."""
     assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
 
 
-def test_the_comparison_notices_a_landing_that_is_a_nanosecond_late():
+def test_the_comparison_detects_a_delivery_one_nanosecond_late():
     """The control of the property above, for records and for mail."""
 
     class Late(Network):

@@ -1,4 +1,4 @@
-"""The trace: what is kept, and what is shown to whom; and what events tell of messages."""
+"""The trace: recording, watchers, and the fields of message events."""
 
 import pytest
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.own_trace
         ((), (), []),
     ],
 )
-def test_a_broadcast_tells_when_it_reaches_whom_also_if_all_are_alike(dst, arrival, fates):
+def test_a_broadcast_event_has_the_arrival_time_of_each_receiver_even_if_all_are_equal(dst, arrival, fates):
     assert list(Broadcast(0, 0, 0, 1, dst, arrival, 0, 24, None).fates()) == fates
 
 
@@ -25,7 +25,7 @@ def test_a_broadcast_without_a_time_for_each_receiver_is_refused():
         list(Broadcast(0, 0, 0, 1, (1, 2, 3), (5, 6), 0, 24, None).fates())
 
 
-def test_a_message_to_one_tells_when_it_reaches_that_one():
+def test_a_unicast_event_has_the_arrival_time_of_its_receiver():
     assert list(Sent(0, 0, 0, 1, 5, 0, 24, None).fates()) == [(1, 5)]
     assert list(Sent(0, 0, 0, 1, LOST, 0, 24, None).fates()) == [(1, LOST)]
 
@@ -48,6 +48,6 @@ def test_only_a_watcher_that_returns_true_stops_the_run():
     assert stops == [2]
 
 
-def test_a_trace_that_nobody_wants_messages_of_says_so():
+def test_a_trace_reports_whether_any_watcher_needs_messages():
     assert not Trace(messages=False).wants_messages
     assert Trace([print], messages=False).wants_messages

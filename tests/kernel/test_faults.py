@@ -31,26 +31,28 @@ from desim.scenario.scenario import Team
 PERIOD = SECOND // 10
 
 
-def who_hears_whom(size, *faults, positions=None, until=1.0):
-    """Return at which tenths of a second a word of src reaches dst, by (src, dst); everybody speaks at every tenth."""
+def receptions(size, *faults, positions=None, until=1.0):
+    """Return the tenths of a second at which a message of src reaches dst, by (src, dst); every node sends at each
+    tenth.
+    """
     clock, trace = Clock(), Trace()
     at = None if positions is None else lambda: positions(clock.now / SECOND)
     network = Network(clock, nx.complete_graph(size), trace=trace, positions=at, fault_state=FaultState(at))
     inject(faults, clock, network, trace)
     heard = {(src, dst): set() for src in range(size) for dst in range(size) if src != dst}
 
-    def speak(tenth):
+    def transmit(tenth):
         for node in range(size):
             network.send(node, None, tenth)
 
-    def listen(tenth):
+    def receive(tenth):
         for node in range(size):
             for message in network.inbox(node).drain():
                 heard[message.src, node].add(message.body)
 
     for tenth in range(round(10 * until)):
-        Instant(clock, tenth * PERIOD, Phase.DECISION).callbacks.append(lambda _, k=tenth: speak(k))
-        Instant(clock, tenth * PERIOD, Phase.SAMPLE).callbacks.append(lambda _, k=tenth: listen(k))
+        Instant(clock, tenth * PERIOD, Phase.DECISION).callbacks.append(lambda _, k=tenth: transmit(k))
+        Instant(clock, tenth * PERIOD, Phase.SAMPLE).callbacks.append(lambda _, k=tenth: receive(k))
     clock.run()
     trace.append(network.message_counts())
     return heard
@@ -66,7 +68,7 @@ ALWAYS = tenths(0, 10)
 def test_a_node_whose_radio_is_down_neither_sends_nor_receives():
     """Node 1 of three is down from 0.3 s until 0.6 s, at which it is up."""
     up = ALWAYS - tenths(3, 6)
-    assert who_hears_whom(3, Crash(node=1, start=0.3, end=0.6)) == {
+    assert receptions(3, Crash(node=1, start=0.3, end=0.6)) == {
         (0, 1): up,
         (1, 0): up,
         (1, 2): up,
@@ -84,16 +86,16 @@ def test_a_node_is_up_when_all_its_crashes_are_over(second, down):
     """One from 0.2 s until 0.6 s, and one that overlaps, lies within, follows, is the same, or contains it."""
     crashes = [Crash(node=0, start=at, end=until) for at, until in ((0.2, 0.6), second)]
     for order in (crashes, crashes[::-1]):
-        assert who_hears_whom(2, *order)[0, 1] == ALWAYS - tenths(*down)
+        assert receptions(2, *order)[0, 1] == ALWAYS - tenths(*down)
 
 
 @pytest.mark.parametrize("scope", ["radio", "robot"])
 def test_to_the_network_every_crash_is_one_of_the_radio(scope):
-    assert who_hears_whom(2, Crash(node=0, start=0.5, scope=scope))[0, 1] == tenths(0, 5)
+    assert receptions(2, Crash(node=0, start=0.5, scope=scope))[0, 1] == tenths(0, 5)
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_a_node_recovers_with_or_without_what_it_knew(memory):
+def test_a_node_recovers_with_or_without_its_memory(memory):
     """Node 1 knew of 0 and 2 and had mail on two ports; node 2 forgets nothing; what comes later is kept."""
     clock = Clock()
     network = Network(clock, nx.complete_graph(3), fault_state=FaultState())
@@ -113,7 +115,7 @@ def test_a_node_recovers_with_or_without_what_it_knew(memory):
     assert network.latest_records(1)[2][1].body == "later"
 
 
-def test_a_node_without_memory_learns_again_what_it_had_heard():
+def test_a_node_that_lost_its_memory_accepts_known_records_again():
     """A record that is older than what was forgotten is news: it is the newest that is known."""
     clock = Clock()
     network = Network(clock, nx.complete_graph(2), fault_state=FaultState())
@@ -136,14 +138,14 @@ def test_a_node_without_memory_learns_again_what_it_had_heard():
     ],
 )
 def test_a_partition_separates_its_groups_and_all_others_form_one_more(groups, together):
-    found = who_hears_whom(5, Partition(groups=groups, start=0.0))
+    found = receptions(5, Partition(groups=groups, start=0.0))
     pairs = {(src, dst) for group in together for src in group for dst in group if src != dst}
     assert {pair for pair, when in found.items() if when} == pairs
 
 
-def test_partitions_that_overlap_separate_whom_either_does():
+def test_overlapping_partitions_separate_the_nodes_that_either_separates():
     """{0 1 | 2 3} from 0.2 s until 0.6 s, {0 2 | 1 3} from 0.4 s until 0.8 s; 0 and 3 are separated by both."""
-    heard = who_hears_whom(
+    heard = receptions(
         4, Partition(groups=[(0, 1)], start=0.2, end=0.6), Partition(groups=[(0, 2)], start=0.4, end=0.8)
     )
     assert heard[0, 1] == heard[3, 2] == ALWAYS - tenths(4, 8)
@@ -154,7 +156,7 @@ def test_partitions_that_overlap_separate_whom_either_does():
 @pytest.mark.parametrize("inner", [(0.4, 0.6), (0.4, 0.8), (0.2, 0.6)])
 def test_a_partition_within_an_equal_one_heals_only_itself(inner):
     outer = Partition(groups=[(0,)], start=0.2, end=0.8)
-    heard = who_hears_whom(2, outer, Partition(groups=[(0,)], start=inner[0], end=inner[1]))
+    heard = receptions(2, outer, Partition(groups=[(0,)], start=inner[0], end=inner[1]))
     assert heard[0, 1] == ALWAYS - tenths(2, 8)
 
 
@@ -162,27 +164,27 @@ def in_a_row(*xs):
     return lambda time: np.array([[x, 0.0] for x in xs])
 
 
-def test_a_jamming_disc_deafens_who_is_inside_and_lets_him_be_heard_outside():
+def test_a_node_inside_a_jamming_disc_can_send_but_not_receive():
     """Nodes at x = 0, 1, 5 m; a disc of 1 m around the first from 0.3 s until 0.6 s, and its rim belongs to it."""
     jam = Jamming(centre=(0.0, 0.0), radius=1.0, start=0.3, end=0.6)
-    heard = who_hears_whom(3, jam, positions=in_a_row(0.0, 1.0, 5.0))
+    heard = receptions(3, jam, positions=in_a_row(0.0, 1.0, 5.0))
     jammed = ALWAYS - tenths(3, 6)
     assert heard == {(0, 1): jammed, (1, 0): jammed, (2, 0): jammed, (2, 1): jammed, (0, 2): ALWAYS, (1, 2): ALWAYS}
 
 
-def test_discs_are_undone_one_by_one_and_deafen_each_its_own():
+def test_jamming_discs_end_one_by_one_and_each_affects_only_the_nodes_inside():
     """Nodes at x = 0, 5, 9 m; two discs around the first that overlap in time, and one around the last."""
     discs = [(0.0, 0.1, 0.7), (0.0, 0.3, 0.5), (9.0, 0.3, inf)]
     jams = [Jamming(centre=(x, 0.0), radius=1.0, start=at, end=until) for x, at, until in discs]
-    heard = who_hears_whom(3, *jams, positions=in_a_row(0.0, 5.0, 9.0))
+    heard = receptions(3, *jams, positions=in_a_row(0.0, 5.0, 9.0))
     assert heard[0, 1] == heard[2, 1] == ALWAYS
     assert heard[1, 0] == heard[2, 0] == ALWAYS - tenths(1, 7)
     assert heard[0, 2] == heard[1, 2] == tenths(0, 3)
 
 
-def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
+def test_a_moving_node_receives_nothing_while_inside_a_jamming_disc():
     """Node 0 moves along x at 10 m/s: after k tenths of a second it is at k m; the disc covers 3 m to 5 m."""
-    heard = who_hears_whom(
+    heard = receptions(
         2,
         Jamming(centre=(4.0, 0.0), radius=1.0 + 1e-9, start=0.0),
         positions=lambda time: np.array([[10.0 * time, 0.0], [99.0, 0.0]]),
@@ -190,7 +192,7 @@ def test_who_moves_through_a_disc_is_deaf_while_he_is_inside():
     assert heard == {(1, 0): ALWAYS - {3, 4, 5}, (0, 1): ALWAYS}
 
 
-def test_faults_are_told_as_they_begin_and_end_and_hooks_hear_of_crashes():
+def test_faults_are_recorded_at_start_and_end_and_hooks_are_called_on_crashes():
     clock, trace, calls = Clock(), Trace(), []
     network = Network(clock, nx.complete_graph(3), fault_state=FaultState())
     crash = Crash(node=1, start=0.2, end=0.5)
@@ -321,7 +323,7 @@ def test_equal_seeds_draw_equal_plans_and_others_do_not(plan):
     assert draw_faults([plan], 4, 10.0, 5) != draw_faults([plan], 4, 10.0, 6)
 
 
-def test_what_a_plan_draws_does_not_depend_on_other_plans_or_on_faults_that_are_given():
+def test_random_faults_do_not_depend_on_other_plans_or_given_faults():
     first, second, given = RandomFaults(rate=5.0), RandomCrashes(rate=1.0), Crash(node=0, start=1.0)
     alone = draw_faults([first], 4, 10.0, 5)
     assert draw_faults([given, first], 4, 10.0, 5) == [given, *alone]
@@ -366,7 +368,7 @@ def test_a_fault_that_makes_no_sense_is_refused(model, fields, about):
         (Crash(node=0, start=1.0), None, "fault_state"),
     ],
 )
-def test_a_fault_that_a_network_does_not_know_of_is_refused(fault, fault_state, why):
+def test_a_fault_that_does_not_fit_the_network_is_refused(fault, fault_state, why):
     clock = Clock()
 
     def go():

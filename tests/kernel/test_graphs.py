@@ -33,7 +33,7 @@ def test_a_complete_graph_is_not_listed():
     assert Complete()(10**9).degree(7) == 10**9 - 1
 
 
-def test_a_star_has_its_centre_where_it_is_told():
+def test_a_star_has_the_given_centre():
     star = Star(centre=3)(5)
     assert sorted(star.adj[3]) == [0, 1, 2, 4]
     assert [sorted(star.adj[node]) for node in (0, 1, 2, 4)] == [[3]] * 4
@@ -215,7 +215,7 @@ def test_a_number_is_a_constant_latency_or_a_probability_of_loss():
     assert as_model("loss", Bernoulli(p=1.0)) == Bernoulli(p=1.0)
 
 
-def test_a_link_knows_its_ways():
+def test_a_link_has_its_directions():
     lossy = {"loss": Bernoulli(p=0.5)}
     assert Link(src=2, dst=0, **lossy).ways() == [(2, 0)]
     assert Link(src=2, dst=0, both_ways=True, **lossy).ways() == [(2, 0), (0, 2)]

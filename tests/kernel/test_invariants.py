@@ -29,7 +29,7 @@ def sent(t, arrival, *, flight=0, src=0, dst=1, created=None):
     return Sent(t, flight, src, dst, arrival, t if created is None else created, 24, None)
 
 
-def told(t, arrival, *, dst=(1, 2), flight=0, created=None):
+def broadcast(t, arrival, *, dst=(1, 2), flight=0, created=None):
     return Broadcast(t, flight, 0, 1, dst, arrival, t if created is None else created, 24, None)
 
 
@@ -54,13 +54,13 @@ RIGHT = {
     "in flight": [sent(1, 5), message_counts(4, 0, 1)],
     "lost as it leaves": [sent(1, LOST), lost(1), message_counts(4, loss=1)],
     "lost as it arrives": [sent(1, 5), lost(5, "out_of_range"), message_counts(9, out_of_range=1)],
-    "a broadcast to all alike": [told(1, (5,)), message_counts(5, 2)],
-    "a broadcast to each by itself": [told(1, (5, LOST)), lost(1, dst=2), message_counts(4, 0, 1, loss=1)],
-    "a broadcast to one": [told(1, (5,), dst=(2,)), message_counts(5, 1)],
-    "a broadcast to nobody": [told(1, (), dst=()), message_counts(5)],
+    "a broadcast to all alike": [broadcast(1, (5,)), message_counts(5, 2)],
+    "a broadcast to each by itself": [broadcast(1, (5, LOST)), lost(1, dst=2), message_counts(4, 0, 1, loss=1)],
+    "a broadcast to one": [broadcast(1, (5,), dst=(2,)), message_counts(5, 1)],
+    "a broadcast to nobody": [broadcast(1, (), dst=()), message_counts(5)],
     "several tallies": [message_counts(0), sent(1, 5), message_counts(2, 0, 1), message_counts(5, 1)],
     "waiting": [queued(1), message_counts(9, 0, 1)],
-    "waiting, then delivered": [queued(1, dst=(1, 2)), told(3, (5,), created=1), message_counts(5, 2)],
+    "waiting, then delivered": [queued(1, dst=(1, 2)), broadcast(3, (5,), created=1), message_counts(5, 2)],
     "lost while it waits": [queued(1), lost(2, "crash"), message_counts(9, crash=1)],
     "a loss to nobody": [message_counts(0, queue=0)],
     "down until it arrives": [FaultStarted(0, CRASH), sent(1, 5), FaultEnded(5, CRASH), message_counts(5, 1)],
@@ -80,8 +80,17 @@ RIGHT = {
         sent(1, 5),
         message_counts(9, 1),
     ],
-    "one of all lost as it arrives": [told(1, (5,)), lost(5, "out_of_range"), message_counts(9, 1, out_of_range=1)],
-    "one of all waits no more": [queued(1, dst=(1, 2)), lost(2), told(3, (5,), dst=(2,)), message_counts(9, 1, loss=1)],
+    "one of all lost as it arrives": [
+        broadcast(1, (5,)),
+        lost(5, "out_of_range"),
+        message_counts(9, 1, out_of_range=1),
+    ],
+    "one of all waits no more": [
+        queued(1, dst=(1, 2)),
+        lost(2),
+        broadcast(3, (5,), dst=(2,)),
+        message_counts(9, 1, loss=1),
+    ],
     "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), message_counts(6, 1, 1)],
     "a fault begins as it is lost": [
         sent(1, LOST, dst=2),
@@ -104,12 +113,12 @@ WRONG = {
     "waiting, not counted": ("in flight", [queued(1, dst=(1, 2)), message_counts(9, 0, 1)]),
     "waiting counted once more as it leaves": ("sent", [queued(1), sent(3, 5, created=1), message_counts(5, 2)]),
     "arrives before it left": ("before it was transmitted", [sent(5, 4)]),
-    "one arrives before it left": ("before it was transmitted", [told(5, (6, 4))]),
+    "one arrives before it left": ("before it was transmitted", [broadcast(5, (6, 4))]),
     "leaves before it was created": ("before it was created", [sent(5, 6, created=7)]),
     "time runs backwards": ("backwards", [sent(5, 6), sent(4, 6, flight=1)]),
     "leaves twice": ("once", [sent(1, 5), sent(2, 5)]),
     "leaves twice at once": ("once", [sent(1, 5), sent(1, 6)]),
-    "leaves twice for one of all": ("once", [told(1, (5,), dst=(2, 2))]),
+    "leaves twice for one of all": ("once", [broadcast(1, (5,), dst=(2, 2))]),
     "leaves now and then": ("once", [sent(1, 5), sent(2, 5, dst=2)]),
     "lost later than it left": (
         "only a message in flight",
@@ -132,7 +141,7 @@ WRONG = {
         "reaches 1",
         [*[FaultStarted(0, CRASH)] * 2, sent(1, 5), FaultEnded(2, CRASH), message_counts(9, 1)],
     ),
-    "one of all is down": ("reaches 1", [told(1, (5,)), FaultStarted(3, CRASH), message_counts(9, 2)]),
+    "one of all is down": ("reaches 1", [broadcast(1, (5,)), FaultStarted(3, CRASH), message_counts(9, 2)]),
     "sender is down": ("sends nothing", [FaultStarted(0, CRASH), sent(1, 5, src=1, dst=0)]),
     "down sender waits": ("sends nothing", [FaultStarted(0, Crash(node=0, start=0.0)), queued(1)]),
     "left across a partition": ("transmitted across", [FaultStarted(0, PARTITION), sent(1, 5)]),
@@ -154,19 +163,19 @@ def watch(events, **options):
 
 
 @pytest.mark.parametrize("events", RIGHT.values(), ids=RIGHT)
-def test_a_right_history_passes(events):
+def test_a_correct_history_passes(events):
     watch(events)
 
 
 @pytest.mark.parametrize(("words", "events"), WRONG.values(), ids=WRONG)
-def test_a_wrong_history_is_noticed(words, events):
+def test_an_incorrect_history_is_detected(words, events):
     """The text says what is wrong, and has an event of those that happened."""
     with pytest.raises(AssertionError, match=words) as failure:
         watch(events)
     assert any(str(event) in str(failure.value) for event in events)
 
 
-def test_what_was_delivered_is_judged_soon_and_at_the_end_without_a_tally():
+def test_deliveries_are_checked_soon_and_at_the_end_without_message_counts():
     """64 transmissions are left unjudged if all arrive at once; at the end, none that arrived before the last event."""
     with pytest.raises(AssertionError, match="has a Lost event"):
         watch([sent(0, LOST), *(sent(k, k, flight=k) for k in range(1, 65))])
@@ -178,7 +187,7 @@ def test_what_was_delivered_is_judged_soon_and_at_the_end_without_a_tally():
             watcher.judge()
 
 
-def test_what_is_long_in_flight_is_judged_when_it_arrives():
+def test_a_message_long_in_flight_is_checked_when_it_arrives():
     """300 transmissions that take 1000 ns, sent one after the other."""
     events = [sent(k, k + 1000, flight=k) for k in range(300)]
     watch([*events, message_counts(999, 0, 300)])
@@ -187,14 +196,14 @@ def test_what_is_long_in_flight_is_judged_when_it_arrives():
         watch([*events, message_counts(1100, 100, 200)])
 
 
-def test_overtaking_is_noticed_on_links_that_are_first_in_first_out():
+def test_overtaking_is_detected_on_fifo_links():
     watch(
         [sent(1, 9), sent(2, 9, flight=1), sent(2, 5, flight=2, dst=2), sent(3, 5, flight=3, src=1, dst=0)], fifo=True
     )
     with pytest.raises(AssertionError, match="overtakes"):
         watch(RIGHT["overtaking"], fifo=True)
     with pytest.raises(AssertionError, match="overtakes"):
-        watch([told(1, (9, 5)), told(2, (8, 7), flight=1)], fifo=True)
+        watch([broadcast(1, (9, 5)), broadcast(2, (8, 7), flight=1)], fifo=True)
 
 
 def live(seed, network=Network, links=None, faults=(), size=5, **options):
@@ -212,7 +221,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     net = network(clock, graph, links, seed=seed, positions=positions, trace=trace, fault_state=fault_state)
     inject(draw_faults(faults, size, 1.0, seed), clock, net, trace)
 
-    def speak(node, dst, number):
+    def transmit(node, dst, number):
         if number % 2:
             net.publish(node, number)
         else:
@@ -221,7 +230,7 @@ def live(seed, network=Network, links=None, faults=(), size=5, **options):
     for number in range(60):
         node, dst = rng.integers(size, size=2).tolist()
         act = Instant(clock, int(rng.integers(100)) * SECOND // 100, Phase.DECISION + node)
-        act.callbacks.append(lambda _, n=node, d=dst, k=number: speak(n, d, k))
+        act.callbacks.append(lambda _, n=node, d=dst, k=number: transmit(n, d, k))
     for tenth in range(11):
         count = Instant(clock, tenth * SECOND // 10, Phase.SAMPLE)
         count.callbacks.append(lambda _: trace.append(net.message_counts()))
@@ -248,15 +257,15 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
     live(seed, links=links, faults=faults, fifo=order == "fifo")
 
 
-class Deaf(Network):
-    """It loses what arrives, and does not say so."""
+class SilentLoss(Network):
+    """It loses an arriving message and does not record it."""
 
     def _land(self, transmission, nodes, airtime, event):
         super()._land(transmission, nodes[1:], airtime, event)
 
 
-class Talkative(Network):
-    """Who is down may speak."""
+class SendsWhenDown(Network):
+    """A node that is down may transmit."""
 
     def _transmit(self, src, *rest, **options):
         fault_state, self._fault_state = self._fault_state, None
@@ -278,7 +287,7 @@ class Leaky(Network):
         self._lost[cause] += len(nodes)
 
 
-class Vague(Network):
+class WrongCauses(Network):
     """It takes every loss for one by chance, in its count."""
 
     def message_counts(self):
@@ -301,16 +310,16 @@ CRASHES = (RandomFaults(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
 @pytest.mark.parametrize(
     ("network", "faults", "words"),
     [
-        (Deaf, ALL_SORTS, "sent, delivered, lost, in flight"),
-        (Talkative, CRASHES, "sends nothing"),
+        (SilentLoss, ALL_SORTS, "sent, delivered, lost, in flight"),
+        (SendsWhenDown, CRASHES, "sends nothing"),
         (Unbreakable, ALL_SORTS, "no message reaches"),
         (Leaky, ALL_SORTS, "no message reaches|has a Lost event"),
-        (Vague, ALL_SORTS, "lost by cause"),
+        (WrongCauses, ALL_SORTS, "lost by cause"),
         (Doubling, ALL_SORTS, "once"),
     ],
 )
 @pytest.mark.parametrize("seed", range(3))
-def test_a_broken_network_is_noticed(network, faults, words, seed):
+def test_a_broken_network_is_detected(network, faults, words, seed):
     live(seed, Network, SLOW, faults)
     with pytest.raises(AssertionError, match=words):
         live(seed, network, SLOW, faults)
@@ -344,7 +353,7 @@ ONE = {
     "sent again": [*ROUND[:2], passed(3, 0, 1, 1, 1)],
     "kept for a hop": [ROUND[0], passed(5, 1, 0, 1, 3)],
     "a new epoch": [ROUND[0], passed(5, 2, 1, 2, 1), passed(6, 1, 2, 2, 2)],
-    "other bodies": [sent(1, 2), *ROUND, told(4, (5,))],
+    "other bodies": [sent(1, 2), *ROUND, broadcast(4, (5,))],
     "sent again after a new epoch": [ROUND[0], passed(5, 2, 1, 2, 1), passed(6, 0, 1, 1, 1)],
 }
 TWO_OF_ONE_EPOCH = {
@@ -369,18 +378,18 @@ def test_one_token_passes(events):
 
 
 @pytest.mark.parametrize("events", TWO_OF_ONE_EPOCH.values(), ids=TWO_OF_ONE_EPOCH)
-def test_two_tokens_of_one_epoch_are_noticed_at_any_time(events):
+def test_two_tokens_of_one_epoch_are_detected_at_any_time(events):
     with pytest.raises(AssertionError, match="an epoch has one token"):
         watch_token(OneToken(Pass), events)
 
 
 @pytest.mark.parametrize(("settled", "noticed"), [(None, False), (9, False), (8, True)])
-def test_two_tokens_are_noticed_when_all_is_settled(settled, noticed):
+def test_two_tokens_are_detected_once_the_network_is_calm(settled, noticed):
     with pytest.raises(AssertionError, match="one token is left") if noticed else nullcontext():
         assert watch_token(OneToken(Pass, settled=settled), OLD) == 8
 
 
-def test_of_those_who_are_cut_off_each_part_may_have_a_token():
+def test_each_part_of_a_partition_may_have_a_token():
     apart = [passed(1, 0, 1, 1, 1), passed(2, 2, 3, 2, 1), passed(3, 1, 0, 1, 2), passed(4, 3, 2, 2, 2)]
     assert [watch_token(OneToken(Pass, group, settled=0), apart) for group in ([0, 1], [2, 3])] == [-1, -1]
     assert watch_token(OneToken(Pass), apart) == 4

@@ -203,7 +203,7 @@ def context_at(at, src, dst):
 BASE = Gamma(offset=0.02, shape=2.5, scale=0.01)
 
 
-def test_a_pair_keeps_its_latency_whenever_it_is_asked_and_whoever_is_asked_with_it():
+def test_the_latency_of_a_pair_does_not_depend_on_query_time_or_on_the_other_pairs_queried():
     model, rng = PerPair(base=BASE), np.random.default_rng(0)
     together = model(LinkContext(3, np.array([5, 6, 7]), now=0.0, seed=11), rng)
     alone = [model(LinkContext(3, np.array([node]), now=4.5, size=99, seed=11), rng)[0] for node in (5, 6, 7)]
@@ -236,7 +236,7 @@ def test_the_latencies_of_the_pairs_are_distributed_as_their_base(symmetric):
 
 
 @pytest.mark.slow
-def test_the_jitter_is_added_to_every_message_anew():
+def test_the_jitter_is_drawn_independently_for_every_message():
     """Over the pairs, mean and variance are the sums of those of base and jitter; over a pair's messages, the jitter's.
 
     5 seeds x 10^5, within 5 standard errors; the control is a jitter 5 % off.
@@ -259,8 +259,8 @@ def test_the_jitter_is_added_to_every_message_anew():
 
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("room", [2**22, 60, 0])
-def test_a_run_remembers_what_the_model_says_of_each_pair(symmetric, room, monkeypatch):
-    """Draw by draw, whoever speaks first and to whom, and however many are remembered; the control is another seed."""
+def test_a_run_caches_the_latency_of_each_pair(symmetric, room, monkeypatch):
+    """Draw by draw, in any order of senders and receivers and with any cache size; the control is another seed."""
     monkeypatch.setattr("desim.kernel.latency.ROOM", room)
     model = PerPair(base=BASE, jitter=Uniform(), symmetric=symmetric)
     run, ours, theirs = model.start_run(30), np.random.default_rng(2), np.random.default_rng(2)
@@ -344,7 +344,7 @@ def test_a_file_of_other_things_is_refused_with_its_name_and_the_line(tmp_path, 
         ("binary", "binary cannot be read"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_told_by_its_name(tmp_path, name, why):
+def test_an_unreadable_file_is_reported_by_its_name(tmp_path, name, why):
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(ValidationError, match=why):
         Empirical.model_validate({"file": name}, context={"folder": tmp_path})
@@ -356,7 +356,7 @@ def test_a_list_needs_at_least_one_time(given):
         Empirical.model_validate(given)
 
 
-def test_a_model_of_one_s_own_may_be_a_base():
+def test_a_user_model_may_be_a_base():
     """Anything with a call and quantiles."""
     own = type("Own", (SimpleNamespace,), {"__call__": lambda self, context, rng: 0.0, "quantile": lambda self, u: u})()
     latencies = PerPair(base=own)(LinkContext(0, np.arange(1, 5)), None)

@@ -45,12 +45,12 @@ def test_bernoulli_loses_its_share(p):
     assert worst(Bernoulli(p=p + 0.1 * min(p, 1 - p)), min) > 5
 
 
-def test_bernoulli_draws_ahead_what_it_would_draw_hop_by_hop():
+def test_bernoulli_draws_in_advance_equal_those_hop_by_hop():
     model, rng, ahead = Bernoulli(p=0.3), np.random.default_rng(1), np.random.default_rng(1)
     assert [*model(context(links=7), rng), *model(context(links=2), rng)] == model.draw(9, ahead).tolist()
 
 
-def test_nothing_and_everything_are_certain_and_no_loss_draws_nothing():
+def test_loss_probabilities_0_and_1_are_certain_and_no_loss_draws_no_random_numbers():
     rng = np.random.default_rng(1)
     assert Bernoulli()(context(), rng) is Bernoulli(p=0.0)(context(), rng) is False
     assert rng.random() == np.random.default_rng(1).random()
@@ -217,7 +217,7 @@ def test_links_are_independent_of_each_other_also_the_two_ways(model):
 
 
 def test_a_link_remembers_across_broadcasts_and_single_messages():
-    """With a burst of 10^6 messages a link stays as it is, whoever else is spoken to."""
+    """With a burst of 10^6 messages a link stays as it is, whichever other links are used."""
     run, rng = GilbertElliott(share=0.5, burst=1e6).start_run(101), np.random.default_rng(0)
     first = run(context(links=100), rng)
     assert 20 < first.sum() < 80
@@ -225,7 +225,7 @@ def test_a_link_remembers_across_broadcasts_and_single_messages():
     assert [bool(run(LinkContext(0, np.array([node])), rng)[0]) for node in range(1, 101)] == first.tolist()
 
 
-def test_links_that_are_used_later_leave_those_before_as_they_were_and_are_links_of_their_own():
+def test_links_used_later_are_independent_of_earlier_ones_and_leave_them_unchanged():
     """With a burst of 10^6 messages: first every third of 100 nodes, then from the far end all."""
     run, rng = GilbertElliott(share=0.5, burst=1e6).start_run(101), np.random.default_rng(0)
     first = run(LinkContext(0, np.arange(1, 101, 3)), rng)
@@ -246,7 +246,7 @@ def test_only_links_that_are_used_take_room():
     tracemalloc.stop()
 
 
-def test_every_run_begins_anew_and_the_model_stays_as_it_was():
+def test_every_run_starts_with_fresh_state_and_leaves_the_model_unchanged():
     model = GilbertElliott(share=SHARE, burst=BURST)
     assert (history(model, range(5), 1) == history(model, range(5), 1)).all()
     assert model == GilbertElliott(share=SHARE, burst=BURST)

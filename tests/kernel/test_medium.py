@@ -48,9 +48,7 @@ def data_sheet(size, factor, bandwidth, rate, preamble, crc, implicit):
     crc=st.booleans(),
     implicit=st.booleans(),
 )
-def test_every_lora_frame_takes_what_the_formula_of_the_data_sheet_gives(
-    size, factor, bandwidth, rate, preamble, crc, implicit
-):
+def test_the_airtime_of_every_lora_frame_follows_the_data_sheet(size, factor, bandwidth, rate, preamble, crc, implicit):
     ours = LoRa(
         spreading_factor=factor,
         bandwidth=float(bandwidth),
@@ -88,7 +86,7 @@ def test_slow_symbols_carry_two_bits_less():
     assert LoRa(spreading_factor=12, bandwidth=500_000.0)(24) * 4e3 == pytest.approx(1318.912, abs=0.05)
 
 
-def test_a_queue_is_unlimited_unless_told_and_infinity_survives_json():
+def test_a_queue_is_unlimited_by_default_and_infinity_survives_json():
     assert Bitrate(bitrate=1.0).queue_limit == inf
     assert Bitrate.model_validate(Bitrate(bitrate=1.0).plain()) == Bitrate(bitrate=1.0)
     assert Bitrate(bitrate=1.0, queue_limit=3).queue_limit == 3
@@ -109,7 +107,7 @@ def test_the_presets_are_the_ones_that_are_described():
 
 
 @pytest.mark.parametrize(("factor", "airtime"), DATA_SHEET.items())
-def test_24_bytes_over_lora_take_what_the_data_sheet_says_and_its_presets_share_one_channel(factor, airtime):
+def test_24_bytes_over_lora_take_the_time_of_the_data_sheet_and_its_presets_share_one_channel(factor, airtime):
     medium = Links(preset=f"lora_sf{factor}").medium
     for each in (medium, LoRa(spreading_factor=factor)):
         assert each(24) * 1e3 == pytest.approx(airtime, abs=0.05)
@@ -117,7 +115,7 @@ def test_24_bytes_over_lora_take_what_the_data_sheet_says_and_its_presets_share_
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_what_is_given_beside_a_preset_stands(name):
+def test_values_given_beside_a_preset_override_it(name):
     links = Links.model_validate(
         {"preset": name, "latency": {"kind": "constant", "value": 1.0}, "medium": {"kind": "unlimited"}, "range": 5.0}
     )

@@ -46,7 +46,7 @@ def test_an_action_takes_24_bytes_with_its_time_32_with_position_and_speed_48():
         ((True, np.arange(4)), 40),
     ],
 )
-def test_a_body_takes_what_is_in_it(body, expected):
+def test_the_size_of_a_body_is_that_of_its_contents(body, expected):
     assert size_of(body) == 16 + expected
 
 
@@ -55,14 +55,14 @@ def test_the_names_of_a_named_tuple_are_not_sent():
 
 
 @pytest.mark.parametrize("body", [None, 7, "order", (1, (2.0, None)), namedtuple("Word", "active")(True)])
-def test_what_cannot_change_is_sent_without_a_copy(body):
+def test_immutable_bodies_are_sent_without_a_copy(body):
     assert as_sent(body) is body
 
 
 @pytest.mark.parametrize("way", ["send", "publish", "set_initial_belief"])
 @pytest.mark.parametrize("body", [[1, [2]], {"who": [3]}, (4, [5])])
 def test_a_body_that_is_changed_later_arrives_as_it_was_sent(way, body):
-    """Also if it is changed deep inside, and after it was read: what was heard does not change either."""
+    """Also if it is changed deep inside, and after it was read: the received body does not change either."""
     clock, before = Clock(), deepcopy(body)
     network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1.0)))
     getattr(network, way)(0, *([None] if way == "send" else []), body)

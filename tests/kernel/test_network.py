@@ -169,8 +169,8 @@ def test_publish_is_observationally_equal_to_one_event_per_record(history):
     assert lazy == observe(Marked, *history) == observe(Glancer, *history)
 
 
-def test_the_comparison_notices_a_network_that_is_a_nanosecond_late():
-    """The control of the property above: records that arrive 1 ns late are told apart."""
+def test_the_comparison_detects_a_network_one_nanosecond_late():
+    """The control of the property above: records that arrive 1 ns late are detected."""
 
     class Late(EagerNetwork):
         def deliver(self, node, arrival, record):
@@ -180,7 +180,7 @@ def test_the_comparison_notices_a_network_that_is_a_nanosecond_late():
     assert observe(EagerNetwork, *history) != observe(Late, *history)
 
 
-def test_a_presumed_record_gives_way_to_the_first_that_arrives():
+def test_an_initial_belief_is_replaced_by_the_first_record_that_arrives():
     clock = Clock()
     network = Network(clock, nx.complete_graph(3), Links(latency=Constant(value=1e-9)))
     network.set_initial_belief(0, "presumed")
@@ -193,7 +193,7 @@ def test_a_presumed_record_gives_way_to_the_first_that_arrives():
 
 
 @pytest.mark.parametrize("latency", [Constant(), Uniform(0.0)], ids=["alike", "per receiver"])
-def test_reading_does_not_lend_out_the_networks_own_table(latency):
+def test_reading_returns_a_copy_of_the_networks_table(latency):
     network = Network(Clock(), nx.complete_graph(3), Links(latency=latency), predicate="a".__eq__)
     network.set_initial_belief(2, "presumed")
     network.publish(0, "a")
@@ -203,7 +203,7 @@ def test_reading_does_not_lend_out_the_networks_own_table(latency):
     assert [record.body for _, record in network.matching(1).values()] == ["a"]
 
 
-def test_a_node_without_memory_has_forgotten_what_was_marked_and_presumed_and_may_hear_of_it_again():
+def test_a_node_without_memory_forgets_matching_records_and_initial_beliefs():
     network = Network(Clock(), nx.complete_graph(3), fault_state=FaultState(), predicate=bool)
     network.set_initial_belief(0, "presumed")
     network.insert(1, network.next_record(0, "told"))
@@ -232,8 +232,8 @@ def test_a_record_arrives_when_it_first_does():
     assert [network.matching(node)[0] for node in (1, 2)] == [(0, record), (SECOND, record)]
 
 
-def test_a_record_that_waits_for_its_transmitter_does_not_replace_what_was_whispered_meanwhile():
-    """The second record leaves and arrives after the third was passed on by word of mouth."""
+def test_a_queued_record_does_not_replace_a_newer_unicast_record():
+    """The second record leaves and arrives after the third was inserted directly."""
     clock = Clock()
     network = Network(clock, nx.path_graph(3), Links(medium=Bitrate(bitrate=8 * size_of("slow"))))
     network.publish(0, "slow")
@@ -258,13 +258,13 @@ def listening(clock, network, node, seen, times=1, port=""):
 
 
 @pytest.mark.parametrize("senders", [(1,), (3, 1, 2)])
-def test_mail_wakes_its_receiver_at_its_arrival_when_all_of_that_instant_is_there(senders):
+def test_a_message_wakes_its_receiver_once_all_messages_of_that_instant_have_arrived(senders):
     """So it does at once if it is there already: 7 ns later."""
     clock = Clock()
     network = Network(clock, nx.complete_graph(4), Links(latency=Constant(value=0.5)))
     seen = []
 
-    def listen():
+    def receive():
         yield from listening(clock, network, 0, seen)
         yield clock.timeout(SECOND // 2 + 7)
         yield from listening(clock, network, 0, seen)
@@ -272,7 +272,7 @@ def test_mail_wakes_its_receiver_at_its_arrival_when_all_of_that_instant_is_ther
     for node in senders:
         network.send(node, 0, node)
     Instant(clock, SECOND // 2, Phase.SAMPLE).callbacks.append(lambda _: network.send(1, 0, "early"))
-    run_process(clock, listen())
+    run_process(clock, receive())
     assert seen == [(SECOND // 2, [*senders]), (SECOND + 7, ["early"])]
 
 
@@ -282,7 +282,7 @@ def test_a_timeout_never_swallows_a_message():
     network = Network(clock, nx.complete_graph(2), Links(latency=Constant(value=2.0)))
     seen = []
 
-    def listen():
+    def receive():
         inbox = network.inbox(1)
         yield inbox.arrival() | clock.timeout(SECOND)
         seen.append((clock.now, inbox.drain()))
@@ -292,7 +292,7 @@ def test_a_timeout_never_swallows_a_message():
         seen.append((clock.now, inbox.drain()))
 
     network.send(0, 1, "late")
-    run_process(clock, listen())
+    run_process(clock, receive())
     assert seen == [(SECOND, []), (3 * SECOND, ["late"]), (4 * SECOND, [])]
 
 
@@ -302,12 +302,12 @@ def test_a_link_carries_any_number_of_messages_at_once():
     trace = Trace()
     network = Network(clock, nx.complete_graph(2), Links(latency=Constant(value=1.0)), trace=trace)
 
-    def speak():
+    def transmit():
         for k in range(5):
             network.send(0, 1, k)
             yield clock.timeout(SECOND // 10)
 
-    run_process(clock, speak())
+    run_process(clock, transmit())
     arrivals = [event.arrival for event in trace.of(Sent)]
     assert [b - a for a, b in pairwise(arrivals)] == [SECOND // 10] * 4
     assert arrivals[0] == SECOND
@@ -327,13 +327,13 @@ def test_a_message_to_a_node_out_of_reach_is_lost_and_counted():
 
 @pytest.mark.parametrize("latency", [Constant(value=0.02), Uniform(0.05), Uniform(0.05, per_hop=0.0)])
 @pytest.mark.parametrize("p", [0.0, 0.25, 1.0])
-def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
+def test_every_sent_message_is_delivered_lost_or_in_flight_at_any_time(latency, p):
     """The tally of the running network equals the count over its trace, for records and messages together."""
     clock = Clock()
     trace = Trace()
     network = Network(clock, nx.complete_graph(5), Links(latency=latency, loss=Bernoulli(p=p)), trace=trace)
 
-    def speak():
+    def transmit():
         for k in range(60):
             network.publish(k % 5, k)
             network.send((k + 1) % 5, None if k % 2 else (k + 2) % 5, k)
@@ -347,7 +347,7 @@ def test_what_was_sent_is_delivered_lost_or_in_flight_at_any_moment(latency, p):
             flying = sum(a > now for a in arrivals)
             assert network.message_counts()[:5] == (now, len(arrivals), len(arrivals) - lost - flying, lost, flying)
 
-    run_process(clock, speak())
+    run_process(clock, transmit())
 
 
 @pytest.mark.parametrize("bad", [-1e-9, -1.0, float("nan"), float("inf")])
@@ -389,12 +389,12 @@ def test_a_node_that_never_reads_does_not_cost_ever_more_memory():
     clock = Clock()
     network = Network(clock, nx.complete_graph(5), Links(latency=Uniform(0.01)))
 
-    def speak():
+    def transmit():
         for k in range(30_000):
             network.publish(k % 4, k)
             yield Instant(clock, clock.now + SECOND // 1000, Phase.DECISION)
 
-    run_process(clock, speak())
+    run_process(clock, transmit())
     Instant(clock, clock.now + SECOND, Phase.SAMPLE)
     clock.run()
     assert len(network._records._waiting[4]) < 10_000
@@ -418,7 +418,7 @@ def test_messages_that_arrive_at_one_instant_arrive_in_the_order_in_which_they_w
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.lists(st.integers(0, 9), max_size=5)), max_size=20))
-def test_mail_is_read_as_it_arrives_whenever_it_is_read(steps):
+def test_messages_are_read_in_order_of_arrival_however_late_they_are_read(steps):
     """In each step so many ns pass, the box is emptied, and messages leave that arrive so many ns later."""
     clock = Clock()
     boxes, number, waiting = [Inbox(clock, 0)], 0, []
@@ -435,7 +435,7 @@ def test_mail_is_read_as_it_arrives_whenever_it_is_read(steps):
     assert not waiting
 
 
-def test_mail_that_arrives_before_what_was_sent_before_it_wakes_its_receiver_first():
+def test_a_message_that_overtakes_another_wakes_its_receiver_first():
     clock = Clock()
     network = Network(clock, nx.complete_graph(3), Links(latency=lambda context, rng: (0.0, 3.0, 1.0)[context.src]))
     seen = []
@@ -447,19 +447,19 @@ def test_mail_that_arrives_before_what_was_sent_before_it_wakes_its_receiver_fir
 
 
 @pytest.mark.parametrize("latency", [Constant(value=1.0), Uniform(1.0)], ids=["alike", "per receiver"])
-def test_a_message_to_all_wakes_all_who_wait_in_the_order_of_ids_and_lies_in_every_box(latency):
+def test_a_broadcast_wakes_all_waiting_receivers_in_id_order_and_reaches_every_inbox(latency):
     clock = Clock()
     network = Network(clock, nx.complete_graph(4), Links(latency=latency))
     woken = {node: [] for node in (2, 3, 1)}
     order = []
 
-    def listen(node):
+    def receive(node):
         yield network.inbox(node, "port").arrival()
         order.append(node)
         woken[node] = [message.body for message in network.inbox(node, "port").drain()]
 
     for node in woken:
-        clock.process(listen(node))
+        clock.process(receive(node))
     Instant(clock, 1, Phase.SAMPLE).callbacks.append(lambda _: network.send(0, None, "all", port="port"))
     clock.run(until=3 * SECOND)
     assert woken == {node: ["all"] for node in (1, 2, 3)}
@@ -475,7 +475,7 @@ def test_a_message_to_all_wakes_all_who_wait_in_the_order_of_ids_and_lies_in_eve
         (1, 1, "node 1 should not send messages to itself"),
     ],
 )
-def test_a_message_to_nobody_else_is_refused(src, dst, why):
+def test_a_message_to_oneself_or_to_an_unknown_node_is_refused(src, dst, why):
     network = Network(Clock(), nx.complete_graph(3))
     with pytest.raises(ValueError, match=why):
         network.send(src, dst, "x")
@@ -483,7 +483,7 @@ def test_a_message_to_nobody_else_is_refused(src, dst, why):
         network.publish(-1, "x")
 
 
-def test_a_broadcast_to_nobody_is_recorded_as_such():
+def test_a_broadcast_without_receivers_is_recorded_as_such():
     trace = Trace()
     Network(Clock(), nx.empty_graph(2), trace=trace).publish(0, "x")
     assert trace.of(Broadcast) == [Broadcast(0, 0, 0, 1, (), (), 0, 17, "x")]
@@ -491,13 +491,13 @@ def test_a_broadcast_to_nobody_is_recorded_as_such():
 
 @pytest.mark.parametrize("fault_state", [None, FaultState()], ids=["noted at sending", "settled on arrival"])
 @pytest.mark.parametrize("count", [1, 2, 4])
-@pytest.mark.parametrize("speak", [lambda net: net.publish(0, "x"), lambda net: net.send(0, None, "x")])
-def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(speak, count, fault_state):
+@pytest.mark.parametrize("transmit", [lambda net: net.publish(0, "x"), lambda net: net.send(0, None, "x")])
+def test_no_receiver_is_forgotten_or_invented_by_a_latency_model_that_miscounts(transmit, count, fault_state):
     """A transmission to 3 whose model answers for 1, 2 or 4 is refused as it leaves; nothing of it arrives."""
     clock = Clock()
     links = Links(latency=lambda context, rng: [0.5] * count)
     network = Network(clock, nx.complete_graph(4), links, fault_state=fault_state)
     with pytest.raises(ValueError, match=f"each of 3 links, got {count}"):
-        speak(network)
+        transmit(network)
     clock.run(until=SECOND)
     assert not any(network.latest_records(node) or network.inbox(node).drain() for node in range(4))

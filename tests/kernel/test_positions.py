@@ -1,4 +1,4 @@
-"""Positions: of everybody or of some, from what knows both and from a plain function."""
+"""Positions: of all nodes or of some, from a position source and from a plain function."""
 
 from math import inf
 
@@ -30,12 +30,12 @@ class OfSome:
         return AT[nodes]
 
 
-def test_what_knows_the_positions_of_some_is_taken_as_it_is():
+def test_a_position_source_with_subset_queries_is_used_directly():
     some = OfSome()
     assert as_position_source(some) is some
 
 
-def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in_place_or_return_a_list():
+def test_a_position_function_is_called_each_time_and_may_reuse_its_array_or_return_a_list():
     at = AT.copy()
     positions = as_position_source(lambda: at)
     assert positions.fastest == inf
@@ -46,19 +46,19 @@ def test_a_plain_function_is_asked_for_all_each_time_and_may_change_its_array_in
     assert as_position_source(AT.tolist).of(np.array([1])).tolist() == [[3.0, 4.0]]
 
 
-def test_distances_are_those_to_one_of_them():
+def test_distances_are_relative_to_one_node():
     """3-4-5 and 6-8-10 triangles."""
     assert distances(AT, 0).tolist() == [0.0, 5.0, 10.0, 1.0]
     assert distances(AT, -1).tolist() == [1.0, np.hypot(3.0, 3.0), np.hypot(6.0, 7.0), 0.0]
 
 
-def test_the_hops_of_a_transmission_ask_for_its_own_ends_only():
+def test_a_transmission_asks_only_for_the_positions_of_its_ends():
     some = OfSome()
     assert LinkContext(0, np.array([1, 2]), positions=some).distances.tolist() == [5.0, 10.0]
     assert some.asked == [3]
 
 
-def test_a_jamming_disc_asks_for_the_one_it_may_be_about():
+def test_a_jamming_disc_asks_only_for_the_position_of_the_receiver():
     some = OfSome()
     fault_state = FaultState(some)
     fault_state.jam(((3.0, 3.0), 1.0))
@@ -67,7 +67,7 @@ def test_a_jamming_disc_asks_for_the_one_it_may_be_about():
 
 
 @pytest.mark.parametrize("graph", [nx.star_graph(3), nx.DiGraph(nx.star_graph(3))])
-def test_a_sparse_graph_asks_for_who_is_linked_only(graph):
+def test_a_sparse_graph_asks_only_for_the_positions_of_linked_nodes(graph):
     some = OfSome()
     topology = Topology(graph, 5.0, some)
     assert topology.hearers(0) == [1, 3]

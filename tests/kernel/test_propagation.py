@@ -77,7 +77,7 @@ def test_losses_are_exactly_the_draws_that_their_stream_gives():
     assert found == (stream(7, "loss").random(len(found)) < 0.3).tolist()
 
 
-def test_losses_and_latencies_do_not_share_their_luck():
+def test_losses_and_latencies_use_separate_random_streams():
     """Latencies stay as they are whatever is lost, so that runs with and without loss are paired."""
     models = [Bernoulli(), Bernoulli(p=0.5), GilbertElliott()]
     found = []
@@ -91,7 +91,7 @@ def test_losses_and_latencies_do_not_share_their_luck():
     assert found[0] == found[1] == found[2]
 
 
-def test_what_asks_for_positions_gets_them_at_every_message():
+def test_models_that_need_positions_get_them_for_every_message():
     at = np.array([[0.0, 0.0], [300.0, 0.0]])
     trip = sampler(Links(latency=Propagation(), loss=ByDistance(distance=600.0)), 2, positions=lambda: at)
     assert trip.arrivals(0, [1], 0, 0, 24) == [SECOND // 5]
@@ -119,7 +119,7 @@ def test_a_link_of_its_own_takes_its_own_time_and_no_other_does(model):
             assert (found[~changed] == plain[~changed]).all()
 
 
-def test_the_links_of_an_edge_s_attributes_are_both_ways_in_a_graph_and_one_way_in_a_directed_one():
+def test_link_attributes_of_an_edge_apply_both_ways_unless_the_graph_is_directed():
     for graph, back in ((nx.complete_graph(3), 9.0), (nx.complete_graph(3, nx.DiGraph), 0.5)):
         graph.edges[0, 1]["latency"] = 9.0
         links = Links(latency=Constant(value=0.5))
@@ -134,7 +134,7 @@ def test_a_link_that_is_named_comes_before_the_attribute_of_its_edge():
     assert delays(links, 1, [0, 2], graph=graph).tolist() == [[2.0, 1.0]]
 
 
-def test_what_a_link_does_not_name_is_that_of_the_network():
+def test_a_link_inherits_unset_properties_from_the_network():
     links = Links(latency=Constant(value=1.0), link=(Link(src=0, dst=1, loss=Bernoulli(p=1.0)),))
     assert delays(links, 0, [1, 2]).tolist() == [[1.0, 1.0]]
     links = Links(loss=Bernoulli(p=1.0), link=(Link(src=0, dst=1, latency=Constant(value=2.0)),))
@@ -166,7 +166,7 @@ def test_bursts_of_a_link_of_its_own_go_on_from_message_to_message():
     assert len({trip.losses(0, [1], 0, 24)[0] for _ in range(50)}) == 2
 
 
-def test_an_ideal_network_loses_nothing_and_says_so():
+def test_an_ideal_network_loses_nothing_and_reports_it():
     assert sampler(Links()).lossless
     assert sampler(Links(link=[Link(src=0, dst=1, loss=Bernoulli())])).lossless
     assert not sampler(Links(link=[Link(src=0, dst=1, loss=Bernoulli(p=0.1))])).lossless
@@ -225,7 +225,7 @@ def test_without_fifo_messages_overtake():
 
 @pytest.mark.parametrize("own", [None, "fifo"])
 @pytest.mark.parametrize("order", ["fifo", "overtaking"])
-def test_fifo_mail_is_read_in_the_order_in_which_it_was_sent(order, own):
+def test_fifo_messages_are_read_in_sending_order(order, own):
     clock = Clock()
     links = Links(latency=Uniform(high=1.0), order=order, link=(Link(src=0, dst=1, order=own),) if own else ())
     net = Network(clock, nx.complete_graph(2), links, seed=3)
@@ -267,7 +267,7 @@ def test_times_are_rounded_to_the_nanosecond_and_not_cut_off():
     assert sampler(Links(latency=Uniform(low=1.6e-9, high=1.6e-9))).arrivals(0, [1], 0, 0, 24) == [2]
 
 
-def test_nobody_waits_for_a_message_that_is_lost():
+def test_a_lost_message_does_not_delay_later_ones():
     """Half of the messages are lost; one that is not arrives when it would, or with the last before it that arrived."""
     clock, trace = Clock(), Trace()
     links = Links(latency=Uniform(high=1.0), loss=Bernoulli(p=0.5), order="fifo")
@@ -275,12 +275,12 @@ def test_nobody_waits_for_a_message_that_is_lost():
     network = Network(clock, nx.complete_graph(2), links, seed=7, trace=trace)
     expected, latest = [], 0
 
-    def speak():
+    def transmit():
         for _ in range(200):
             network.send(0, 1, "x")
             yield clock.timeout(SECOND // 100)
 
-    clock.process(speak())
+    clock.process(transmit())
     clock.run()
     for sent in trace.of(Sent):
         (alone,) = free.arrivals(0, [1], sent.t, 0, 24)

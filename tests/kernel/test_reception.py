@@ -55,7 +55,7 @@ def test_log_distance_reaches_half_at_the_range_and_all_at_no_distance():
 
 @pytest.mark.parametrize("model", MODELS)
 @given(st.lists(st.floats(0.0, 1e9), min_size=2, max_size=20), st.floats(1e-3, 1e6), st.sampled_from([0.25, 2.0, 8.0]))
-def test_reception_is_a_probability_that_falls_with_distance_and_knows_no_other_length(model, apart, reach, factor):
+def test_reception_is_a_decreasing_probability_of_the_distance_in_units_of_the_range(model, apart, reach, factor):
     d = np.sort(apart)
     p = model(d, reach)
     assert ((p >= 0.0) & (p <= 1.0)).all()
@@ -65,14 +65,14 @@ def test_reception_is_a_probability_that_falls_with_distance_and_knows_no_other_
 
 @pytest.mark.parametrize("model", [*MODELS, LogDistance(exponent=2.0, shadowing=1.0), LogDistance(shadowing=12.0)])
 def test_beyond_its_bound_nothing_is_received_and_a_little_nearer_something_may(model):
-    """The luck of a pair is at least 2^-53, see `desim.kernel.seeds`; a message arrives if its probability is more."""
+    """A pair's uniform is at least 2^-53, see `desim.kernel.seeds`; a message arrives if its probability is greater."""
     far = bound(model, 10.0)
     assert model(np.array([np.nextafter(far, inf)]), 10.0) < 2.0**-53
     assert model(np.array([0.9 * far]), 10.0) > 2.0**-53
     assert far == pytest.approx(10.0 * bound(model, 1.0))
 
 
-def test_a_model_that_does_not_say_has_no_bound():
+def test_a_model_without_a_maximum_range_is_unbounded():
     assert bound(lambda apart, reach: apart, 10.0) == inf
     assert bound(LogDistance(shadowing=1e9), 1.0) >= 1e300
 
@@ -89,7 +89,7 @@ def topology(at, model, seed=0, *, per_link=True, reach=10.0):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_frozen_links_are_symmetric_and_the_same_at_every_call(model):
+def test_per_link_faded_links_are_symmetric_and_the_same_at_every_call(model):
     at = scattered(60, 1)
     links = topology(at, model, seed=5)
     first = links.graph()
@@ -109,8 +109,8 @@ def test_another_seed_draws_other_links(model):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_who_comes_nearer_does_not_lose_a_frozen_link(model):
-    """The luck of a pair is a threshold, so shrinking all distances keeps every link."""
+def test_a_node_that_comes_nearer_does_not_lose_a_per_link_faded_link(model):
+    """The uniform of a pair is a threshold, so shrinking all distances keeps every link."""
     at = scattered(60, 2)
     far = set(topology(at, model).graph().edges)
     near = set(topology(0.8 * at, model).graph().edges)
@@ -125,7 +125,7 @@ def test_who_comes_nearer_does_not_lose_a_frozen_link(model):
         (QuasiUnitDisk(), QuasiUnitDisk(p=0.53), lambda d: 1.0 if d <= 5.0 else 0.5 if d <= 10.0 else 0.0),
     ],
 )
-def test_the_share_of_frozen_links_is_that_of_the_theory(model, off, law):
+def test_the_share_of_per_link_faded_links_is_that_of_the_theory(model, off, law):
     """Of the pairs of 300 nodes sum P(d) are linked, +- sqrt(sum P (1 - P)), given the positions; 5 seeds within 5
     standard errors. The control, a parameter off, is not, taken over all seeds.
     """
@@ -175,7 +175,7 @@ def test_a_single_message_is_drawn_like_a_broadcast():
     assert abs(count - 2400) > 5 * 32
 
 
-def test_a_message_meets_with_the_same_luck_whenever_it_is_judged():
+def test_the_reception_of_a_message_does_not_depend_on_when_it_is_evaluated():
     """As it leaves and as it arrives: twelve nodes at one place fare alike both times, and differ between messages."""
     at = np.vstack([[0.0, 0.0], np.tile([10.0, 0.0], (12, 1))])
     links = topology(at, LogDistance(), 1, per_link=False)
@@ -185,7 +185,7 @@ def test_a_message_meets_with_the_same_luck_whenever_it_is_judged():
     assert len(set(map(tuple, heard))) > 30
 
 
-def test_with_fading_per_message_the_neighbours_are_those_with_even_chance_or_more():
+def test_with_per_message_fading_neighbours_have_a_reception_probability_of_at_least_half():
     """Whatever message is asked about: at 10 m the chance is 1/2 just so, at 11 m it is less."""
     links = topology(np.array([[0.0, 0.0], [4.0, 0.0], [10.0, 0.0], [11.0, 0.0]]), LogDistance(), 1, per_link=False)
     assert [links.neighbours(0).tolist() for _ in range(50)] == [[1, 2]] * 50
@@ -226,7 +226,7 @@ def test_the_random_disk_graph_percolates_near_a_mean_degree_of_4_51():
     assert min(abs(half * factor**2 - 4.512) for factor in (0.9, 1.1)) > 0.5
 
 
-def test_an_infinite_range_asks_no_model():
+def test_an_infinite_range_evaluates_no_reception_model():
     links = Topology(nx.path_graph(3), inf, None, LogDistance())
     assert [links.hearers(node) for node in range(3)] == [[1], [0, 2], [1]]
     assert links.reaches(0, 2)

@@ -37,7 +37,7 @@ def test_the_global_generators_do_not_move():
     assert (np.random.random(), random.random()) == (0.417022004702574, 0.13436424411240122)  # noqa: NPY002
 
 
-# Luck of pairs.
+# Uniforms of pairs.
 
 OTHERS = np.arange(1, 100_001)
 
@@ -49,8 +49,8 @@ def departure(sample):
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_the_luck_of_pairs_is_uniform(symmetric):
-    """Over 10^5 receivers of a sender, of 3 senders and 5 seeds; the control is luck to the power of 1.05."""
+def test_pair_uniforms_are_uniformly_distributed(symmetric):
+    """Over 10^5 receivers of a sender, of 3 senders and 5 seeds; the control is a uniform to the power of 1.05."""
     for seed in range(5):
         for src in (0, 77, 2**31):
             uniform = pair_uniform(seed, "fading", src, OTHERS, symmetric=symmetric)
@@ -58,14 +58,14 @@ def test_the_luck_of_pairs_is_uniform(symmetric):
             assert departure(uniform**1.05) > 2.2
 
 
-def test_the_luck_of_a_pair_is_the_same_whenever_and_with_whomever_it_is_asked_for():
+def test_the_uniform_of_a_pair_does_not_depend_on_the_other_pairs_queried():
     uniform = pair_uniform(7, "fading", 3, OTHERS)
     assert (pair_uniform(7, "fading", 3, OTHERS[::-1]) == uniform[::-1]).all()
     assert pair_uniform(7, "fading", 3, np.array([99]))[0] == uniform[98]
     assert pair_uniform(7, "fading", 3, np.array([], dtype=int)).shape == (0,)
 
 
-def test_the_luck_of_a_pair_is_symmetric_only_if_asked_to_be():
+def test_the_uniform_of_a_pair_is_symmetric_only_on_request():
     there = [pair_uniform(7, "fading", 3, np.array([node])).item() for node in range(10)]
     back = [pair_uniform(7, "fading", node, np.array([3])).item() for node in range(10)]
     assert there == back
@@ -75,7 +75,7 @@ def test_the_luck_of_a_pair_is_symmetric_only_if_asked_to_be():
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_no_two_pairs_share_their_luck(symmetric):
+def test_no_two_pairs_share_their_uniform(symmetric):
     """200 nodes: 19 900 pairs, or 39 800 with both ways; a chance collision of 2^-52 draws has probability 10^-7."""
     nodes, lucks = np.arange(200), set()
     for src in nodes.tolist():
@@ -83,8 +83,8 @@ def test_no_two_pairs_share_their_luck(symmetric):
     assert len(lucks) == 19_900 * (1 if symmetric else 2)
 
 
-def test_luck_is_uncorrelated_between_neighbours_seeds_names_and_ways():
-    """|r| of n = 10^5 independent pairs has standard error 1 / sqrt(n); the control is the same luck again."""
+def test_pair_uniforms_are_uncorrelated_between_neighbours_seeds_names_and_directions():
+    """|r| of n = 10^5 independent pairs has standard error 1 / sqrt(n); the control is the same uniforms again."""
     uniform = pair_uniform(7, "fading", 500_000, OTHERS)
     shifted = {
         "next receiver": pair_uniform(7, "fading", 500_000, OTHERS + 1),
@@ -100,7 +100,7 @@ def test_luck_is_uncorrelated_between_neighbours_seeds_names_and_ways():
     assert np.corrcoef(uniform, pair_uniform(7, "fading", 500_000, OTHERS))[0, 1] > limit
 
 
-def test_each_bit_of_the_luck_is_a_fair_coin():
+def test_each_bit_of_a_pair_uniform_is_a_fair_coin():
     """The upper 40 bits of 10^5 draws: ones within 5 standard errors of one half; the last of 64, always 0, is not."""
     bits = (pair_uniform(7, "fading", 0, OTHERS) * 2.0**52).astype(np.uint64)
     ones = [((bits >> np.uint64(k)) & np.uint64(1)).mean() for k in range(12, 53)]
@@ -109,7 +109,7 @@ def test_each_bit_of_the_luck_is_a_fair_coin():
     assert off[-1] > 5
 
 
-def test_luck_is_less_than_1_even_for_the_luckiest_pair():
+def test_a_pair_uniform_is_less_than_1_even_for_the_largest_hash():
     """The hash is undone to find the pair whose 64 bits are all ones, and the one whose bits are all zeros."""
     for bits in (2**64 - 1, 0):
         pair = unmixed(unmixed(bits) - 0x9E3779B97F4A7C15) - int(_key(7, "fading"))
@@ -134,6 +134,6 @@ def undone(z, shift):
     return x
 
 
-def test_the_luck_of_a_pair_never_changes():
+def test_the_uniform_of_a_pair_never_changes():
     """A golden value: seeds in papers must mean the same next year."""
     assert np.round(pair_uniform(7, "fading", 0, np.array([1, 2, 3])), 6).tolist() == [0.531123, 0.51988, 0.562028]

@@ -1,4 +1,4 @@
-"""Cells of the plane: whoever is near is among those that are found, however everybody moves."""
+"""Spatial hash: all near nodes are among those found, however the nodes move."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def line(count, apart):
 
 
 class Flying:
-    """Everybody flies straight; how often all were looked at is counted."""
+    """Every node moves straight; counts how often all positions were read."""
 
     def __init__(self, origins, velocities, fastest):
         self.origins, self.velocities, self.fastest = origins, velocities, fastest
@@ -33,13 +33,13 @@ class Flying:
         return self()[nodes]
 
 
-def test_who_is_far_is_not_found():
+def test_far_nodes_are_not_found():
     """A hundred nodes 1 m apart: within 10 m there are 20, three cells of 12.5 m have at most 39."""
     cells = CellList(as_position_source(lambda: line(100, 1.0) - 50.0), 10.0)
     assert {len(cells.around(node)) for node in range(30, 70)} <= set(range(21, 40))
 
 
-def test_those_found_ascend_and_the_node_is_among_them():
+def test_found_nodes_are_ascending_and_include_the_node_itself():
     at = np.random.default_rng(1).uniform(-30.0, 30.0, (200, 2))
     cells = CellList(as_position_source(lambda: at), 5.0)
     for node in range(200):
@@ -48,7 +48,7 @@ def test_those_found_ascend_and_the_node_is_among_them():
         assert {node} <= near(at, node, 5.0) <= set(found)
 
 
-def test_only_around_those_who_changed_their_cell_is_looked_anew():
+def test_only_nodes_near_a_cell_change_are_searched_again():
     """Node 0 flies over to node 50; what was found around node 99 is still there, the same array."""
     at = line(100, 10.0)
     cells = CellList(as_position_source(lambda: at), 10.0)
@@ -59,7 +59,7 @@ def test_only_around_those_who_changed_their_cell_is_looked_anew():
     assert all(cells.around(node) is before[node] for node in range(60, 100))
 
 
-def test_nobody_is_looked_at_before_all_can_have_moved_by_half_the_skin():
+def test_no_positions_are_read_until_a_node_can_have_moved_half_the_skin():
     """At 2 m/s two nodes are 10 SKIN m nearer after 10 SKIN / 4 s; cells are by a thousandth larger."""
     flying = Flying(line(100, 1.0), np.tile([2.0, 0.0], (100, 1)), 2.0)
     cells = CellList(flying, 10.0, lambda: flying.now)
@@ -73,7 +73,7 @@ def test_nobody_is_looked_at_before_all_can_have_moved_by_half_the_skin():
     assert flying.looks == 2
 
 
-def test_without_the_time_all_are_looked_at():
+def test_without_a_time_all_positions_are_read():
     flying = Flying(line(100, 1.0), np.zeros((100, 2)), 2.0)
     cells = CellList(flying, 10.0)
     flying.origins[99] = [0.0, 0.0]
@@ -81,7 +81,7 @@ def test_without_the_time_all_are_looked_at():
 
 
 @pytest.mark.parametrize("view", [False, True])
-def test_an_array_is_taken_to_be_the_same_only_if_nobody_can_write_to_it(view):
+def test_an_array_is_assumed_unchanged_only_if_it_is_not_writable(view):
     """The same array is handed out again; one that is a view of another may change although it is read-only itself."""
     at = line(100, 10.0)
     shown = at[:] if view else at
@@ -95,7 +95,7 @@ def test_an_array_is_taken_to_be_the_same_only_if_nobody_can_write_to_it(view):
     assert 99 in cells.around(0)
 
 
-def test_a_new_array_that_cannot_be_written_to_is_looked_at():
+def test_a_new_read_only_array_is_read():
     history = [line(100, 10.0), line(100, 10.0)]
     history[1][99] = [1.0, 1.0]
     for at in history:
@@ -137,7 +137,7 @@ def crowds(draw, size, radius):
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), st.integers(1, 6), RADII, st.booleans())
-def test_all_who_are_near_are_found_however_they_jump(data, size, radius, in_place):
+def test_all_near_nodes_are_found_with_arbitrary_jumps(data, size, radius, in_place):
     at = data.draw(crowds(size, radius))
     shown = [at]
     cells = CellList(as_position_source(lambda: shown[0]), radius)
@@ -157,7 +157,7 @@ def test_all_who_are_near_are_found_however_they_jump(data, size, radius, in_pla
 @pytest.mark.slow
 @settings(max_examples=60)
 @given(st.data(), st.integers(2, 6), st.sampled_from([1e-3, 1.0, 7.3, 1e6]), st.sampled_from([0.0, 1e-3, 1.0, 30.0]))
-def test_all_who_are_near_are_found_however_they_fly(data, size, radius, fastest):
+def test_all_near_nodes_are_found_with_bounded_speeds(data, size, radius, fastest):
     speed = st.sampled_from([-1.0, 0.0, 1.0, 0.6])
     pace = fastest * radius
     drawn = data.draw(st.lists(speed, min_size=size, max_size=size))

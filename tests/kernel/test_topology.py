@@ -1,4 +1,4 @@
-"""Who can hear whom."""
+"""Topology: links between nodes."""
 
 from contextlib import contextmanager
 from math import inf
@@ -59,14 +59,14 @@ def test_a_broadcast_reaches_the_neighbours_and_a_single_message_each_of_them():
     ]
 
 
-def test_the_linked_are_those_of_the_graph_near_or_far():
+def test_linked_nodes_are_those_of_the_graph_at_any_distance():
     at = np.array([[0.0, 0.0], [1e6, 0.0], [2.0, 0.0]])
     topology = Topology(nx.star_graph(2), 1.0, lambda: at)
     assert topology.linked(0) == [1, 2]
     assert topology.hearers(0) == []
 
 
-def test_arcs_of_a_directed_graph_are_heard_one_way():
+def test_arcs_of_a_directed_graph_carry_messages_one_way():
     topology = Topology(nx.DiGraph([(0, 1), (1, 2), (2, 0)]))
     assert [topology.hearers(node) for node in range(3)] == [[1], [2], [0]]
     assert set(topology.graph().edges) == {(0, 1), (1, 2), (2, 0)}
@@ -74,13 +74,13 @@ def test_arcs_of_a_directed_graph_are_heard_one_way():
 
 @pytest.mark.parametrize("ask", [Topology.neighbours, Topology.hearers])
 @pytest.mark.parametrize("node", [-1, 3])
-def test_nobody_asks_for_a_node_that_does_not_exist(ask, node):
+def test_a_query_about_a_node_that_does_not_exist_is_refused(ask, node):
     with pytest.raises(IndexError):
         ask(Topology(nx.complete_graph(3)), node)
 
 
-def test_a_frozen_link_is_there_while_its_pair_is_near_enough_and_comes_back():
-    """The luck of a pair is fixed: with P(d) falling from 1 to 0 a link holds up to one distance, there and back."""
+def test_a_per_link_faded_link_exists_while_its_pair_is_near_enough():
+    """The uniform of a pair is fixed: with P(d) falling from 1 to 0 a link holds up to one distance, there and back."""
     at = np.zeros((2, 2))
     topology = Topology(
         nx.complete_graph(2), 10.0, lambda: at, lambda d, reach: np.clip(1 - d / 20.0, 0.0, 1.0), seed=4
@@ -95,19 +95,19 @@ def test_a_frozen_link_is_there_while_its_pair_is_near_enough_and_comes_back():
 
 
 def test_each_message_has_a_chance_of_its_own_that_follows_from_the_seed():
-    """With fading per message, messages 0 to 4 are heard by different nodes, and each by the same again."""
+    """With fading per message, messages 0 to 4 reach different nodes, and each the same ones again."""
     at = np.column_stack([np.arange(50.0), np.zeros(50)])
 
-    def hearers_of_each(seed):
+    def receivers_of_each(seed):
         topology = Topology(nx.complete_graph(50), 10.0, lambda: at, LogDistance(), per_link=False, seed=seed)
         return [topology.hearers(0, message) for message in range(5)]
 
-    assert hearers_of_each(1) == hearers_of_each(1)
-    assert hearers_of_each(1) != hearers_of_each(2)
-    assert len(set(map(tuple, hearers_of_each(1)))) == 5
+    assert receivers_of_each(1) == receivers_of_each(1)
+    assert receivers_of_each(1) != receivers_of_each(2)
+    assert len(set(map(tuple, receivers_of_each(1)))) == 5
 
 
-# Many nodes: who may be near is looked up, and the answers are those of all distances.
+# Many nodes: near candidates are looked up, and the answers are those of all distances.
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def many(few=0):
 
 
 class Flying:
-    """Everybody flies straight at 3 m/s, nobody faster; counts who is asked for."""
+    """Every node moves straight at 3 m/s, the maximum; counts the positions queried."""
 
     fastest = 3.0
 
@@ -141,7 +141,7 @@ def scattered(size, seed=0, side=40.0):
 
 
 def answers(topology, message):
-    """Return all that a topology tells."""
+    """Return the answers of a topology to all queries."""
     nodes = range(topology.size)
     return (
         [topology.hearers(node, message) for node in nodes],
@@ -157,7 +157,7 @@ def answers(topology, message):
 @pytest.mark.parametrize("per_link", [True, False])
 @pytest.mark.parametrize("model", [Disk(), QuasiUnitDisk(), LogDistance(), lambda d, r: np.exp(-d / r)])
 @pytest.mark.parametrize("knows", ["speed", "all", "in place"])
-def test_the_answers_about_many_nodes_are_those_about_few(model, per_link, knows):
+def test_queries_with_many_nodes_equal_those_with_few(model, per_link, knows):
     flying, shown = Flying(scattered(60)), scattered(60)
     tell = {"speed": flying, "all": flying.__call__, "in place": lambda: shown}[knows]
     given = {"per_link": per_link, "seed": 3, "now": lambda: flying.now}
@@ -201,7 +201,7 @@ def test_a_question_costs_the_same_whatever_the_number_of_nodes(size):
     assert max(flying.asked[1:]) < 200
 
 
-def test_a_model_whose_reach_has_no_bound_is_asked_about_everybody():
+def test_a_reception_model_without_a_maximum_range_is_queried_for_all_nodes():
     flying = Flying(scattered(60))
     with many():
         topology = Topology(Complete()(60), 1.0, flying, lambda d, r: np.ones_like(d), now=lambda: flying.now)
@@ -209,7 +209,7 @@ def test_a_model_whose_reach_has_no_bound_is_asked_about_everybody():
     assert flying.asked == [60]
 
 
-def test_no_model_is_asked_about_a_node_and_itself():
+def test_no_reception_model_is_evaluated_for_a_node_and_itself():
     """A probability of (R / d)^2 has no value at d = 0."""
     at = np.array([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0]])
     topology = Topology(
@@ -221,7 +221,7 @@ def test_no_model_is_asked_about_a_node_and_itself():
 # Graphs without a range.
 
 
-def test_everybody_else_is_linked_in_a_complete_graph_of_any_size():
+def test_all_other_nodes_are_linked_in_a_complete_graph_of_any_size():
     for graph in (nx.complete_graph(5), Complete()(5), nx.complete_graph(5, nx.DiGraph)):
         topology = Topology(graph)
         for node in range(5):
@@ -232,7 +232,7 @@ def test_everybody_else_is_linked_in_a_complete_graph_of_any_size():
         assert topology.mean_degree == 4.0
 
 
-def test_the_lists_of_few_nodes_are_kept_and_those_of_many_only_while_there_is_room():
+def test_neighbour_lists_are_cached_for_few_nodes_and_up_to_a_limit_for_many():
     few = Topology(Complete()(5))
     assert all(few.linked(node) is few.linked(node) for node in range(5))
     with patch.object(topology_module, "ROOM", 12):
@@ -241,7 +241,7 @@ def test_the_lists_of_few_nodes_are_kept_and_those_of_many_only_while_there_is_r
         assert many.linked(3) == [0, 1, 2, 4]
 
 
-def test_the_luck_of_pairs_is_the_same_whether_or_not_it_is_kept():
+def test_pair_uniforms_are_the_same_with_and_without_caching():
     at = scattered(40)
     kept = Topology(nx.complete_graph(40), 10.0, lambda: at, LogDistance(), seed=2)
     with patch.object(topology_module, "ROOM", 100):
@@ -260,7 +260,7 @@ def test_two_nodes_are_linked_if_the_graph_says_so(graph):
 
 @pytest.mark.parametrize("reach", [inf, 15.0])
 @pytest.mark.parametrize("model", [Disk(), LogDistance()])
-def test_on_a_directed_graph_those_are_heard_who_reach_one(reach, model):
+def test_on_a_directed_graph_the_audible_nodes_are_those_with_an_arc_to_the_receiver(reach, model):
     at, graph = scattered(30), nx.gnp_random_graph(30, 0.4, seed=2, directed=True)
     topology = Topology(graph, reach, lambda: at, model, seed=1)
     now = topology.graph()
@@ -269,7 +269,7 @@ def test_on_a_directed_graph_those_are_heard_who_reach_one(reach, model):
     assert topology.mean_degree == now.number_of_edges() / 30
 
 
-def test_a_graph_that_somebody_changes_later_stays_as_it_was_read():
+def test_later_changes_to_a_given_graph_have_no_effect():
     graph = nx.path_graph(3)
     topology = Topology(graph)
     graph.add_edge(0, 2)
@@ -278,8 +278,8 @@ def test_a_graph_that_somebody_changes_later_stays_as_it_was_read():
 
 
 @pytest.mark.slow
-def test_what_a_network_costs_at_first_does_not_grow_with_the_pairs():
-    """A hundred thousand nodes: nobody walks along the edges, or asks more nodes than one who hears them."""
+def test_the_setup_cost_of_a_network_does_not_grow_with_the_number_of_pairs():
+    """A hundred thousand nodes: no query iterates over the edges, or over more nodes than the audible ones."""
     with patch.object(nx.Graph, "edges", property(lambda graph: pytest.fail("somebody walks along all edges"))):
         network = Network(Clock(), Complete()(10**5))
         assert network.mean_degree == 10**5 - 1

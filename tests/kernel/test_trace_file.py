@@ -49,12 +49,12 @@ def test_times_are_written_in_seconds_and_never_is_null():
     }
 
 
-class Word(NamedTuple):
+class Payload(NamedTuple):
     active: bool
     place: tuple[float, ...]
 
 
-class Words(NamedTuple):
+class ForwardedPayloads(NamedTuple):
     records: tuple[Record, ...]
 
 
@@ -62,10 +62,15 @@ KINDS = (Queued, Broadcast, Sent, Lost, MessageCounts)
 TIMES = st.integers(0, 2**51)  # 26 days: half a nanosecond is more than what a float of seconds is off
 NODES = st.integers(0, 50)
 NUMBERS = st.floats(-1e30, 1e30)
-WORDS = st.builds(Word, st.booleans(), st.lists(NUMBERS, max_size=3).map(tuple))
-RECORDS = st.builds(Record, NODES, NODES, TIMES, WORDS)
+PAYLOADS = st.builds(Payload, st.booleans(), st.lists(NUMBERS, max_size=3).map(tuple))
+RECORDS = st.builds(Record, NODES, NODES, TIMES, PAYLOADS)
 BODIES = st.one_of(
-    st.none(), st.text(), NUMBERS, WORDS, st.builds(Words, st.lists(RECORDS, max_size=3).map(tuple)), st.tuples(WORDS)
+    st.none(),
+    st.text(),
+    NUMBERS,
+    PAYLOADS,
+    st.builds(ForwardedPayloads, st.lists(RECORDS, max_size=3).map(tuple)),
+    st.tuples(PAYLOADS),
 )
 ARRIVALS = st.lists(st.just(LOST) | TIMES, max_size=4).map(tuple)
 EVENTS = st.one_of(
@@ -88,18 +93,18 @@ def test_a_trace_that_was_written_is_read_again(events):
 
 
 class Unknown:
-    """What JSON has no word for."""
+    """A value that JSON cannot represent."""
 
     def __repr__(self):
         return "<Unknown \u2713>"
 
 
-class Told(NamedTuple):
-    said: object
-    word: Word
+class WithPlain(NamedTuple):
+    content: object
+    payload: Payload
 
     def plain(self):
-        return {"says": repr(self.said)}
+        return {"says": repr(self.content)}
 
 
 NASTY = st.recursive(
@@ -116,9 +121,9 @@ NASTY = st.recursive(
         st.lists(inner, max_size=3)
         | st.lists(inner, max_size=3).map(tuple)
         | st.dictionaries(st.text(max_size=3), inner, max_size=3)
-        | st.builds(Words, st.lists(inner, max_size=3).map(tuple))
+        | st.builds(ForwardedPayloads, st.lists(inner, max_size=3).map(tuple))
         | st.builds(Record, NODES, NODES, TIMES, inner)
-        | st.builds(Told, inner, WORDS)
+        | st.builds(WithPlain, inner, PAYLOADS)
     ),
     max_leaves=8,
 )
@@ -164,13 +169,13 @@ def straightforward(event):
 
 @pytest.mark.slow
 @given(st.lists(WRITTEN, max_size=4))
-def test_a_line_says_just_what_the_tables_of_an_event_say(events):
+def test_a_line_equals_the_fields_of_its_event(events):
     assert list(map(line_of, events)) == list(map(straightforward, events))
 
 
 def beating(count):
     """Yield so many messages, no two alike."""
-    return (Sent(k, k, 0, 1, k + 5, k, 24, Word(True, (k / 7,))) for k in range(count))
+    return (Sent(k, k, 0, 1, k + 5, k, 24, Payload(True, (k / 7,))) for k in range(count))
 
 
 def test_a_file_has_the_lines_of_a_trace_and_the_events_come_back_one_by_one(tmp_path):
@@ -229,8 +234,8 @@ def test_a_file_keeps_nothing_in_memory(tmp_path):
     assert many > 6 * few
 
 
-def test_what_a_body_says_has_its_names_also_inside_of_it():
-    sent = Sent(0, 0, 0, 1, 5, 0, 24, Words((Record(3, 1, 7, Word(True, (1.0, 2.0))),)))
+def test_the_fields_of_a_body_keep_their_names_at_every_depth():
+    sent = Sent(0, 0, 0, 1, 5, 0, 24, ForwardedPayloads((Record(3, 1, 7, Payload(True, (1.0, 2.0))),)))
     (record,) = next(events_of([line_of(sent)], KINDS)).body.records
     assert (record.src, record.seq, record.sent) == (3, 1, 7)
     assert (record.body.active, record.body.place) == (True, (1.0, 2.0))

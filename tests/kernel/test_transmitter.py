@@ -58,8 +58,8 @@ def test_a_message_is_readable_after_its_airtime_and_the_next_waits_for_it():
     assert [(each.t // SECOND, each.size) for each in trace.of(Queued)] == [(1, 2)]
 
 
-def test_a_record_is_heard_after_its_airtime_latency_and_processing():
-    """0.5 s to send, 3 s on the air, 2 s on the way, 1 s to read; it is heard at 6.5 s and not a nanosecond before."""
+def test_a_record_is_readable_after_its_airtime_latency_and_processing():
+    """0.5 s to send, 3 s on the air, 2 s on the way, 1 s to read; readable at 6.5 s and not a nanosecond before."""
     clock, net, trace = network(2, BYTE, latency=Constant(value=2.0), processing=Processing(sender=0.5, receiver=1.0))
     net.publish(0, "word", size=3)
     run_until(clock, 6.499999999)
@@ -165,7 +165,7 @@ def test_of_a_full_queue_the_oldest_is_dropped(limit, dropped):
     assert (tally.transmissions, tally.bytes_sent) == (5 - len(dropped), 10 * (5 - len(dropped)))
 
 
-def test_what_is_dropped_counts_for_each_of_its_receivers():
+def test_a_dropped_message_counts_for_each_of_its_receivers():
     clock, net, trace = network(4, medium(queue_limit=0))
     net.publish(0, "on the air", size=5)
     net.publish(0, "dropped", size=5)
@@ -175,7 +175,7 @@ def test_what_is_dropped_counts_for_each_of_its_receivers():
 
 
 def test_the_limit_of_a_shared_channel_is_for_each_node():
-    """Node 0 is on the air; 1, 2 and 1 again wait, and only the second word of 1 drops its first."""
+    """Node 0 is on the air; 1, 2 and 1 again wait, and only the second message of 1 drops its first."""
     clock, net, trace = network(3, medium(shared=True, queue_limit=1))
     for number, node in enumerate((0, 1, 2, 1)):
         later(clock, 0.0, net.publish, node, number, size=1)
@@ -183,7 +183,7 @@ def test_the_limit_of_a_shared_channel_is_for_each_node():
     assert [(each.src, each.body) for each in trace.of(Broadcast)] == [(0, 0), (2, 2), (1, 3)]
 
 
-def test_nobody_is_deaf_on_a_shared_channel_however_long_messages_travel():
+def test_no_node_misses_messages_on_a_shared_channel_however_long_they_travel():
     """The next node transmits as soon as the channel is free, while the last message is still on its way."""
     clock, net, _ = network(3, medium(shared=True, half_duplex=True), latency=Constant(value=0.5))
     for node in (0, 1, 2):
@@ -195,7 +195,8 @@ def test_nobody_is_deaf_on_a_shared_channel_however_long_messages_travel():
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("limit", [0, 1, 3])
 def test_the_share_that_a_full_queue_drops_is_that_of_m_m_1_k(limit):
-    """(1 - rho) rho^K / (1 - rho^(K + 1)), K = limit + 1, whoever is dropped, as sizes are exponential; rho = 0.8.
+    """(1 - rho) rho^K / (1 - rho^(K + 1)), K = limit + 1, whichever message is dropped, as sizes are exponential; rho =
+    0.8.
 
     The standard error is that of the mean over 6 seeds of 1500 messages; the control is a queue of one more.
     """
@@ -227,46 +228,46 @@ def test_nodes_wait_for_each_other_only_on_a_shared_channel(shared, departures):
 # Half duplex.
 
 
-def heard_by(net, clock, nodes=(0, 1, 2)):
+def received_by(net, clock, nodes=(0, 1, 2)):
     return [[each.src for each in net.inbox(node).drain()] for node in nodes]
 
 
 @pytest.mark.parametrize("half_duplex", [True, False])
-def test_a_node_that_transmits_is_deaf_on_half_duplex(half_duplex):
-    """0 speaks from 0 to 2 s, 1 from 1 to 3 s: neither hears the other, 2 hears both."""
+def test_a_transmitting_node_cannot_receive_on_half_duplex(half_duplex):
+    """0 transmits from 0 to 2 s, 1 from 1 to 3 s: neither receives from the other, 2 receives both."""
     clock, net, trace = network(3, medium(half_duplex=half_duplex))
     later(clock, 0.0, net.send, 0, None, None, size=2)
     later(clock, 1.0, net.send, 1, None, None, size=2)
     run_until(clock, 5.0)
-    assert heard_by(net, clock) == ([[], [], [0, 1]] if half_duplex else [[1], [0], [0, 1]])
+    assert received_by(net, clock) == ([[], [], [0, 1]] if half_duplex else [[1], [0], [0, 1]])
     lost = [(each.t // SECOND, each.src, each.dst, each.cause) for each in trace.of(Lost)]
     assert lost == ([(2, 0, 1, "half_duplex"), (3, 1, 0, "half_duplex")] if half_duplex else [])
     assert net.message_counts().lost_by == ({"half_duplex": 2} if half_duplex else {})
 
 
 @pytest.mark.parametrize("reading", [0.0, 1.0])
-def test_who_speaks_in_turn_is_not_deaf(reading):
-    """What comes in just until one begins, or from just when one ends, is heard; 1 ns of overlap is too much."""
+def test_nodes_that_transmit_in_turn_lose_nothing_on_half_duplex(reading):
+    """A reception that ends as a transmission begins, or begins as one ends, succeeds; 1 ns of overlap is too much."""
     for shift, heard in ((0.0, [[1], [0]]), (-1e-9, [[], []]), (1e-9, [[1], [0]])):
         clock, net, _ = network(2, medium(half_duplex=True), processing=Processing(receiver=reading))
         later(clock, 1.0, net.send, 0, 1, None, size=2)
         later(clock, 3.0 + shift, net.send, 1, 0, None, size=2)
         run_until(clock, 9.0)
-        assert heard_by(net, clock, (0, 1)) == heard
+        assert received_by(net, clock, (0, 1)) == heard
 
 
-def test_what_counts_is_when_a_message_comes_in_not_when_it_left():
-    """Sound that travels for 10 s: 1 may speak while 0 does, and not from 10 to 12 s, when the word of 0 comes in."""
+def test_half_duplex_is_evaluated_at_the_reception_not_the_transmission():
+    """Sound with 10 s of latency: 1 may transmit while 0 does, not from 10 to 12 s, as the message of 0 comes in."""
     for begins, heard in ((0.0, [0]), (8.0, [0]), (9.5, []), (11.5, []), (12.0, [0])):
         clock, net, _ = network(3, medium(half_duplex=True), latency=Constant(value=10.0))
         later(clock, 0.0, net.send, 0, 1, None, size=2)
         later(clock, begins, net.send, 1, 2, None, size=2)
         run_until(clock, 40.0)
-        assert heard_by(net, clock, (1,)) == [heard]
+        assert received_by(net, clock, (1,)) == [heard]
 
 
 def test_a_message_is_still_judged_by_when_it_came_in_if_reading_takes_long():
-    """It comes in from 0 to 2 s and is readable at 102 s; 1 has spoken from 1 to 3 s, and often since."""
+    """It comes in from 0 to 2 s and is readable at 102 s; 1 has transmitted from 1 to 3 s, and often since."""
     clock, net, _ = network(2, medium(half_duplex=True), processing=Processing(receiver=100.0))
     later(clock, 0.0, net.send, 0, 1, "unheard", size=2)
     later(clock, 10.0, net.send, 0, 1, "heard", size=2)
@@ -276,18 +277,20 @@ def test_a_message_is_still_judged_by_when_it_came_in_if_reading_takes_long():
     assert [each.body for each in net.inbox(1).drain()] == ["heard"]
 
 
-def test_a_long_message_is_lost_to_a_short_word_long_ago():
-    """It comes in from 0 to 50 s and is readable at 150 s; 1 spoke at 5 s, and at 120 s, when it must remember that."""
+def test_a_long_message_is_lost_to_an_earlier_short_transmission():
+    """It comes in from 0 to 50 s and is readable at 150 s; 1 transmitted at 5 s, and at 120 s, when it must remember
+    that.
+    """
     clock, net, _ = network(3, medium(half_duplex=True), processing=Processing(receiver=100.0))
     later(clock, 0.0, net.send, 0, 1, None, size=50)
     later(clock, 5.0, net.send, 1, 2, None, size=1)
     later(clock, 120.0, net.send, 1, 2, None, size=1)
     run_until(clock, 300.0)
-    assert heard_by(net, clock, (1,)) == [[]]
+    assert received_by(net, clock, (1,)) == [[]]
 
 
 @given(st.lists(st.tuples(st.integers(0, 15), st.integers(0, 2), st.integers(1, 4)), max_size=15), st.integers(0, 3))
-def test_half_duplex_is_the_overlap_of_what_comes_in_with_what_goes_out(traffic, latency):
+def test_half_duplex_losses_are_the_overlaps_of_receptions_and_transmissions(traffic, latency):
     """Against all pairs of intervals, without any bookkeeping: [leave, leave + airtime), moved by the latency."""
     clock, net, trace = network(3, medium(half_duplex=True), latency=Constant(value=float(latency)))
     for t, node, size in traffic:
@@ -309,7 +312,7 @@ def test_half_duplex_is_the_overlap_of_what_comes_in_with_what_goes_out(traffic,
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_utilisation_is_the_share_of_the_time_in_which_the_channels_are_busy(shared):
-    """Node 0 speaks from 0 to 4 s, node 1 for 2 s, at once or after it; 2 nodes have 2 channels or share one."""
+    """Node 0 transmits from 0 to 4 s, node 1 for 2 s, at once or after it; 2 nodes have 2 channels or share one."""
     clock, net, _ = network(2, medium(shared=shared))
     assert net.message_counts().utilisation == 0.0
     net.publish(0, None, size=4)
@@ -320,7 +323,7 @@ def test_utilisation_is_the_share_of_the_time_in_which_the_channels_are_busy(sha
         assert net.message_counts().utilisation == pytest.approx(busy / (t * (1 if shared else 2)))
 
 
-def test_octets_and_transmissions_count_what_left_and_messages_each_receiver():
+def test_bytes_and_transmissions_count_once_and_messages_per_receiver():
     """At 1 s the first 3 bytes are on the air to 3 nodes, and 2 more wait; at 5 s all are delivered."""
     clock, net, _ = network(4, medium())
     net.publish(0, None, size=3)
@@ -356,7 +359,7 @@ def leaving(medium, given, until=20.0):
 
 
 @pytest.mark.parametrize(("breakdown", "heard"), [(1.999, 0), (2.0, 1)])
-def test_a_message_of_which_all_has_left_outlives_its_transmitter(breakdown, heard):
+def test_a_fully_transmitted_message_survives_a_crash_of_its_transmitter(breakdown, heard):
     """Two bytes are on the air until 2 s, and arrive a second later."""
     clock, links = Clock(), Links(medium=BYTE, latency=Constant(value=1.0))
     radio = Network(clock, nx.complete_graph(2), links, fault_state=FaultState())
@@ -366,7 +369,7 @@ def test_a_message_of_which_all_has_left_outlives_its_transmitter(breakdown, hea
     assert len(radio.inbox(1).drain()) == heard
 
 
-def test_who_moves_away_while_a_message_waits_does_not_get_it():
+def test_a_node_that_leaves_the_range_while_a_message_is_queued_does_not_receive_it():
     """While A is on the air for 2 s the receiver leaves the range; B, which waits, is lost to it."""
     clock = Clock()
 
@@ -382,7 +385,7 @@ def test_who_moves_away_while_a_message_waits_does_not_get_it():
     assert radio.message_counts().lost_by == {"out_of_range": 1}
 
 
-def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():
+def test_the_queued_messages_of_a_node_are_withdrawn_and_the_others_remain():
     """On a shared channel of messages of 2 s: A and C are of node 0, B and D of node 1, whose radio fails at 1 s."""
 
     def given(clock, radio):
@@ -398,7 +401,7 @@ def test_what_a_node_has_waiting_is_taken_back_and_the_rest_goes_on():
     assert leaving(medium(shared=True), given) == [(0, "A"), (2, "C")]
 
 
-def test_after_everything_was_taken_back_the_next_still_waits_for_what_is_on_the_air():
+def test_after_the_queue_is_withdrawn_the_next_message_waits_for_the_ongoing_transmission():
     def given(clock, radio):
         radio.enqueue(Item(0, 5, "A"))
         radio.enqueue(Item(0, 1, "B"))
@@ -410,7 +413,7 @@ def test_after_everything_was_taken_back_the_next_still_waits_for_what_is_on_the
     assert leaving(medium(), given) == [(0, "A"), (5, "C"), (7, "D")]
 
 
-def test_nobody_jumps_the_queue_at_the_instant_at_which_the_transmitter_is_free():
+def test_no_message_overtakes_the_queue_at_the_instant_the_transmitter_becomes_free():
     """A takes 2 s and B waits; C comes at 2 s, in a phase before that in which B leaves."""
 
     def given(clock, radio):

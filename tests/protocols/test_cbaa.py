@@ -68,14 +68,14 @@ def frozen(protocol, seed=0, until=inf, **changes):
 
 
 def times(result):
-    """Return everyone's phi as the run begins, s."""
+    """Return every pursuer's phi as the run begins, s."""
     start, scenario = result.trace.of(Started)[0], result.scenario
     phi = capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
     return phi.tolist()
 
 
 def chasing(result, at=inf):
-    """Return who chases right after an instant, s."""
+    """Return the chasers right after an instant, s."""
     active = dict(enumerate(result.trace.of(Started)[0].active))
     for event in result.trace:
         if isinstance(event, Decided | BrokeDown) and event.t <= at * 1e9 + 1:
@@ -84,7 +84,7 @@ def chasing(result, at=inf):
 
 
 def relay(result):
-    """Return the relay profile of the frozen game, as a list of who chases."""
+    """Return the relay profile of the frozen game, as a list of its chasers."""
     return np.flatnonzero(relay_profile(times(result), result.scenario.horizon)).tolist()
 
 
@@ -98,8 +98,8 @@ def random_team(rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_every_frozen_game_on_an_ideal_network_ends_in_the_relay_profile(auction, schedule):
-    """20 random games each: warm and cold starts of 1 to 12; in 5 nobody is in time (phi < r, 2 to 8 s)."""
+def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction, schedule):
+    """20 random games each: warm and cold starts of 1 to 12; in 5 none is in time (phi < r, 2 to 8 s)."""
     ends = []
     for number in range(20, 40):
         rng = np.random.default_rng(number)
@@ -119,7 +119,7 @@ def test_every_frozen_game_on_an_ideal_network_ends_in_the_relay_profile(auction
 
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_of_equal_bids_that_of_the_lowest_id_wins(auction):
-    """phi = 3, 2, 2, 2 s, whoever bids first."""
+    """phi = 3, 2, 2, 2 s, in any order of bids."""
     team = Team(positions=[(3.1, 0.0), (2.1, 0.0), (0.0, 2.1), (-2.1, 0.0)], speeds=1.0, active_at_start=1.0)
     for seed in range(3):
         for schedule in SCHEDULES.values():
@@ -141,7 +141,7 @@ def random_graph(number):
 
 
 def rounds(auction, graph, seed, **changes):
-    """Return the result of 16 rounds, and whom everybody holds for the winner after each of them."""
+    """Return the result of 16 rounds, and the believed winner of each pursuer after each of them."""
     rng = np.random.default_rng(seed)
     given = {
         "horizon": 30.0,
@@ -151,15 +151,15 @@ def rounds(auction, graph, seed, **changes):
         "network": Links(graph=Edges.of(graph)),
     }
     result = frozen(auction(schedule=Rounds(period=0.1)), seed, until=1.65, **(given | changes))
-    said = [{} for _ in range(17)]
-    for word in result.trace.of(Broadcast):
-        assert word.body.active == (word.body.winner == word.src)
-        said[round(word.t / 1e8) - 1][word.src] = word.body.winner
-    return result, [[each[i] for i in range(len(graph))] for each in said[:16]]
+    announced = [{} for _ in range(17)]
+    for message in result.trace.of(Broadcast):
+        assert message.body.active == (message.body.winner == message.src)
+        announced[round(message.t / 1e8) - 1][message.src] = message.body.winner
+    return result, [[each[i] for i in range(len(graph))] for each in announced[:16]]
 
 
 def nearest_within(phi, reward, graph, node, hops):
-    """Return who is in time and has the least (phi, id) within so many hops of a node; -1 if nobody is."""
+    """Return the pursuer in time with the least (phi, id) within so many hops of a node; -1 if there is none."""
     ball = nx.single_source_shortest_path_length(graph, node, cutoff=hops)
     return min(((phi[j], j) for j in ball if phi[j] < reward), default=(inf, -1))[1]
 
@@ -167,20 +167,20 @@ def nearest_within(phi, reward, graph, node, hops):
 @pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_in_each_round_the_best_bid_travels_one_hop_farther(auction):
-    """After round k everybody holds for the winner who is best within k - 1 hops; 60 random connected graphs.
+    """After round k each believed winner is the best within k - 1 hops; 60 random connected graphs.
 
-    So all agree, and just one chases, after 1 + D rounds: one in which everybody bids before anybody has heard a bid,
-    and D for the diameter. Some nodes cannot bid (phi = inf), and pass word on all the same.
+    So all agree, and just one chases, after 1 + D rounds: one in which all bid before any bid has arrived,
+    and D for the diameter. Some nodes cannot bid (phi = inf), and forward claims all the same.
     """
     for number in range(60):
         graph = random_graph(number)
         result, winners = rounds(auction, graph, number)
         phi = times(result)
-        for k, said in enumerate(winners, start=1):
+        for k, believed in enumerate(winners, start=1):
             if auction is CBAA:
-                assert said == [nearest_within(phi, 30.0, graph, node, k - 1) for node in graph]
+                assert believed == [nearest_within(phi, 30.0, graph, node, k - 1) for node in graph]
             if k >= 1 + nx.diameter(graph):
-                assert set(said) == {nearest_within(phi, 30.0, graph, 0, inf)}
+                assert set(believed) == {nearest_within(phi, 30.0, graph, 0, inf)}
                 assert chasing(result, k / 10) == relay(result)
 
 
@@ -190,12 +190,12 @@ def test_along_a_path_agreement_takes_as_many_rounds_as_promised_and_no_fewer(au
     line = Team(positions=[(1.1 + k, 0.0) for k in range(8)], speeds=1.0, active_at_start=0.0)
     still = Evader(position=(0.0, 0.0), speed=0.0)
     _, winners = rounds(auction, nx.path_graph(8), 0, team=line, evader=still)
-    assert [set(said) == {0} for said in winners] == [k >= 8 for k in range(1, 17)]
+    assert [set(believed) == {0} for believed in winners] == [k >= 8 for k in range(1, 17)]
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_who_cannot_bid_passes_word_on(auction):
-    """On a path 0 - 1 - 2 pursuer 2 hears of 0, the best, through 1, which is slower than the evader (phi = inf)."""
+def test_a_pursuer_that_cannot_bid_forwards_claims(auction):
+    """On a path 0 - 1 - 2 pursuer 2 learns of 0, the best, through 1, which is slower than the evader (phi = inf)."""
     team = Team(positions=[(1.0, 0.0), (1.0, 0.0), (2.0, 0.0)], speeds=[1.0, 0.1, 1.0], active_at_start=0.0)
     away = Evader(position=(0.0, 0.0), speed=0.2)
     _, winners = rounds(auction, nx.path_graph(3), 0, team=team, evader=away)
@@ -203,24 +203,24 @@ def test_who_cannot_bid_passes_word_on(auction):
 
 
 @pytest.mark.parametrize("claim", [partial(Claim, True, 2), partial(StampedClaim, False, 2, stamps=(1.0, 2.0))])
-def test_a_bid_that_is_made_anew_is_not_news(claim):
-    """What is told at once is whether one chases, and who wins."""
+def test_a_renewed_bid_does_not_trigger_an_announcement(claim):
+    """The action and the winner are announced at once."""
     assert claim(amount=-1.0).news == claim(amount=-2.0).news == (claim(amount=-1.0).active, 2)
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_on_a_static_ideal_network_a_claim_is_told_as_it_changes_and_never_again(auction):
+def test_on_a_static_ideal_network_a_claim_is_announced_once_per_change(auction):
     """Four on a complete graph: all claim in the first round, and the three that are outbid tell so in the second."""
     for warm in (False, True):
         announce = Announcements(trigger="change", warm_start=warm)
-        result = frozen(auction(schedule=Rounds(period=0.1), **quiet(auction)), announce=announce)
-        assert [round(word.t / 1e8) for word in result.trace.of(Broadcast)] == [1] * 4 + [2] * 3
+        result = frozen(auction(schedule=Rounds(period=0.1), **without_timeout(auction)), announce=announce)
+        assert [round(message.t / 1e8) for message in result.trace.of(Broadcast)] == [1] * 4 + [2] * 3
         assert chasing(result, 0.1) == [0, 1, 2, 3]
         assert chasing(result, 0.2) == chasing(result) == [1]
 
 
-def quiet(auction):
-    """Return what keeps an auction from expecting the same word again."""
+def without_timeout(auction):
+    """Return the parameters with which an auction never times out a winner."""
     return {"winner_timeout": inf} if auction is CBBA else {}
 
 
@@ -228,8 +228,8 @@ def quiet(auction):
 
 
 def agreed(result):
-    """Return what everybody holds for the winners in the end, one set for all."""
-    last = {word.src: word.body.winner for word in result.trace.of(Broadcast)}
+    """Return the believed winners at the end, one set for all pursuers."""
+    last = {message.src: message.body.winner for message in result.trace.of(Broadcast)}
     return set(last.values())
 
 
@@ -245,7 +245,7 @@ def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_g
         graph = random_graph(number)
         evaders = 2 + number % 4
         case = at_rest(
-            auction(schedule=Rounds(period=0.1), **quiet(auction)),
+            auction(schedule=Rounds(period=0.1), **without_timeout(auction)),
             len(graph),
             evaders,
             number,
@@ -267,7 +267,7 @@ def test_the_rounds_of_the_paper_end_in_the_greedy_assignment_on_any_connected_g
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_under_any_schedule_and_with_loss_it_is_the_same_assignment(auction, schedule):
-    """A fifth is lost and all is late by 0.03 s; positions are sensed or told."""
+    """A fifth is lost and latency is 0.03 s; positions are sensed or announced."""
     for seed, payload in enumerate(("action", "state", "time")):
         case = at_rest(
             auction(schedule=SCHEDULES[schedule]),
@@ -291,12 +291,12 @@ def test_a_claim_takes_the_bytes_of_its_numbers(auction, alone, several):
         (frozen(protocol, announce=told), 4, 1, alone),
         (run(easy(protocol, announce=told)), 6, 3, several),
     ):
-        assert {word.size for word in result.trace.of(Broadcast)} == {size}
+        assert {message.size for message in result.trace.of(Broadcast)} == {size}
         assert auction().claim_size(team, evaders) == size
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_who_has_captured_an_evader_may_win_another(auction):
+def test_a_pursuer_that_captured_an_evader_may_win_another(auction):
     """On a line: evaders at 0 and 4 m, pursuers at 1.15 and 11.1 m, which chase the nearest from 0.1 s on, at 1 m/s.
 
     Pursuer 0 captures the first at 1.15 s, and bids -3.8 s for the second at 1.2 s, where the other bids -5.9 s.
@@ -313,7 +313,7 @@ def test_who_has_captured_an_evader_may_win_another(auction):
     assert chased(result, 1.3) == {0: 2}
 
 
-def test_who_bids_for_several_evaders_bids_for_the_one_it_captures_first_of_those_it_can_win():
+def test_a_pursuer_bids_for_the_evader_it_captures_first_among_those_it_can_win():
     """phi = 3, 2 and 4 s; a bid of 1.5 s for 2 wins against it, one of 3 s for 1 does as well, for its id is lower."""
     me, phi = puppet(evaders=3), {1: 3.0, 2: 2.0, 3: 4.0}
     me.capture_time, me.time_left, me.id = phi.get, lambda: 9.0, 5
@@ -328,7 +328,7 @@ def test_who_bids_for_several_evaders_bids_for_the_one_it_captures_first_of_thos
     assert chosen(me, free) == (0, free)
 
 
-def test_of_two_evaders_that_one_pursuer_is_said_to_win_the_better_bid_counts():
+def test_a_winner_named_for_two_evaders_keeps_only_the_better_bid():
     """It bids for one at a time: 1 was thought to win both the first and the third."""
     bids = [Bid(1, -3.0), Bid(2, -4.0), Bid(1, -2.0), NO_BID]
     assert one_each(bids) == [NO_BID, Bid(2, -4.0), Bid(1, -2.0), NO_BID]
@@ -336,8 +336,8 @@ def test_of_two_evaders_that_one_pursuer_is_said_to_win_the_better_bid_counts():
     assert one_each([Bid(0, -1.0)]) == [Bid(0, -1.0)]
 
 
-def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
-    """Pursuer 1 says that 2, which 0 does not hear, wins the first evader with -5 s and the second with -1 s."""
+def test_a_stale_claim_for_a_pursuer_that_changed_evaders_blocks_no_bid():
+    """Pursuer 1 claims that 2, from which 0 does not receive, wins evader 1 with -5 s and 2 with -1 s."""
     heard, claims, phi = {1: Record(1, 0, 0, Claim(0, (2, 2), (-5.0, -1.0)))}, [], {1: 6.0, 2: 7.0}
     me = puppet(evaders=2, team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left = phi.get, lambda: 9.0
@@ -346,7 +346,7 @@ def test_old_word_of_who_has_gone_on_to_another_evader_blocks_nobody():
 
 
 @given(st.integers(0, 3), st.lists(BIDS, min_size=1, max_size=4))
-def test_what_is_told_is_understood(action, bids):
+def test_a_claim_decodes_to_the_bids_it_encodes(action, bids):
     claim = Claim(*claim_fields(action, bids))
     assert bids_of(claim) == bids
     assert claim.active == action
@@ -359,7 +359,7 @@ def test_what_is_told_is_understood(action, bids):
 @pytest.mark.parametrize("dissemination", [None, Flooding(hops=4)])
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_loss_and_random_latency_only_slow_it(auction, dissemination):
-    """30 % lost, latency 0.05 s on average (cv 1, so word overtakes), on random connected graphs of 2 to 12."""
+    """30 % lost, latency 0.05 s on average (cv 1, so messages overtake), on random connected graphs of 2 to 12."""
     for number in range(8 if dissemination is None else 3):
         graph = random_graph(number)
         result = frozen(
@@ -380,10 +380,10 @@ def test_loss_and_random_latency_only_slow_it(auction, dissemination):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
-    """The control: half of all word is lost and none repeated; of 20 games at least 5 end wrong."""
+    """The control: half of all messages are lost and none repeated; of 20 games at least 5 end wrong."""
     wrong = 0
     for seed in range(20):
-        protocol = auction(schedule=Poisson(rate=5.0), **quiet(auction))
+        protocol = auction(schedule=Poisson(rate=5.0), **without_timeout(auction))
         lossy = Links(loss=Bernoulli(p=0.5))
         announce = Announcements(trigger="change", warm_start=False)
         wrong += chasing(frozen(protocol, seed, announce=announce, network=lossy)) != [1]
@@ -394,7 +394,7 @@ def test_without_heartbeats_a_lost_claim_may_leave_two_winners(auction):
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("warm", [False, True])
 def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(auction, warm):
-    """0 and 3 cannot hear 1 and 2 until 3 s: 3 (phi = 3 s) and 1 (1 s) win, then 1 alone."""
+    """0 and 3 cannot receive from 1 and 2 until 3 s: 3 (phi = 3 s) and 1 (1 s) win, then 1 alone."""
     cut = Partition(groups=((0, 3),), start=0.0, end=3.0)
     for schedule in SCHEDULES.values():
         result = frozen(auction(schedule=schedule), fault=(cut,), announce=Announcements(warm_start=warm))
@@ -403,8 +403,11 @@ def test_each_component_has_a_winner_and_when_they_meet_again_there_is_one(aucti
 
 
 @pytest.mark.parametrize(("auction", "cut_off"), [(CBAA, []), (CBBA, [3])])
-def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(auction, cut_off):
-    """From 2 s on 0 and 3 hear neither 1, the winner, nor 2; after 2 s of patience 3 takes over. At 6 s they meet."""
+def test_a_part_cut_off_from_the_winner_elects_another_only_with_time_stamps(auction, cut_off):
+    """From 2 s on 0 and 3 receive from neither 1, the winner, nor 2; after a timeout of 2 s 3 takes over.
+
+    At 6 s they meet.
+    """
     cut = Partition(groups=((0, 3),), start=2.0, end=6.0)
     result = frozen(auction(schedule=Rounds(period=0.1)), fault=(cut,))
     assert chasing(result, 3.8) == [1]
@@ -419,14 +422,14 @@ def test_who_is_cut_off_from_the_winner_finds_another_only_if_word_has_stamps(au
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 @pytest.mark.parametrize("node", [1, 2])
-def test_who_starts_anew_without_memory_learns_who_wins_and_may_win_again(auction, schedule, node):
+def test_a_pursuer_restarted_without_memory_learns_the_winner_and_may_win_again(auction, schedule, node):
     """Pursuer 1, the winner, or 2 breaks down from 2 to 3 s and has forgotten everything."""
     crash = Crash(node=node, start=2.0, end=3.0, memory=False)
     result = frozen(auction(schedule=SCHEDULES[schedule]), fault=(crash,))
     assert chasing(result, 1.9) == chasing(result) == [1]
 
 
-def test_the_auction_without_stamps_warns_of_crashes_and_both_of_graphs_in_parts():
+def test_cbaa_warns_of_crashes_and_both_auctions_warn_of_disconnected_graphs():
     for auction, names in [(CBAA, {"connected", "no_crashes"}), (CBBA, {"connected"})]:
         scenario = Scenario(
             team=Team(count=2),
@@ -446,11 +449,11 @@ def east(state, rng):
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_who_comes_to_bid_more_than_the_winner_takes_over(auction, schedule):
+def test_a_pursuer_whose_bid_exceeds_that_of_the_winner_takes_over(auction, schedule):
     """At 1 m/s against 0.8 m/s, 2 m behind and 5 m ahead: while 0 chases the gaps close by 0.2 and 0.8 m/s.
 
-    They are equal at 5 s, or earlier by as much as 0 begins later, who loses 1 m/s until then. Then 1, which is ahead,
-    captures; who has waited for 5 s would need 0.5 s for the metre that is left.
+    They are equal at 5 s, or earlier by as much as 0 begins later, which loses 1 m/s until then. Then 1, which is
+    ahead, captures; the one that waited for 5 s would need 0.5 s for the remaining metre.
     """
     result = frozen(
         auction(schedule=SCHEDULES[schedule]),
@@ -470,9 +473,9 @@ def test_who_comes_to_bid_more_than_the_winner_takes_over(auction, schedule):
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, schedule):
-    """Twenty of the paper, 8 seeds: 0.08 to 0.32 s too many on the mean, a hand-over at a time, and nobody at first.
+    """Twenty of the paper, 8 seeds: 0.08 to 0.32 s too many on the mean, a handover at a time, and none at first.
 
-    The control, 3 of the seeds: if nothing is announced all chase who would be in time, 9 to 10 s too many on the mean;
+    The control, 3 of the seeds: if nothing is announced all pursuers in time chase, 9 to 10 s too many on the mean;
     but a token has the claims of all with it.
     """
     excess, idle, alone = [], [], []
@@ -489,7 +492,7 @@ def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, sched
 
 
 def pursuit(protocol, seed, **announce):
-    """Run the pursuit of the paper with nobody active at first and a motion step of 0.02 s."""
+    """Run the pursuit of the paper with no pursuer active at first and a motion step of 0.02 s."""
     scenario = Scenario(
         team=Team(active_at_start=0.0),
         motion=Motion(step=0.02),
@@ -506,7 +509,7 @@ def pursuit(protocol, seed, **announce):
 def rivalry(auction, payload, difference, latency, graph):
     """Run two that stand phi = 5 s and so much more from an evader at rest, and one far off; they chase at 1 m/s.
 
-    All bid and speak at each tenth of a second, at 0.1 s for the first time.
+    All bid and announce at each tenth of a second, at 0.1 s for the first time.
     """
     positions = [(5.1, 0.0), (-5.1 - difference, 0.0), (0.0, 15.0)]
     return frozen(
@@ -520,7 +523,7 @@ def rivalry(auction, payload, difference, latency, graph):
     )
 
 
-# Who hears whom; how late word is; for how long it is under way and waits to be read, s.
+# Graph; latency; age of records: time in flight and until they are read, s.
 AGES = [(nx.complete_graph(3), 0.0, 0.1), (nx.complete_graph(3), 0.25, 0.3), (nx.path_graph([0, 2, 1]), 0.25, 0.6)]
 
 
@@ -531,14 +534,14 @@ UNSENSED = ["time", "state"]
 @pytest.mark.parametrize(("graph", "latency", "age"), AGES)
 @pytest.mark.parametrize("payload", ["action", *UNSENSED])
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_one_of_two_near_equal_bidders_gives_way_unless_word_is_older_than_they_differ(
+def test_a_near_equal_bidder_withdraws_unless_bids_are_older_than_their_difference(
     auction, payload, graph, latency, age
 ):
     """Both begin at 0.1 s and 0 captures at 5.1 s; 1 reads that 0 bids at 0.1 s + age. Where positions are sensed it
     gives way by then, though it is the slower by 0.01 s only.
 
-    Until then another than 0 alone chases: nobody, then both (and the third, until it hears of one of them). The
-    control: unsensed, while both chase each phi falls by 1 s/s, so word of 0 understates its bid by the age of word,
+    Until then another set than {0} chases: none, then both (and the third, until it learns of one of them). The
+    control: unsensed, while both chase each phi falls by 1 s/s, so a record of 0 understates its bid by its age,
     and 1 gives way only if its phi is greater by more than that; else never.
     """
     gives_way = 0.1 + age
@@ -552,7 +555,7 @@ def test_one_of_two_near_equal_bidders_gives_way_unless_word_is_older_than_they_
 @pytest.mark.slow
 @pytest.mark.parametrize(("latency", "limit"), [(0.0, 1.0), (0.2, 2.0)])
 @pytest.mark.parametrize("auction", ["cbaa", "cbba"])
-def test_twenty_of_equal_speed_have_one_winner_but_for_the_time_that_word_takes(auction, latency, limit):
+def test_twenty_pursuers_of_equal_speed_have_one_winner_except_while_messages_are_in_flight(auction, latency, limit):
     """The greatest of five seeds was 0.7 s without latency, and 1.3 s with 0.2 s.
 
     The control, by the same seed: unsensed, 1.5 s without latency (seed 4), and 23.3 s of 29.4 s with 0.2 s (seed 0).
@@ -571,13 +574,13 @@ def test_twenty_of_equal_speed_have_one_winner_but_for_the_time_that_word_takes(
 def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to_date(auction, schedule, moving):
     """phi = 4, 1, 2, 3 s at rest, or 13, 4, 7, 10 s as the chase begins; the winner breaks down, and comes back or not.
 
-    The same decisions at the same instants, hence as many rounds to agree and the same successor. At rest every bid
-    that is told is the same, too.
+    The same decisions at the same instants, hence as many rounds to agree and the same successor. In a static game
+    every bid that is announced is the same, too.
     """
     phi = (13, 4, 7, 10) if moving else (4, 1, 2, 3)
     team = Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=1.0, active_at_start=0.0)
     for crash in ((), (Crash(node=1, start=0.8),), (Crash(node=1, start=0.8, end=1.2, memory=False),)):
-        decided, said = [], []
+        decided, announced = [], []
         for payload in ("action", *UNSENSED):
             result = frozen(
                 auction(schedule=SCHEDULES[schedule], **({"winner_timeout": 0.5} if auction is CBBA else {})),
@@ -587,10 +590,10 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
                 motion=Motion(step=0.02, static=not moving),
             )
             decided.append([(d.t, d.pursuer, d.active) for d in result.trace.of(Decided)])
-            said.append([(word.t, word.src, word.body) for word in result.trace.of(Broadcast)])
+            announced.append([(message.t, message.src, message.body) for message in result.trace.of(Broadcast)])
         assert decided[0] == decided[1] == decided[2] != []
         if not moving:
-            claims = [[each for each in words if isinstance(each[2], Claim | StampedClaim)] for words in said]
+            claims = [[each for each in words if isinstance(each[2], Claim | StampedClaim)] for words in announced]
             assert claims[0] == claims[1] == claims[2] != []
 
 
@@ -605,10 +608,10 @@ def puppet(evaders=1, team_size=2, **known):
     return me
 
 
-def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_of_or_not():
-    """Everybody's phi is sensed: 2, 1 s and, of who cannot capture, inf. What is not sensed stays as it was heard.
+def test_each_bid_is_updated_from_the_sensed_position_of_its_bidder():
+    """All phi are sensed: 2, 1 s and, without a possible capture, inf. Unsensed bids stay as received.
 
-    Nobody bids for an evader that has been captured.
+    No pursuer bids for a captured evader.
     """
     phi = {1: np.array([2.0, 1.0, inf]), 2: np.array([3.0, 4.0, 5.0])}
     me = SimpleNamespace(senses_others=True, evaders=lambda: [1, 2], trusted=dict)
@@ -623,8 +626,10 @@ def test_every_bid_is_brought_up_to_date_by_what_is_sensed_of_its_bidder_heard_o
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_date(auction):
-    """Pursuer 0 (phi = 3 s) hears 1 and 2 bid; then, hearing nothing, that it holds falls behind its own, and back."""
+def test_held_and_received_bids_are_both_updated(auction):
+    """Pursuer 0 (phi = 3 s) receives bids of 1 and 2; then, without messages, the bid it holds falls behind its own,
+    and back.
+    """
     phi, claims, heard = [3.0, 2.0, 2.5], [], {}
     me = puppet(team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=True)
     me.team_estimate = lambda evader: SimpleNamespace(capture_times=np.array(phi))
@@ -632,12 +637,12 @@ def test_both_the_bid_that_is_held_and_those_that_are_heard_are_brought_up_to_da
     claim = Claim if auction is CBAA else partial(StampedClaim, stamps=(-inf, 0.0, 0.0))
     turns = auction().actions(me)
     heard |= {1: Record(1, 0, 0, claim(True, 1, -8.0)), 2: Record(2, 0, 0, claim(True, 2, -7.0))}
-    said = []
+    announced = []
     for phi[0] in (3.0, 1.9, 1.7):
         next(turns)
-        said.append(claims[-1][:3])
+        announced.append(claims[-1][:3])
         phi[1] = 1.8
-    assert said == [(False, 1, -2.0), (False, 1, -1.8), (True, 0, -1.7)]
+    assert announced == [(False, 1, -2.0), (False, 1, -1.8), (True, 0, -1.7)]
 
 
 @pytest.mark.parametrize(
@@ -652,8 +657,8 @@ def test_a_pursuer_bids_if_it_may_chase_and_is_in_time(phi, left, free, bid):
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)
-def test_at_each_turn_the_winner_bids_anew_and_releases_its_claim_if_it_would_be_late(auction):
-    """A pursuer that hears of nobody: r = 5 s, and phi is 1 s, then 3 s, 5 s and 2 s."""
+def test_at_each_turn_the_winner_renews_its_bid_or_releases_its_claim_if_late(auction):
+    """A pursuer without records: r = 5 s, and phi is 1 s, then 3 s, 5 s and 2 s."""
     phi, claims = iter([1.0, 3.0, 5.0, 2.0]), []
     me = puppet(trusted=dict, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left = lambda evader: next(phi), lambda: 5.0
@@ -662,7 +667,7 @@ def test_at_each_turn_the_winner_bids_anew_and_releases_its_claim_if_it_would_be
     assert [claim[:3] for claim in claims] == [(True, 0, -1.0), (True, 0, -3.0), (False, -1, -inf), (True, 0, -2.0)]
 
 
-def test_each_record_that_is_trusted_and_has_a_claim_is_read_once_in_order_of_ids():
+def test_each_trusted_record_with_a_claim_is_read_once_in_id_order():
     claim, read = Claim(True, 2, -1.0), {}
     records = {2: Record(2, 7, 0, claim), 0: Record(0, 0, 0, Assignment(True)), 1: Record(1, 0, 0, claim)}
     me = SimpleNamespace(trusted=lambda: records)
@@ -674,11 +679,11 @@ def test_each_record_that_is_trusted_and_has_a_claim_is_read_once_in_order_of_id
 
 # The merge of bids.
 
-SAID = st.dictionaries(st.integers(0, 5), BIDS, min_size=1, max_size=5)
+RECEIVED_BIDS = st.dictionaries(st.integers(0, 5), BIDS, min_size=1, max_size=5)
 
 
-def test_of_a_pursuer_that_speaks_only_its_own_word_about_its_own_bid_counts():
-    """1 was thought to bid -1 s: it bids -4 s now, or holds 3 for the winner; 2 has not heard of that."""
+def test_the_bid_of_a_sender_is_taken_only_from_its_own_claim():
+    """1 was thought to bid -1 s: it bids -4 s now, or names 3 the winner; 2 does not know of that."""
     before, two = Bid(1, -1.0), Bid(1, -1.0)
     assert greatest(before, {0: NO_BID, 2: two}) == before
     assert greatest(before, {0: NO_BID, 1: Bid(1, -4.0), 2: two}) == Bid(1, -4.0)
@@ -688,19 +693,19 @@ def test_of_a_pursuer_that_speaks_only_its_own_word_about_its_own_bid_counts():
     assert greatest(NO_BID, {0: NO_BID, 2: Bid(0, -1.0)}) == NO_BID
 
 
-@given(BIDS, SAID)
-def test_the_greatest_bid_does_not_depend_on_the_order_of_what_is_said(best, said):
-    found = {greatest(best, dict(order)) for order in permutations(said.items())}
+@given(BIDS, RECEIVED_BIDS)
+def test_the_greatest_bid_does_not_depend_on_the_order_of_claims(best, received):
+    found = {greatest(best, dict(order)) for order in permutations(received.items())}
     assert len(found) == 1
-    assert found <= {best, *said.values(), NO_BID}
+    assert found <= {best, *received.values(), NO_BID}
 
 
-@given(BIDS, SAID)
-def test_no_bid_that_counts_is_greater_than_the_greatest(best, said):
-    """Written out: a bid counts if it is its bidder's own word, or if its bidder says nothing."""
-    top = greatest(best, said)
-    for source, bid in [(None, best), *said.items()]:
-        if bid != NO_BID and (source == bid.winner or bid.winner not in said):
+@given(BIDS, RECEIVED_BIDS)
+def test_no_bid_that_counts_is_greater_than_the_greatest(best, received):
+    """Written out: a bid counts if its bidder claims it, or if there is no claim of its bidder."""
+    top = greatest(best, received)
+    for source, bid in [(None, best), *received.items()]:
+        if bid != NO_BID and (source == bid.winner or bid.winner not in received):
             assert (top.amount, -top.winner) >= (bid.amount, -bid.winner)
             assert top != NO_BID
-    assert top == NO_BID or top.winner not in said or said[top.winner] == top
+    assert top == NO_BID or top.winner not in received or received[top.winner] == top

@@ -27,7 +27,7 @@ I, K, M, N, NONE = 3, 1, 0, 4, -1  # the receiver, the sender, two others  # noq
 OLD, SAME, NEW = 4.0, 5.0, 6.0
 """Stamps of the sender: older than the receiver's, as old, or newer."""
 
-# Sender says, receiver says, is the sender's bid higher, its stamp of its winner and of the receiver's; what is done.
+# Sender's winner, receiver's winner, is the sender's bid higher, its stamp of its winner and of the receiver's; action.
 # Written by hand from Table I of Choi, Brunet & How 2009; where a column does not matter it is None, and all are tried.
 TABLE = [
     (K, I, True, None, None, "update"),
@@ -92,7 +92,7 @@ def cases(z_k, z_i, higher, of_theirs, of_mine):
 
 
 @pytest.mark.parametrize(("z_k", "z_i", "higher", "of_theirs", "of_mine", "verdict"), TABLE)
-def test_the_receiver_does_what_the_table_says(z_k, z_i, higher, of_theirs, of_mine, verdict):
+def test_the_receiver_follows_the_decision_table(z_k, z_i, higher, of_theirs, of_mine, verdict):
     """All stamps of the receiver are 5 s, as are those of the sender that the row does not name."""
     for high, theirs, mine in cases(z_k, z_i, higher, of_theirs, of_mine):
         s_i, s_k = [SAME] * 5, [SAME] * 5
@@ -116,14 +116,14 @@ def test_the_table_above_has_each_cell_once():
     ("i", "k", "z_i", "z_k"), [(I, K, I, K), (I, K, N, K), (I, K, I, M), (I, K, N, M), (0, 1, 0, 2), (2, 4, 2, 3)]
 )
 def test_of_equal_bids_that_of_the_lower_id_is_higher(i, k, z_i, z_k):
-    """In the four cells where bids matter; m has newer word, n has not."""
+    """In the four cells where bids matter; m has a newer record, n has not."""
     s_k = [NEW if j == z_k else SAME for j in range(5)]
     verdict = decision(i, k, z_i, -1.0, [SAME] * 5, z_k, -1.0, s_k)
     assert verdict == ("update" if z_k < z_i else "leave")
 
 
 def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
-    """Pursuer 0 (phi = 2 s) hears 1 claim at -1 s; then that 1 holds 0 for the winner: it resets, and bids itself."""
+    """Pursuer 0 (phi = 2 s) receives a claim of 1 at -1 s; then that 1 names 0 the winner: it resets, and bids."""
     heard, claims = {}, []
     me = puppet(team_size=3, trusted=lambda: heard, set_payload=claims.append, senses_others=False)
     me.capture_time, me.time_left, me.now = lambda evader: 2.0, lambda: 5.0, 9.0
@@ -140,19 +140,21 @@ def test_a_verdict_is_carried_out_and_stamps_are_merged_by_the_newest():
 
 
 @pytest.mark.slow_but_one
-@pytest.mark.parametrize("patience", [0.5, 2.0])
+@pytest.mark.parametrize("winner_timeout", [0.5, 2.0])
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_when_the_winner_breaks_down_the_next_takes_over_as_patience_ends(schedule, patience):
-    """Pursuer 1 breaks down at 3 s, having spoken within the last 0.1 s and been read at every turn (0.08 s a ring).
+def test_when_the_winner_breaks_down_the_next_takes_over_after_the_winner_timeout(schedule, winner_timeout):
+    """Pursuer 1 breaks down at 3 s, having announced within the last 0.1 s and been read at every turn (0.08 s a ring).
 
-    Nobody else chases until patience ends, counted from when it was last read; its successors begin at their next turns
-    and agree on 2 soon. The control: with patience for ever nobody does.
+    No other chases until the winner timeout ends, counted from when it was last read; its successors begin at their
+    next turns and agree on 2 soon. The control: with an infinite timeout no other chases.
     """
     crash = Crash(node=1, start=3.0)
-    result = frozen(CBBA(schedule=SCHEDULES[schedule], winner_timeout=patience), seed=1, fault=(crash,), horizon=12.0)
+    result = frozen(
+        CBBA(schedule=SCHEDULES[schedule], winner_timeout=winner_timeout), seed=1, fault=(crash,), horizon=12.0
+    )
     begun = min(d.t / 1e9 for d in result.trace.of(Decided) if d.active and d.t > 3e9)
     slack = 0.2 if schedule in {"rounds", "token_ring"} else 1.0
-    assert 3.0 + patience - slack - 0.1 <= begun <= 3.0 + patience + slack
+    assert 3.0 + winner_timeout - slack - 0.1 <= begun <= 3.0 + winner_timeout + slack
     assert chasing(result, 2.9) == [1]
     assert chasing(result, begun - 0.01) == []
     assert chasing(result, begun + 2.0) == chasing(result) == [2]
@@ -185,10 +187,10 @@ def test_a_winner_that_comes_back_wins_again():
         assert chasing(result) == [1]
 
 
-def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
-    """On a path of 8 the winner, at one end, breaks down at 5 s: each hop and round is 0.1 s, patience 1 s.
+def test_a_failed_winner_times_out_everywhere_within_a_delay_per_hop():
+    """On a path of 8 the winner, at one end, breaks down at 5 s: each hop and round is 0.1 s, the winner timeout 1 s.
 
-    The first gives up after 6 s, the last 0.7 s later; word of the dead that is still under way revives nothing.
+    The first gives up after 6 s, the last 0.7 s later; claims for it still in flight revive nothing.
     """
     line = Team(positions=[(1.1 + k, 0.0) for k in range(8)], speeds=1.0, active_at_start=0.0)
     result = frozen(
@@ -200,7 +202,9 @@ def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
         fault=(Crash(node=0, start=5.05),),
     )
     believed = {
-        (round(word.t / 1e8), word.src): word.body.winner for word in result.trace.of(Broadcast) if word.t >= 5e9
+        (round(message.t / 1e8), message.src): message.body.winner
+        for message in result.trace.of(Broadcast)
+        if message.t >= 5e9
     }
     last = [max(k for (k, src), winner in believed.items() if src == j and winner == 0) for j in range(1, 8)]
     assert last == [61 + j - 1 for j in range(1, 8)]
@@ -210,15 +214,15 @@ def test_a_winner_that_is_far_away_is_missed_by_all_at_about_the_same_time():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", [Rounds(period=0.1), Poisson(rate=5.0), SharedSeed(slot=0.01)])
-def test_patience_outlasts_what_is_lost(schedule):
+def test_the_winner_timeout_tolerates_lost_messages(schedule):
     """Half of all heartbeats are lost; in 60 s the winner, once alone, is never given up. With 0.15 s it often is."""
     given_up = {}
-    for patience in (2.0, 0.15):
+    for winner_timeout in (2.0, 0.15):
         result = frozen(
-            CBBA(schedule=schedule, winner_timeout=patience), horizon=60.0, network=Links(loss=Bernoulli(p=0.5))
+            CBBA(schedule=schedule, winner_timeout=winner_timeout), horizon=60.0, network=Links(loss=Bernoulli(p=0.5))
         )
         late = [d for d in result.trace.of(Decided) if d.t > 5e9]
-        given_up[patience] = len([d for d in late if d.active and d.pursuer != 1])
+        given_up[winner_timeout] = len([d for d in late if d.active and d.pursuer != 1])
         assert all(d.active for d in late if d.pursuer == 1)
     assert given_up[2.0] == 0
     assert given_up[0.15] > 50
@@ -237,10 +241,10 @@ class Unequal:
                 me.announce()
 
 
-def test_a_winner_that_has_no_turns_is_kept_as_long_as_it_is_heard():
+def test_a_winner_without_turns_is_kept_as_long_as_its_records_arrive():
     """Pursuer 1 wins at 0.2 s, and from 0.3 s on only repeats it.
 
-    Without heartbeats it is given up, and then each of the others by each, for nothing is said twice: all chase.
+    Without heartbeats it is given up, and then each of the others by each, as nothing is announced twice: all chase.
     """
     for trigger, winner in [("both", [1]), ("change", [0, 1, 2, 3])]:
         result = frozen(CBBA(schedule=Unequal()), announce=Announcements(trigger=trigger, warm_start=False))
@@ -249,7 +253,7 @@ def test_a_winner_that_has_no_turns_is_kept_as_long_as_it_is_heard():
 
 
 @pytest.mark.slow
-def test_stamps_are_by_the_clock_of_whom_they_are_about():
+def test_time_stamps_are_on_the_clock_of_the_pursuer_they_concern():
     """Clocks that are hours wrong, on a path of 4 with pursuer 1 at one end: no verdict changes, only stamps.
 
     Rounds are due by one's own clock, so pursuers have other schedules here.
@@ -269,14 +273,16 @@ def test_stamps_are_by_the_clock_of_whom_they_are_about():
             )
             assert chasing(result, 3.9) == [0]
             assert chasing(result) == ([1] if crash else [0])
-    stamps = [word.body.stamps for word in result.trace.of(Broadcast) if word.src == 3 and word.t > 11e9][-1]
+    stamps = [message.body.stamps for message in result.trace.of(Broadcast) if message.src == 3 and message.t > 11e9][
+        -1
+    ]
     assert stamps == pytest.approx((4004.0, -4988.0, 12.0, 9012.0), abs=1.0)
 
 
-def test_nothing_has_been_heard_of_whom_nothing_has_been_heard():
+def test_pursuers_without_a_record_have_no_time_stamp():
     """The stamps of the first claims: the own one, and none of others."""
     result = frozen(CBBA(schedule=Rounds(period=0.1)), announce=Announcements(trigger="revision", warm_start=False))
-    first = {word.src: word.body.stamps for word in result.trace.of(Broadcast) if word.t < 0.15e9}
+    first = {message.src: message.body.stamps for message in result.trace.of(Broadcast) if message.t < 0.15e9}
     assert first == {j: tuple(0.1 if m == j else -inf for m in range(4)) for j in range(4)}
-    second = {word.src: word.body.stamps for word in result.trace.of(Broadcast) if 0.15e9 < word.t < 0.25e9}
+    second = {message.src: message.body.stamps for message in result.trace.of(Broadcast) if 0.15e9 < message.t < 0.25e9}
     assert second == {j: tuple(0.2 if m == j else 0.1 for m in range(4)) for j in range(4)}

@@ -45,7 +45,7 @@ def test_several_evaders_are_assigned_as_is_best(count):
     assert other > 0
 
 
-def test_who_is_broken_is_not_sent_to_any_evader():
+def test_a_broken_down_pursuer_is_assigned_no_evader():
     """Pursuers at 0 and 2 m, evaders at 1 and 5 m: as 0 breaks down 1 leaves the second evader for the first."""
     scenario = at_rest(
         Centralised(slot=0.5),
@@ -59,7 +59,7 @@ def test_who_is_broken_is_not_sent_to_any_evader():
     assert chased(run(scenario)) == {1: 1}
 
 
-def test_nobody_is_sent_who_would_be_late():
+def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
     """phi = (5 - 0.1) / 0.1 = 49 s, and 30 s are left."""
     scenario = Scenario(
         team=Team(positions=[(0.0, 0.0), (0.0, 0.1)], speeds=1.0),

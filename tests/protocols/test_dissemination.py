@@ -1,6 +1,6 @@
-"""Dissemination: who has heard of whom, when, and how often something was said for that.
+"""Dissemination: the records each pursuer has, their arrival times, and the transmissions they took.
 
-Nobody moves and nobody knows anything at first; the latency is L = 0.25 s, so that times are exact.
+Positions are static and no pursuer has a record at first; the latency is L = 0.25 s, so that times are exact.
 """
 
 from collections import Counter
@@ -43,8 +43,8 @@ def play(protocol, graph, dissemination, *watchers, **changes):
     return run(Scenario(**(given | changes)), 0, *watchers)
 
 
-def saying(*times, by=0, heard=None):
-    """Return a protocol in which one pursuer chases and says so at times; at the end all note what they have heard.
+def announcing_at(*times, by=0, heard=None):
+    """Return a protocol in which one pursuer chases and announces it at times; at the end all log their records.
 
     heard: gets {pursuer: {source: (when the newest record arrived, s; its number)}}.
     """
@@ -63,13 +63,13 @@ def saying(*times, by=0, heard=None):
 
 
 def arrivals(graph, dissemination, **changes):
-    """Return when each pursuer heard what pursuer 0 said at 1 s, and the result of the run."""
+    """Return when each pursuer received the announcement of pursuer 0 at 1 s, and the result of the run."""
     heard = {}
-    result = play(saying(1.0, heard=heard), graph, dissemination, **changes)
+    result = play(announcing_at(1.0, heard=heard), graph, dissemination, **changes)
     return {j: known[0][0] for j, known in heard.items() if 0 in known}, result
 
 
-def test_one_hop_reaches_the_neighbours_and_nobody_else():
+def test_one_hop_dissemination_reaches_only_the_neighbours():
     when, result = arrivals(nx.path_graph(5), OneHop())
     assert when == {1: 1.25}
     assert result.trace.of(MessageCounts)[0].transmissions == 1
@@ -77,14 +77,14 @@ def test_one_hop_reaches_the_neighbours_and_nobody_else():
 
 @pytest.mark.parametrize("hops", [1, 2, 3, 5, FAR])
 def test_flooding_travels_one_hop_per_latency_and_so_many_hops_at_most(hops):
-    """On a path of 6 node k hears at 1 + k L; everyone up to the last but one who hears says it once."""
+    """On a path of 6 node k receives at 1 + k L; every node but the last two forwards once."""
     when, result = arrivals(nx.path_graph(6), Flooding(hops=hops, jitter=0.0))
     assert when == {k: 1.0 + k * L for k in range(1, min(hops, 5) + 1)}
     assert result.trace.of(MessageCounts)[0].transmissions == min(hops, 6)
 
 
-def test_on_a_ring_word_goes_both_ways_and_meets():
-    """Six nodes: 1 and 5 hear after L, 2 and 4 after 2 L, 3 after 3 L, twice. Each says it once, to 2 neighbours."""
+def test_on_a_ring_flooding_travels_both_ways_and_meets():
+    """Six nodes: 1 and 5 receive after L, 2 and 4 after 2 L, 3 after 3 L, twice; each transmits to 2 neighbours."""
     when, result = arrivals(nx.cycle_graph(6), Flooding(hops=FAR, jitter=0.0))
     assert when == {1: 1.25, 5: 1.25, 2: 1.5, 4: 1.5, 3: 1.75}
     tally = result.trace.of(MessageCounts)[0]
@@ -106,7 +106,7 @@ def graphs(draw):
 @settings(max_examples=60, deadline=None)
 @given(graphs(), st.integers(1, 9), st.booleans())
 def test_flooding_is_breadth_first_search(graph, hops, breakable):
-    """Node j hears at 1 + L d(0, j) if d <= hops; those with d < hops say it once, each to all its neighbours.
+    """Node j receives at 1 + L d(0, j) if d <= hops; those with d < hops transmit once, each to all its neighbours.
 
     Whether something may break does not matter (it lets messages take another way through the simulator).
     """
@@ -120,15 +120,15 @@ def test_flooding_is_breadth_first_search(graph, hops, breakable):
     assert tally.sent == tally.delivered == sum(graph.degree(j) for j in speakers)
 
 
-def test_what_is_said_again_is_new_and_what_is_heard_again_is_not():
-    """A complete graph of 5: each of three announcements is said once by each, whatever the number of copies."""
+def test_a_repeated_announcement_is_new_and_a_duplicate_of_it_is_not():
+    """A complete graph of 5: each of three announcements is transmitted once by each, whatever the number of copies."""
     heard = {}
-    result = play(saying(1.0, 2.0, 3.0, heard=heard), nx.complete_graph(5), Flooding(jitter=0.0))
+    result = play(announcing_at(1.0, 2.0, 3.0, heard=heard), nx.complete_graph(5), Flooding(jitter=0.0))
     assert result.trace.of(MessageCounts)[0].transmissions == 3 * 5
     assert heard == {0: {}} | {j: {0: (3.25, 3)} for j in range(1, 5)}
 
 
-def test_word_that_is_passed_on_bears_the_time_and_number_of_its_source():
+def test_a_forwarded_record_keeps_the_time_and_sequence_number_of_its_source():
     """Two hops, and a relay whose clock is wrong: it stays the record that pursuer 0 made at 1 s."""
     seen = []
 
@@ -150,10 +150,10 @@ def test_word_that_is_passed_on_bears_the_time_and_number_of_its_source():
 
 
 def delays(jitter, count=400):
-    """Return how much later than 2 L node 2 of a path hears what node 0 says, s, over many announcements."""
+    """Return the delays beyond 2 L with which node 2 of a path receives the announcements of node 0, s."""
     given = {"horizon": count + 1.0, "record": Recording(trajectory=0.0, messages=True)}
     times = [float(k) for k in range(1, count + 1)]
-    result = play(saying(*times), nx.path_graph(3), Flooding(jitter=jitter), **given)
+    result = play(announcing_at(*times), nx.path_graph(3), Flooding(jitter=jitter), **given)
     sent = [event for event in result.trace.of(Sent) if event.src == 1 and event.dst == 2]
     return np.array([event.t / 1e9 - L - t for event, t in zip(sent, times, strict=True)])
 
@@ -167,9 +167,9 @@ def test_relays_wait_for_a_uniform_time_up_to_the_jitter():
     assert delays(0.0, count=20) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_waits_to_be_said_does_not_hold_up_what_comes_in():
-    """Jitter of 2 s: node 1 says both announcements of 1.0 and 1.1 s, each after a delay of its own."""
-    result = play(saying(1.0, 1.1), nx.path_graph(3), Flooding(jitter=2.0))
+def test_pending_forwards_do_not_delay_incoming_messages():
+    """Jitter of 2 s: node 1 forwards both announcements of 1.0 and 1.1 s, each after a delay of its own."""
+    result = play(announcing_at(1.0, 1.1), nx.path_graph(3), Flooding(jitter=2.0))
     first, second = (event for event in result.trace.of(Sent) if event.src == 1 and event.dst == 2)
     assert {event.body.records[0].seq for event in (first, second)} == {1, 2}
     assert first.t < second.t < 3.4e9
@@ -177,10 +177,12 @@ def test_what_waits_to_be_said_does_not_hold_up_what_comes_in():
 
 @pytest.mark.timeout(10)
 @pytest.mark.parametrize("drift", [-0.9, 0.5, 4.0, 900.0])
-def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
+def test_relays_with_clock_errors_forward_records_all_the_same(drift):
     """The delay is up to J = 0.005 s by a clock that is 1 + drift as fast."""
     skews = tuple(ClockSkew(node=node, offset=3.0, drift=drift) for node in (1, 2, 3))
-    result = play(saying(*np.linspace(1.0, 3.0, 50).tolist()), nx.path_graph(4), Flooding(), fault=skews, horizon=5.0)
+    result = play(
+        announcing_at(*np.linspace(1.0, 3.0, 50).tolist()), nx.path_graph(4), Flooding(), fault=skews, horizon=5.0
+    )
     sent = [event for event in result.trace.of(Sent) if (event.src, event.dst) == (2, 3)]
     said = [event.body.records[0].seq for event in sent]
     assert len(set(said)) == len(said) > 10
@@ -193,7 +195,7 @@ def test_relays_with_wrong_clocks_pass_word_on_all_the_same(drift):
 @pytest.mark.parametrize("faults", [(), (Crash(node=1, start=9.9),)], ids=["noted at sending", "settled on arrival"])
 @pytest.mark.parametrize("latency", [0.0, 1e-9])
 def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_instant(latency, faults):
-    """Everybody decides at 1 s, in order of ids, on a path of 8: the first chases, and all others hear of it in time.
+    """All decide at 1 s, in order of ids, on a path of 8: the first chases, and all others learn of it in time.
 
     The control: 1 ns per hop is too late.
     """
@@ -216,11 +218,11 @@ def test_flooding_without_latency_reaches_all_before_the_next_decision_of_its_in
 @pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(graphs(), st.integers(0, 8))
-def test_flooding_without_latency_reaches_everyone_who_is_connected(graph, speaker):
+def test_flooding_without_latency_reaches_all_connected_pursuers(graph, speaker):
     speaker %= len(graph)
     heard = {}
     links = Links(graph=Edges.of(graph))
-    play(saying(1.0, by=speaker, heard=heard), graph, Flooding(hops=FAR, jitter=0.0), network=links)
+    play(announcing_at(1.0, by=speaker, heard=heard), graph, Flooding(hops=FAR, jitter=0.0), network=links)
     others = nx.node_connected_component(graph, speaker) - {speaker}
     assert {j: known[speaker] for j, known in heard.items() if speaker in known} == dict.fromkeys(others, (1.0, 1))
 
@@ -228,10 +230,10 @@ def test_flooding_without_latency_reaches_everyone_who_is_connected(graph, speak
 # Gossip.
 
 
-def test_gossip_takes_word_one_hop_farther_with_every_announcement():
-    """On a path pursuer k tells all it knows at k + 1 s.
+def test_gossip_carries_records_one_hop_farther_with_every_announcement():
+    """On a path pursuer k announces all its records at k + 1 s.
 
-    So node j hears of all k < j at j + L, of j + 1 at j + 2 + L, and of those farther on never.
+    So node j learns of all k < j at j + L, of j + 1 at j + 2 + L, and of those farther on never.
     """
     heard = {}
 
@@ -249,7 +251,7 @@ def test_gossip_takes_word_one_hop_farther_with_every_announcement():
 
 
 def test_gossip_merges_by_the_newest():
-    """0 says "I chase" at 1 s and "I stay" at 2 s; to 2 that takes 5 s, by 1, who talks at 3 s, 2 x 0.25 s."""
+    """0 announces a chase at 1 s and its end at 2 s; to 2 that takes 5 s, by 1, which announces at 3 s, 2 x 0.25 s."""
     graph, seen = nx.complete_graph(3), {}
     graph.edges[0, 2]["latency"] = 5.0
 
@@ -269,8 +271,8 @@ def test_gossip_merges_by_the_newest():
     assert sorted(seen[3.3]) == sorted(seen[6.5]) == sorted(seen[7.5]) == [(3.25, 1, False), (3.25, 2, False)]
 
 
-def test_gossip_tells_nobody_about_itself():
-    """Its own word comes back and is not entered; 16 + 8 bytes for the hops and 24 for each record."""
+def test_gossip_does_not_send_receivers_records_about_themselves():
+    """Its own record comes back and is not stored; 16 + 8 bytes for the hops and 24 for each record."""
     heard = {}
 
     def protocol(me):
@@ -318,11 +320,11 @@ def test_flooding_under_loss_uses_every_path():
         assert abs(share - (11 / 16 - expected)) > 4 * error
 
 
-# Word that comes by a detour first.
+# Records that arrive by a detour first.
 
 
 def transmissions(edges, hops):
-    """Return who heard what 0 says at 1 s, and how often each said it, over (i, j, latency in s)."""
+    """Return the receivers of 0's announcement at 1 s, and each one's transmissions, over (i, j, latency in s)."""
     graph = nx.Graph()
     graph.add_nodes_from(range(1 + max(max(edge[:2]) for edge in edges)))
     for i, j, latency in edges:
@@ -339,11 +341,11 @@ def transmissions(edges, hops):
         ([(2, 3, 0.25), (3, 4, 0.25)], 3, {1: 1.25, 2: 1.5, 3: 1.75, 4: 3.5}, {0: 1, 1: 1, 2: 2, 3: 1}),
     ],
 )
-def test_a_duplicate_is_passed_on_and_again_only_with_more_hops_left(path, hops, when, said):
-    """0 - 1 - 2 takes 0.5 s, 0 - 2 takes 2 s; with 2 hops 2 hears by 1 with none left, then from 0 with one, and 3.
+def test_a_duplicate_is_forwarded_only_with_more_hops_left(path, hops, when, said):
+    """0 - 1 - 2 takes 0.5 s, 0 - 2 takes 2 s; with 2 hops 2 receives by 1 with none left, then from 0 with one, and 3.
 
-    With 3 hops 2 passes on what it hears by 1, with one hop left, and again what it hears from 0: so 4 hears. What the
-    others hear twice may not travel farther than before.
+    With 3 hops 2 forwards the copy by 1, with one hop left, and again that from 0: so 4 receives it. What the
+    others receive twice may not travel farther than before.
     """
     assert transmissions([(0, 1, 0.25), (1, 2, 0.25), (0, 2, 2.0), *path], hops) == (when, said)
 
@@ -357,7 +359,7 @@ def test_a_duplicate_is_passed_on_and_again_only_with_more_hops_left(path, hops,
     ids=["equal", "fewer"],
 )
 @pytest.mark.parametrize("hops", [3, 4, FAR])
-def test_a_duplicate_with_as_many_hops_left_or_fewer_is_not_passed_on(edges, hops):
+def test_a_duplicate_with_as_many_or_fewer_hops_left_is_not_forwarded(edges, hops):
     when, said = transmissions(edges, hops)
     assert sorted(when) == [1, 2, 3, 4]
     assert set(said.values()) == {1}

@@ -1,4 +1,4 @@
-"""Geometric rules: who owns the evader, when it changes hands, and that everybody agrees without a word."""
+"""Geometric rules: the owner of the evader, its changes, and agreement without announcements."""
 
 from types import SimpleNamespace
 
@@ -29,7 +29,7 @@ SECOND = 1_000_000_000
 
 
 def profiles(result):
-    """Return {t: who chases} at every instant at which somebody decided, when all have that do."""
+    """Return {t: chasers} at every instant with a decision, after the last decision of the instant."""
     active, found = list(result.trace.of(Started)[0].active), {}
     for decision in result.trace.of(Decided):
         active[decision.pursuer] = decision.active
@@ -38,7 +38,7 @@ def profiles(result):
 
 
 def owners(result):
-    """Return who chased alone, one after the other; fails if at any instant several or none did."""
+    """Return the single chasers in order; fails if at any instant several or none chased."""
     found = []
     for profile in profiles(result).values():
         assert sum(profile) == 1
@@ -67,19 +67,19 @@ def scattered(protocol, seed, *, count=12, horizon=2000.0, speeds=0.91, **change
     return Scenario(**(given | changes))
 
 
-# Who it is.
+# The owner.
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_the_owner_of_the_voronoi_cell_of_the_evader_chases_from_every_slot_on(seed):
-    """Positions as recorded at every slot; the nearest by a k-d tree, and who chases then, compared at all slots."""
+    """Positions as recorded at every slot; the nearest by a k-d tree, and the chaser, compared at all slots."""
     result = run(scattered(Voronoi(slot=0.05), seed, record=Recording(trajectory=0.05)), seed)
     found, chasing, seen = profiles(result), None, set()
     samples = [sample for sample in result.trace.of(Sampled) if sample.t % 50_000_000 == 0]
     end = samples[-1].t
     for sample in samples:
         chasing = found.get(sample.t, chasing)
-        if sample.t < end:  # captured there, before anybody decides
+        if sample.t < end:  # captured there, before any decision
             owner = int(cKDTree(sample.pursuers).query(sample.evader)[1])
             assert chasing == tuple(j == owner for j in range(12))
             seen.add(owner)
@@ -108,9 +108,9 @@ def test_at_equal_speeds_voronoi_is_the_centralised_benchmark_event_for_event(sl
 @pytest.mark.parametrize("prune", ["none", "inf", "infeasible"])
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(payload, prune):
-    """Unequal speeds, some too slow; told or sensed, for word that takes no time is as good as sight.
+    """Unequal speeds, some too slow; announced or sensed, which is equivalent at zero latency.
 
-    Times that are told are as of telling, so they are the same only if they are told at every slot: in a frozen game.
+    Announced times are as of the announcement, so they agree only if announced at every slot: in a static game.
     """
     total, frozen = 0, payload == "time"
     for seed in (0, 1, 3):
@@ -133,7 +133,7 @@ def test_argmin_by_time_of_capture_is_the_centralised_benchmark_event_for_event(
 
 
 @pytest.mark.slow
-def test_at_unequal_speeds_the_nearest_is_not_who_would_capture_first():
+def test_at_unequal_speeds_the_nearest_pursuer_is_not_the_one_that_would_capture_first():
     """The control: the same pursuits by Voronoi and by time of capture differ."""
     speeds = {"default": 1.0, "last": 2.0}
     by_cell, by_time = (
@@ -144,10 +144,10 @@ def test_at_unequal_speeds_the_nearest_is_not_who_would_capture_first():
 
 
 @pytest.mark.slow
-def test_who_would_be_late_is_never_the_owner():
+def test_a_pursuer_that_would_be_late_is_never_the_owner():
     """Nearest is pursuer 0, phi = (1.1 - 0.1) / (1 - 0.9) = 10 s; pursuer 1 needs (3.1 - 0.1) / (2.9 - 0.9) = 1.5 s.
 
-    With 20 s left 0 chases, with 9 s left 1, with 1 s left nobody; who is too slow never.
+    With 20 s left 0 chases, with 9 s left 1, with 1 s left none; one that is too slow never.
     """
     for horizon, owner in ((20.0, 0), (9.0, 1), (1.0, None)):
         for pursuers, speeds, shift in ((2, [1.0, 2.9], 0), (3, [0.5, 1.0, 2.9], 1)):
@@ -172,7 +172,7 @@ def test_of_equals_the_lowest_id_is_the_owner():
         assert owners(result) == [1]
 
 
-def test_by_intercept_the_owner_is_who_meets_first_an_evader_that_runs_straight():
+def test_by_intercept_time_the_owner_is_the_first_to_meet_an_evader_on_a_straight_path():
     """The evader runs from (0, 0) in x at 0.9 m/s. 0 is nearest, 1 m behind it; 1 is 2 m ahead; v = 1 m/s.
 
     0 closes in at 0.1 m/s and needs (1 - 0.1) / 0.1 = 9 s, 1 at 1.9 m/s and needs 1 s. At t = 0 no velocity is known
@@ -197,8 +197,8 @@ def test_by_intercept_the_owner_is_who_meets_first_an_evader_that_runs_straight(
 def test_after_a_turn_the_intercept_is_right_once_the_filter_has_settled():
     """The evader runs up for 1 s, then in x: its estimate is 0.9 ((1 - q) + i q), q = exp(-(t - 1) / 0.5), t >= 1.
 
-    0 is below it, 1 to the right; the evader at (x, 0.9), x = 0.9 (t - 1). Who is first by the closed form with that
-    estimate is who chases at each slot; the pure estimate would have changed over at once.
+    0 is below it, 1 to the right; the evader at (x, 0.9), x = 0.9 (t - 1). The first by the closed form with that
+    estimate chases at each slot; the pure estimate would have changed over at once.
     """
     places, radius, slot = np.array([0.4 + 2.9j, 3.2 + 0.9j]), 0.1, 0.05
 
@@ -286,7 +286,7 @@ def test_of_several_evaders_each_has_an_owner_of_its_own_the_nearest_first():
     assert near.tolist() == [1.0, 2.0, 9.0]
 
 
-def test_who_is_said_to_own_an_evader_chases_that_one():
+def test_the_announced_chasers_of_an_evader_include_oneself():
     me = SimpleNamespace(id=3, action=2, believed_active={1: [0], 2: [1, 4], 3: []}.get)
     assert [announced_chasers(me, evader) for evader in (1, 2, 3)] == [[0], [1, 4, 3], []]
 
@@ -307,7 +307,7 @@ def test_at_rest_the_owners_are_those_of_the_greedy_assignment(protocol, payload
 # Hysteresis.
 
 
-def test_who_takes_over_by_numbers():
+def test_takeovers_with_hysteresis_in_worked_examples():
     """1 is better than 0 by a tenth: at a hysteresis of less than 0.1 it takes over, at 0.1 it does not yet."""
     ids, measures = [0, 1, 4], np.array([10.0, 9.0, 30.0])
     assert [first(ids, measures, [0], h) for h in (0.0, 0.09, 0.1, 0.5)] == [1, 1, 0, 0]
@@ -322,10 +322,10 @@ def test_who_takes_over_by_numbers():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", [Voronoi, Argmin])
-def test_hysteresis_reduces_hand_overs_and_always_exactly_one_chases(model):
+def test_hysteresis_reduces_handovers_and_exactly_one_pursuer_chases_at_any_time(model):
     """Ten pursuits in which the evader runs from cell to cell; without hysteresis it changes hands far more often.
 
-    At every instant at which somebody decides one and only one chases when all have decided.
+    At every instant with a decision exactly one chases when all have decided.
     """
     counts = {}
     for hysteresis in (0.0, 0.02, 0.1):
@@ -355,11 +355,11 @@ def test_with_hysteresis_the_owner_is_within_the_band_and_changes_hands_only_bey
     assert hand_overs > 0
 
 
-# What is said.
+# Messages.
 
 
 @pytest.mark.slow
-def test_where_positions_are_sensed_nothing_is_said():
+def test_nothing_is_announced_where_positions_are_sensed():
     for protocol in (Voronoi(hysteresis=0.1, slot=0.05), Argmin(slot=0.05), Argmin(by="intercept_time", slot=0.05)):
         for seed in range(2):
             assert summary(run(scattered(protocol, seed, horizon=5.0, speeds=2.0), seed)).messages_sent == 0
@@ -367,7 +367,7 @@ def test_where_positions_are_sensed_nothing_is_said():
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("trigger", ["both", "change", "heartbeat", "never"])
-def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
+def test_without_sensed_positions_pursuers_announce_and_repeat_their_actions(trigger):
     """10 pursuers, 5 s: a heartbeat of 0.5 s from a random phase is 10 announcements each; changes come on top."""
     announce = Announcements(payload="state", trigger=trigger, heartbeat=0.5)
     scenario = scattered(
@@ -379,7 +379,7 @@ def test_where_they_are_not_pursuers_say_what_they_do_and_repeat_it(trigger):
 
 
 @pytest.mark.slow
-def test_two_that_each_hold_themselves_for_the_owner_find_out():
+def test_of_two_pursuers_that_both_believe_to_be_the_owner_one_stops():
     """0 at 10.5 m and 1 at 10 m are both active, within 20 % of each other: 0 stops, 1 goes on."""
     for payload in ("state", "time"):
         scenario = Scenario(
@@ -398,7 +398,7 @@ def test_two_that_each_hold_themselves_for_the_owner_find_out():
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_random_static_games_end_in_the_relay_profile(payload):
-    """9 games: any speeds by time of capture, equal ones by distance or intercept; told word is late, or lost."""
+    """9 games: any speeds by time of capture, equal ones by distance or intercept; announcements are late, or lost."""
     for seed in range(9):
         rng = np.random.default_rng(seed)
         count = int(rng.integers(2, 13))
@@ -423,8 +423,8 @@ def test_random_static_games_end_in_the_relay_profile(payload):
 
 
 @pytest.mark.slow
-def test_word_that_is_late_makes_them_disagree_for_a_while():
-    """The control: with the state told and half a second of latency several or none chase at times."""
+def test_delayed_announcements_cause_temporary_disagreement():
+    """The control: with the state announced and half a second of latency several or none chase at times."""
     announce = Announcements(payload="state")
     links = Links(latency=Constant(value=0.5))
     sums = set()
@@ -461,8 +461,8 @@ def test_its_assumptions():
 
 
 @pytest.mark.parametrize("protocol", [Voronoi(slot=0.1), Argmin(by="intercept_time", slot=0.1)])
-def test_who_was_broken_down_goes_on_as_soon_as_it_is_repaired(protocol):
-    """Pursuer 0, the owner, is down from 1 to 2.03 s and chases again at once; nobody stood in for it."""
+def test_a_pursuer_resumes_as_soon_as_it_is_repaired(protocol):
+    """Pursuer 0, the owner, is down from 1 to 2.03 s and chases again at once; no other replaced it."""
     team = Team(positions=[(1.1, 0.0), (0.0, 3.1)], speeds=1.0)
     scenario = Scenario(
         horizon=99.0,

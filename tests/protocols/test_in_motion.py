@@ -1,7 +1,7 @@
-"""Every protocol in pursuits in motion under latency: is the evader still captured, and for how long does nobody chase?
+"""Every protocol in pursuits in motion under latency: captures and times without a chaser.
 
 The game is the one that depends most on the negotiation: 20 pursuers as fast as each other and hardly faster than the
-evader, at first nobody active. A pursuer that chases in vain for a while is too late for the rest of the run.
+evader, at first no pursuer active. A pursuer that chases in vain for a while is too late for the rest of the run.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from protocols.server import Server
 from tests.omniscient import RoundTrip
 
 GEOMETRIC = {"argmin", "voronoi"}
-"""Rules that need no word where positions are sensed; the network is of no use to them."""
+"""Rules that need no messages where positions are sensed; the network is of no use to them."""
 
 
 class Outcome(NamedTuple):
@@ -79,7 +79,7 @@ def test_the_server_keeps_the_evader_although_orders_are_late_and_lost(latency):
 
 @pytest.mark.slow
 def test_a_server_that_forgets_its_orders_loses_the_evader():
-    """Orders go to and fro between several pursuers until all are too late, and for 35 s nobody chases."""
+    """Orders go to and fro between several pursuers until all are too late, and for 35 s none chases."""
     forgetful = outcome(2, Forgetful(), **late(1.0))
     assert forgetful.captured == 0.0
     assert forgetful.idle > 20.0
@@ -88,7 +88,7 @@ def test_a_server_that_forgets_its_orders_loses_the_evader():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted({*PROTOCOLS.choices()} - {"server"}))
 def test_no_protocol_loses_the_evader_to_latency(kind):
-    """A second of latency; positions are told with the announcements, except to the rules that sense them.
+    """A second of latency; positions are announced, except to the rules that sense them.
 
     The centralised benchmark captures all in these seeds.
     """

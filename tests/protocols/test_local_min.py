@@ -27,7 +27,7 @@ from protocols.temperature import ConstantTau
 
 
 def static_game(protocol, graph, phi, seed=0, horizon=10.0, **changes):
-    """Return a game on a graph in which nobody moves, r = 10 s; each is active at first with 1/2, as everyone knows."""
+    """Return a static game on a graph, r = 10 s; each is active at first with probability 1/2, known to all."""
     given = {
         "seed": seed,
         "horizon": horizon,
@@ -68,19 +68,19 @@ def random_graph(number):
 
 
 def timely(phi, graph):
-    """Return the part of a graph on which those live who would be in time, phi < 10 s."""
+    """Return the subgraph of the pursuers in time, phi < 10 s."""
     return graph.subgraph([i for i, each in enumerate(phi) if each < 10.0])
 
 
 def is_maximal_independent(profile, graph):
-    """Return whether nobody active is linked to anybody active, and everyone else is, of the nodes of a graph."""
+    """Return whether no two active nodes of a graph are linked, and every other node is linked to an active one."""
     active = {i for i, a in enumerate(profile) if a}
     independent = active <= set(graph) and graph.subgraph(active).number_of_edges() == 0
     return independent and (not len(graph) or nx.is_dominating_set(graph, active))
 
 
-def who_is_heard(graph):
-    """Return for each pursuer whom it hears."""
+def neighbour_lists(graph):
+    """Return the neighbours of each pursuer."""
     return [sorted(graph.adj[i]) for i in range(len(graph))]
 
 
@@ -98,11 +98,13 @@ ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "p
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
-    """60 random graphs for each schedule (30 for the slowest): settled by the middle of the 10 s, whoever decides."""
+    """60 random graphs for each schedule (30 for the slowest): settled by the middle of the 10 s, in any order of
+    decisions.
+    """
     for number in range(30 if clock == "local_mutex" else 60):
         graph, phi = random_graph(number)
         profile, times = changes_of(run(static_game(LocalMin(schedule=ANY_CLOCK[clock]), graph, phi, number)))
-        assert profile == greedy_maximal_independent_set(phi, 10.0, who_is_heard(graph)), f"graph {number}"
+        assert profile == greedy_maximal_independent_set(phi, 10.0, neighbour_lists(graph)), f"graph {number}"
         assert is_maximal_independent(profile, timely(phi, graph)), f"graph {number}"
         assert max(times, default=0.0) < 6.0, f"graph {number}"
 
@@ -118,11 +120,11 @@ def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set
         profile, times = changes_of(run(static_game(protocol, graph, phi, number)))
         assert is_maximal_independent(profile, timely(phi, graph)), f"graph {number}"
         assert max(times, default=0.0) < 6.0, f"graph {number}"
-        greedy += profile == greedy_maximal_independent_set(phi, 10.0, who_is_heard(graph))
+        greedy += profile == greedy_maximal_independent_set(phi, 10.0, neighbour_lists(graph))
     assert graphs / 6 < greedy < 5 * graphs / 6
 
 
-def test_all_at_once_best_responses_to_a_penalty_go_round_in_circles():
+def test_simultaneous_best_responses_to_a_penalty_cycle():
     """Two neighbours that both stay both chase at the next round, and both stay at the one after that, for ever."""
     protocol = BestResponse(utility=EdgePenalty(), schedule=Rounds(period=0.1))
     team = Team(positions=[(1.1, 0.0), (2.1, 0.0)], speeds=1.0, active_at_start=0.0)
@@ -131,8 +133,10 @@ def test_all_at_once_best_responses_to_a_penalty_go_round_in_circles():
 
 
 @pytest.mark.slow
-def test_local_min_settles_in_spite_of_latency_and_loss_if_word_is_repeated():
-    """40 random graphs, word 0.1 s late, three tenths of it lost, heartbeats every 0.1 s: the greedy set after 20 s."""
+def test_local_min_settles_despite_latency_and_loss_with_heartbeats():
+    """40 random graphs, latency of 0.1 s, three tenths of messages lost, heartbeats every 0.1 s: the greedy set after
+    20 s.
+    """
     for number in range(40):
         graph, phi = random_graph(number)
         scenario = static_game(
@@ -144,7 +148,7 @@ def test_local_min_settles_in_spite_of_latency_and_loss_if_word_is_repeated():
             announce=Announcements(heartbeat=0.1, belief_timeout=float("inf")),
         )
         profile, _ = changes_of(run(scenario))
-        assert profile == greedy_maximal_independent_set([p / 2 for p in phi], 10.0, who_is_heard(graph))
+        assert profile == greedy_maximal_independent_set([p / 2 for p in phi], 10.0, neighbour_lists(graph))
 
 
 # Three on a path, j - i - k, phi = (1, 2, 4).
@@ -166,7 +170,7 @@ CLOCK = Poisson(rate=5.0)
 def test_on_a_path_of_three_the_local_mean_never_settles(protocol):
     """20 seeds of 40 s: j chases for ever, i and k change all the time, never 4 s apart.
 
-    A circle is four changes, each of which waits 1/5 s on the average for the one who makes it: 200 in 40 s.
+    A circle is four changes, each of which waits 1/5 s on the average for the one that makes it: 200 in 40 s.
     """
     counts = []
     for seed in range(20):
@@ -191,7 +195,7 @@ def test_on_a_path_of_three_the_local_mean_never_settles(protocol):
     ],
     ids=["local_min", "best_response", "sap"],
 )
-def test_on_a_path_of_three_what_is_made_for_neighbours_settles(protocol, ends):
+def test_on_a_path_of_three_local_min_and_the_edge_penalty_settle(protocol, ends):
     """20 seeds: local_min in {j, k} each time, a penalty on edges in {j, k} or {i}, both of which come up."""
     found = set()
     for seed in range(20):
@@ -250,10 +254,10 @@ def of(phi, evader):
         ({6: (True, 2.0)}, range(100), True, True),
     ],
 )
-def test_who_chases_by_what_it_believes(beliefs, near, local_min, argmin_known):
-    """Behind an active neighbour local_min stays, behind anybody it knows argmin_known does; ties by number.
+def test_chasing_depends_on_the_beliefs_about_teammates(beliefs, near, local_min, argmin_known):
+    """Behind an active neighbour local_min stays, behind any known pursuer argmin_known does; ties by id.
 
-    Who would be late stays anyway, and as well who comes just as time is up.
+    A late pursuer stays anyway, also one that arrives just as time is up.
     """
     for rule, chases in ((LocalMin, local_min), (ArgminKnown, argmin_known)):
         assert bool(next(rule().actions(Puppet(beliefs, near)))) is chases
@@ -276,7 +280,9 @@ def test_who_chases_by_what_it_believes(beliefs, near, local_min, argmin_known):
     ],
 )
 def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, phi, at_large, local_min, argmin_known):
-    """local_min goes by who chases which, argmin_known by who would in order of phi: also 1, which is first of two."""
+    """local_min goes by the chasers of each evader, argmin_known by an assignment in order of phi: also 1, which is
+    first of two.
+    """
     assert next(LocalMin().actions(Puppet(beliefs, phi=phi, at_large=at_large))) == local_min
     assert next(ArgminKnown().actions(Puppet(beliefs, phi=phi, at_large=at_large))) == argmin_known
 
@@ -297,13 +303,11 @@ def test_of_several_evaders_it_chases_the_first_of_which_it_is_first(beliefs, ph
     ],
     ids=["complete", "path", "path flooded", "other path", "other path flooded", "other path flooded too little"],
 )
-def test_argmin_known_leaves_one_if_it_is_heard_by_all_and_else_who_is_first_of_whom_it_hears(
-    graph, dissemination, profile
-):
+def test_argmin_known_leaves_each_pursuer_that_is_first_among_those_it_has_records_of(graph, dissemination, profile):
     """phi = (4, 2, 1, 3, 5) s. Path 0 - 1 - 3 - 4 - 2: pursuer 1 is three hops from 2, and is first of its neighbours.
 
-    On 0 - 1 - 2 - 3 - 4 phi falls to 1 s and rises again, so each but 2 hears of one that is ahead. Nobody is known at
-    first; at heartbeats everyone speaks.
+    On 0 - 1 - 2 - 3 - 4 phi falls to 1 s and rises again, so each but 2 learns of one that is ahead. No pursuer is
+    known at first; at heartbeats all announce.
     """
     scenario = static_game(
         ArgminKnown(schedule=Poisson(rate=5.0)),
@@ -315,7 +319,7 @@ def test_argmin_known_leaves_one_if_it_is_heard_by_all_and_else_who_is_first_of_
         assert changes_of(run(scenario, seed))[0] == profile
 
 
-def test_argmin_known_leaves_a_neighbourhood_without_any_where_local_min_does_not():
+def test_argmin_known_may_leave_a_neighbourhood_without_a_chaser_unlike_local_min():
     """0 - 1 - 2 - 3, phi = 1, 2, 3, 4 s: 2 waits for 1, which waits for 0, and 3 for 2: three quarters wait in vain."""
     graph, phi = nx.path_graph(4), (1.0, 2.0, 3.0, 4.0)
     for rule, ends in ((ArgminKnown, (True, False, False, False)), (LocalMin, (True, False, True, False))):

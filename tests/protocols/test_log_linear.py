@@ -65,7 +65,7 @@ def test_the_log_linear_rules_follow_the_gibbs_law_of_the_potential(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [BinaryLogLinear, SelectiveSAP])
 def test_at_once_the_law_is_not_that_of_gibbs(rule):
-    """Everybody every four milliseconds, hearing of it before the next: the law of an exact chain, not that of Gibbs.
+    """All every four milliseconds, with delivery before the next: the law of an exact chain, not that of Gibbs.
 
     24,000 instants, errors of 0.004 and 0.007: 0.01 of total variation by chance; Gibbs is 0.16 and 0.06 away. The
     selective rule is lazy, so that it is half way to one at a time: its chain's law is another.

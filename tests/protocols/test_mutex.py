@@ -35,7 +35,7 @@ LATENCIES = pytest.mark.parametrize(
 @LATENCIES
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
 def test_neighbours_never_decide_with_stale_mutual_information(graph, latency):
-    """Whoever decides knows the last decision of every neighbour, however late messages are and whoever overtakes."""
+    """Each decision uses the last one of every neighbour, with any latency and reordering."""
     log = []
     horizon = 60.0 if latency == 1.0 else 10.0
     run(frozen(flips(LocalMutex(), log, graph(7)), latency=latency, graph=graph, horizon=horizon), 1)
@@ -84,7 +84,7 @@ def test_a_decision_takes_two_messages_per_neighbour(graph):
     assert not bodies(result, Deferred)
 
 
-def test_of_requests_of_one_time_that_of_the_lower_id_is_the_older():
+def test_of_simultaneous_requests_the_lower_id_has_priority():
     entered = []
 
     def protocol(me):
@@ -156,10 +156,10 @@ def test_the_mean_slot_counts_the_airtime_of_requests_and_replies():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3)])
-def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistaken(graph):
+def test_with_a_third_of_messages_lost_all_keep_deciding_and_few_decide_on_stale_beliefs(graph):
     """A neighbour is left out wrongly if none of 10 requests is answered: .51^10 = 1 of 840; 5 runs of 10 s.
 
-    Everybody decides again and again: nobody pauses for more than 10 rounds of repetition.
+    All decide again and again: no pause exceeds 10 rounds of retransmission.
     """
     log = []
     for seed in range(5):
@@ -171,7 +171,7 @@ def test_a_third_of_the_messages_lost_stops_nobody_and_hardly_anybody_is_mistake
 
 
 def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_it_is_back():
-    """Ten requests in vain take 10 x 2.5 L = 1.25 s; after that nobody waits for it."""
+    """Ten requests in vain take 10 x 2.5 L = 1.25 s; after that no pursuer waits for it."""
     log = []
     fault = Crash(start=2.0, end=8.0, node=3, scope="radio")
     graph = Complete()(4)
@@ -190,7 +190,7 @@ def test_a_neighbour_that_broke_down_is_waited_for_once_and_excludes_again_when_
 
 
 @pytest.mark.parametrize("attempts", [1, 4])
-def test_a_neighbour_that_does_not_answer_is_asked_as_often_as_is_documented(attempts):
+def test_a_neighbour_that_does_not_answer_gets_the_documented_number_of_requests(attempts):
     """Once it is known to be silent, each later request is made once."""
     fault = Crash(start=2.0, node=3, scope="radio")
     schedule = LocalMutex(attempts=attempts)
@@ -214,7 +214,8 @@ def test_after_a_partition_all_exclude_each_other_again():
 
 @pytest.mark.slow
 def test_no_storm_ends_in_a_deadlock():
-    """60 plans of crashes, partitions, jamming and losses until 3 s: everybody decides from then on, and knows.
+    """60 plans of crashes, partitions, jamming and losses until 3 s: every pursuer decides from then on, with current
+    information.
 
     What goes wrong in one plan of 20 is seen with 1 - (19 / 20)^60 = 0.954; 300 plans to explore.
 

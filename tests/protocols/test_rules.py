@@ -36,10 +36,10 @@ from tests.protocols.test_local_min import static_game as game_on
 
 LEARNING_KINDS = {kind for kind, model in PROTOCOLS.choices().items() if issubclass(model, LearningRule)}
 
-# By hand: a pursuer that is told what it gains, and whose luck is known.
+# By hand: a pursuer with given gains and scripted random draws.
 
 
-class Luck:
+class ScriptedGenerator:
     """A generator whose draws are known beforehand."""
 
     def __init__(self, random=(), integers=()):
@@ -58,8 +58,8 @@ class Luck:
 class Puppet:
     """A pursuer whose gain, action and beliefs are set by hand; with several evaders gains and phi are {evader: s}."""
 
-    def __init__(self, luck=(), integers=(), action=False, gain=0.0, evaders=1):
-        self.rng = Luck(luck, integers)
+    def __init__(self, draws=(), integers=(), action=False, gain=0.0, evaders=1):
+        self.rng = ScriptedGenerator(draws, integers)
         self.action, self.worth, self.now, self.team_size = action, gain, 1.0, 4
         self.known, self.phi, self.left, self.near = {}, 2.0, 10.0, range(100)
         self.evader_count, self.free = evaders, list(range(1, evaders + 1))
@@ -98,7 +98,7 @@ def play(rule, puppet, gains):
 
 
 def chance(rule, gain, action, integers=()):
-    """Return the probability to the nearest thousandth that a pursuer chases next, by sweeping its luck."""
+    """Return the probability to the nearest thousandth that a pursuer chases next, by sweeping its random draws."""
     grid = (np.arange(1000) + 0.5) / 1000
     return float(np.mean([play(rule, Puppet([u, u], integers, action), [gain])[0] for u in grid]))
 
@@ -127,7 +127,7 @@ def test_the_selective_rule_is_sap_that_does_nothing_at_every_second_turn(action
 
 
 @pytest.mark.parametrize(("rule", "tried"), [(BinaryLogLinear(), {0: [1], 1: [0]}), (SelectiveSAP(), {0: [0, 1]})])
-def test_what_is_tried_is_another_action_or_any(rule, tried):
+def test_binary_log_linear_tries_another_action_and_selective_sap_any(rule, tried):
     """Of 2, and of 3: the binary rule never tries the present one, the selective one tries all alike."""
     rng = np.random.default_rng(0)
     for action in tried:
@@ -143,11 +143,13 @@ def test_what_is_tried_is_another_action_or_any(rule, tried):
 def test_an_action_is_drawn_with_its_probability_by_one_number(weights):
     """The share of 2000 equidistant numbers that each action takes is its chance to 1/2000; without one it has none."""
     chances = [w / sum(weights) for w in weights]
-    luck = ((np.arange(2000) + 0.5) / 2000).tolist()
-    counts = Counter(categorical(chances, Luck([u])) for u in luck)
+    draws = ((np.arange(2000) + 0.5) / 2000).tolist()
+    counts = Counter(categorical(chances, ScriptedGenerator([u])) for u in draws)
     assert [counts[a] / 2000 for a in range(len(chances))] == pytest.approx(chances, abs=1.001 / 2000)
     for certain in (0, 1):
-        assert {categorical([1.0 - certain, float(certain)], Luck([u])) for u in (0.0, 1 - 2**-53)} == {certain}
+        assert {categorical([1.0 - certain, float(certain)], ScriptedGenerator([u])) for u in (0.0, 1 - 2**-53)} == {
+            certain
+        }
 
 
 def test_the_log_linear_rules_count_slots_of_the_whole_team():
@@ -162,7 +164,7 @@ def test_the_log_linear_rules_count_slots_of_the_whole_team():
     assert found == pytest.approx([1.0, 2.0, 1024.0])
 
 
-def test_of_actions_that_are_worth_the_same_the_first_is_best():
+def test_ties_between_actions_go_to_the_first():
     worths = [0.0, 0.0], [0.0, 1e-300], [0.0, -1.0], [1.0, 3.0, 3.0]
     assert [argmax(dict(enumerate(each))) for each in worths] == [0, 1, 0, 1]
     assert argmax({0: -1.0, 2: 5.0, 7: 5.0}) == 2
@@ -173,8 +175,8 @@ def test_best_response_chases_if_it_gains_and_stays_if_it_ties():
     assert play(BestResponse(), Puppet(action=True), [0.0]) == [0]
 
 
-def test_better_reply_only_ever_moves_to_what_is_strictly_better():
-    """alpha = 0.25: luck of 0.2 changes, of 0.25 does not; a tie is not better, in either action."""
+def test_better_reply_only_moves_to_strictly_better_actions():
+    """alpha = 0.25: a draw of 0.2 changes, of 0.25 does not; a tie is not better, in either action."""
     rule = BetterReply(alpha=0.25)
     assert play(rule, Puppet([0.2]), [1.0]) == [1]
     assert play(rule, Puppet([0.25]), [1.0]) == [0]
@@ -185,7 +187,7 @@ def test_better_reply_only_ever_moves_to_what_is_strictly_better():
         assert play(rule, Puppet([0.0], action=action), [1.0 if action else -1.0]) == [int(action)]
 
 
-class Told(LearningRule):
+class FixedUtilities(LearningRule):
     """A rule of three actions, by what they are worth."""
 
     def utilities(self, me):
@@ -196,7 +198,7 @@ class Told(LearningRule):
 def test_better_reply_draws_among_all_that_are_better(draw, chosen):
     """At 1, of worths (1, 3, 2), both others are better; each is drawn by its number."""
 
-    class Reply(Told, BetterReply):
+    class Reply(FixedUtilities, BetterReply):
         pass
 
     assert next(Reply(alpha=1.0).actions(Puppet([0.5], [draw]))) == chosen
@@ -208,13 +210,13 @@ def test_better_reply_draws_among_all_that_are_better(draw, chosen):
 @pytest.mark.parametrize(
     ("free", "weights"), [([1, 2, 3], [1.0, exp(1.0), exp(-1.0), exp(2.0)]), ([1, 3], [1.0, exp(1.0), 0.0, exp(2.0)])]
 )
-def test_sap_draws_from_the_logit_of_the_actions_it_may_choose(free, weights):
+def test_sap_draws_from_the_logit_of_the_allowed_actions(free, weights):
     """Worth (0, 0.5, -0.5, 1) s at tau = 0.5 s, whatever was done before; what it may not chase is left out."""
     grid, rule = (np.arange(2000) + 0.5) / 2000, SpatialAdaptivePlay(tau=ConstantTau(value=0.5))
     for action in (0, 2):
         counts = Counter()
-        for luck in grid:
-            me = Puppet([luck], action=action, evaders=3, gain={1: 0.5, 2: -0.5, 3: 1.0})
+        for draws in grid:
+            me = Puppet([draws], action=action, evaders=3, gain={1: 0.5, 2: -0.5, 3: 1.0})
             me.free = free
             counts[next(rule.actions(me))] += 1
         expected = [2000 * weight / sum(weights) for weight in weights]
@@ -235,14 +237,14 @@ def test_the_best_of_several_evaders_is_chased_and_the_next_if_it_may_not_be_cha
     assert play(BestResponse(), me, [{1: 1.0, 2: 4.0, 3: 2.0}, {1: 1.0, 2: 1.0, 3: -2.0}]) == [2, 1]
     me.free = [1, 3]
     assert play(BestResponse(), me, [{1: 1.0, 2: 4.0, 3: 2.0}, {1: -1.0, 2: 4.0, 3: 0.0}]) == [3, 0]
-    me.phi, me.free, me.at_large = {1: 2.0, 2: 1.0}, [1], [1, 2]  # nobody has captured 2
+    me.phi, me.free, me.at_large = {1: 2.0, 2: 1.0}, [1], [1, 2]  # 2 is not captured
     assert next(FictitiousPlay().actions(me)) == 1
 
 
-def test_who_may_not_go_on_chasing_what_it_chases_begins_from_staying():
+def test_a_pursuer_that_must_stop_its_chase_starts_from_staying():
     """At 2, which it may not chase any more: unwilling, or with nothing better than to stay, it stays."""
-    for rule, luck in ((BetterReply, 0.9), (JointStrategyFictitiousPlay, 0.9), (RegretMatching, 0.0)):
-        me = Puppet([luck], action=2, evaders=3, gain={1: -1.0, 2: 9.0, 3: -1.0})
+    for rule, draws in ((BetterReply, 0.9), (JointStrategyFictitiousPlay, 0.9), (RegretMatching, 0.0)):
+        me = Puppet([draws], action=2, evaders=3, gain={1: -1.0, 2: 9.0, 3: -1.0})
         me.free = [1, 3]
         assert next(rule().actions(me)) == 0
     assert current_action(Puppet(action=2, evaders=3), [0, 1, 3]) == 0
@@ -250,7 +252,7 @@ def test_who_may_not_go_on_chasing_what_it_chases_begins_from_staying():
 
 
 @pytest.mark.parametrize("name", [name for name in PROTOCOLS.choices() if name in LEARNING_KINDS])
-def test_no_rule_chooses_what_it_may_not_choose(name):
+def test_no_rule_chooses_an_action_that_is_not_allowed(name):
     """20 turns with three evaders, of which 2 is worth most, 20 without that, and 20 with the third alone."""
     me, seen = Puppet(evaders=3), []
     me.rng, me.phi = np.random.default_rng(3), {1: 2.0, 2: 1.0, 3: 3.0}
@@ -279,15 +281,15 @@ def test_fictitious_play_answers_how_often_each_evader_was_chased():
         assert last == chosen
 
 
-def test_jsfp_averages_what_the_actions_were_worth_forgets_and_keeps_to_what_it_did_with_probability_1_minus_alpha():
+def test_jsfp_averages_gains_with_fading_and_keeps_its_action_with_probability_1_minus_alpha():
     """rho = 0: mean gains 1, (1 - 4)/2, (1 - 4 + 3.5)/3 = 1/6, (0.5 - 1)/4; and 1, (1 - 1)/2: a tie is no change.
 
     rho = 0.5: turns 1 and 2 weigh 1/2 each, then the latest 1/2: after -8, 0, 0, 0 it is -8/8 = -1, then 1.5 wins.
-    Unfading, the mean would be (-8 + 1.5)/5 = -1.3. At luck of alpha = 0.25 it does not change, whichever action it
+    Unfading, the mean would be (-8 + 1.5)/5 = -1.3. At a draw of alpha = 0.25 it does not change, whichever action it
     is, though it goes on learning.
     """
     gains = [-8.0, 0.0, 0.0, 0.0, 1.5]
-    for alpha, rho, luck, action, worths, last in [
+    for alpha, rho, draws, action, worths, last in [
         (1.0, 0.0, [0.5] * 4, False, [1.0, -4.0, 3.5, -1.0], [1, 0, 1, 0]),
         (1.0, 0.0, [0.5] * 2, False, [1.0, -1.0], [1, 1]),
         (1.0, 0.0, [0.5], False, [0.0], [0]),
@@ -299,19 +301,19 @@ def test_jsfp_averages_what_the_actions_were_worth_forgets_and_keeps_to_what_it_
         (0.25, 0.03, [0.25, 0.24], True, [-1.0, 0.5], [1, 0]),
     ]:
         rule = JointStrategyFictitiousPlay(alpha=alpha, rho=rho)
-        assert play(rule, Puppet(luck, action=action), worths)[-len(last) :] == last
+        assert play(rule, Puppet(draws, action=action), worths)[-len(last) :] == last
 
 
 def test_regret_matching_draws_in_proportion_to_regret():
     """Staying for two turns that chasing would have gained 4 and 2: with regrets (0, 3) it chases for certain.
 
     Then, chasing, it loses 9: regret of staying (0 + 0 + 9)/3 = 3 and of chasing (4 + 2 + 0)/3 = 2: it chases if its
-    luck is below 2/5.
+    draw is below 2/5.
     """
     rule = RegretMatching()
     assert play(rule, Puppet([0.9, 0.999]), [4.0]) == [1]
-    for luck, chosen in ((0.39, 1), (0.41, 0)):
-        me = Puppet([0.9, 0.9, 0.9, 0.9, 0.9, luck])
+    for draws, chosen in ((0.39, 1), (0.41, 0)):
+        me = Puppet([0.9, 0.9, 0.9, 0.9, 0.9, draws])
         turns = rule.actions(me)
         for me.worth, me.action in ((4.0, False), (2.0, False), (-9.0, True)):
             last = next(turns)
@@ -328,12 +330,12 @@ def test_without_any_regret_the_present_action_is_kept(rule, action):
 def test_regret_fades_and_is_acted_on_with_inertia():
     """rho = 0.5, alpha = 0.5. Chasing cost 8 once: regret of staying 8, then, chasing for 0, 4.
 
-    Then staying, it misses 2, so that chasing has regret 1 and staying 2: it chases if its luck is below 1/3. Unfading
+    Then staying, it misses 2, so that chasing has regret 1 and staying 2: it chases if its draw is below 1/3. Unfading
     regret would be 8/3 and 2/3.
     """
     rule = GeneralisedRegretMatching(rho=0.5, alpha=0.5)
-    for luck, rho, chosen in ((0.32, 0.5, 1), (0.34, 0.5, 0), (0.32, 0.0, 0), (0.19, 0.0, 1)):
-        me = Puppet([0.5, 0.5, 0.4, luck])
+    for draws, rho, chosen in ((0.32, 0.5, 1), (0.34, 0.5, 0), (0.32, 0.0, 0), (0.19, 0.0, 1)):
+        me = Puppet([0.5, 0.5, 0.4, draws])
         turns = rule.model_copy(update={"rho": rho}).actions(me)
         for me.worth, me.action in ((-8.0, True), (0.0, True), (2.0, False)):
             last = next(turns)
@@ -363,10 +365,10 @@ def test_fictitious_play_answers_how_often_each_was_active():
     assert answers([off, on, off]) == [1, 1, 1]
 
 
-def test_whom_fictitious_play_has_not_heard_of_was_not_active_then():
-    """Heard of as active at the fifth turn only, q = 1/5: (1 - q) 8 - q/2 is positive, with q = 1 it is negative.
+def test_fictitious_play_counts_teammates_without_a_record_as_inactive():
+    """Known as active at the fifth turn only, q = 1/5: (1 - q) 8 - q/2 is positive, with q = 1 it is negative.
 
-    Forgotten, it does not count, but its frequency falls: heard of again after 20 turns of 40, q = 21/41.
+    Forgotten, it does not count, but its frequency falls: known again after 20 turns of 40, q = 21/41.
     """
     on = {1: Belief(True, 1.0)}
     assert answers([{}] * 4 + [on]) == [1] * 5
@@ -374,7 +376,7 @@ def test_whom_fictitious_play_has_not_heard_of_was_not_active_then():
     assert answers([on] * 20 + [{}] * 20 + [on]) == [0] * 20 + [1] * 21
 
 
-def test_fictitious_play_leaves_out_who_cannot_capture_and_who_is_not_in_its_circle():
+def test_fictitious_play_ignores_slow_and_uncounted_teammates():
     """An active one of 1 s makes 2 s stay; one of inf, or one that is not in the circle, does not."""
     assert answers([{1: Belief(True, 1.0)}]) == [0]
     assert answers([{1: Belief(True, inf)}]) == [1]
@@ -403,7 +405,7 @@ def test_fictitious_play_needs_a_utility_that_can_expect():
     assert BestResponse(utility=Plain()).utility.scope == "heard"
 
 
-def test_a_utility_that_is_lost_without_bound_is_a_finite_number():
+def test_an_infinite_loss_of_utility_is_a_finite_number():
     """-inf would make a regret of inf - inf; a billion seconds is enough."""
     me = Puppet(gain=-inf)
     assert LearningRule().utilities(me) == {0: 0.0, 1: -MAX_COORDINATE}
@@ -427,10 +429,10 @@ def act(protocol, **changes):
     return run(Scenario(**(given | changes)))
 
 
-def test_beliefs_tell_of_all_that_were_heard_and_believed_of_the_active_ones_only():
-    """Pursuer 1 says that it stays, pursuer 2 that it chases, at 0.5 s; a second later both are forgotten.
+def test_beliefs_cover_all_known_teammates_and_believed_chasers_only_the_active_ones():
+    """Pursuer 1 announces that it stays, pursuer 2 that it chases, at 0.5 s; a second later both are forgotten.
 
-    Word that is just as old as `belief_timeout` still counts. What is trusted are the records themselves.
+    A record just as old as `belief_timeout` still counts. `trusted` has the records themselves.
     """
     seen = {}
 
@@ -453,8 +455,8 @@ def test_beliefs_tell_of_all_that_were_heard_and_believed_of_the_active_ones_onl
 
 
 @pytest.mark.parametrize(("payload", "believed"), [("time", 7.0), ("action", 1.9)])
-def test_a_teammates_time_is_what_it_said_or_what_is_sensed(payload, believed):
-    """With the payload "action" everyone senses everyone: a protocol that says a time all the same is not asked."""
+def test_the_capture_time_of_a_teammate_is_announced_or_sensed(payload, believed):
+    """With the payload "action" all sense all: a time that a protocol announces all the same is not used."""
 
     def protocol(me):
         if me.id == 1:
@@ -474,8 +476,8 @@ def test_a_teammates_time_is_what_it_said_or_what_is_sensed(payload, believed):
     [(Mean(), [1, 2, 3]), (Minimum(), [1, 2, 3]), (LocalMean(), [1]), (EdgePenalty(), [1]), (Component(), [1, 2])],
     ids=repr,
 )
-def test_the_gain_counts_whom_the_utility_says(utility, others):
-    """4 - 0 - 1 - 2, and 3 that is linked to nobody; everyone is known to be active from the start.
+def test_the_gain_counts_the_teammates_selected_by_the_utility(utility, others):
+    """4 - 0 - 1 - 2, and 3 without links; all are known to be active from the start.
 
     Pursuer 4 cannot capture, and never counts, though it may chase.
     """
@@ -506,8 +508,8 @@ class Claim(NamedTuple):
     text: str
 
 
-def test_a_claim_is_announced_in_place_of_the_payload_when_its_news_changes():
-    """Of three claims the second has the news of the first, so that it is not told."""
+def test_a_claim_replaces_the_payload_and_is_announced_when_its_key_changes():
+    """Of three claims the second has the key of the first, so it is not announced."""
 
     def protocol(me):
         if me.id == 0:
@@ -527,7 +529,7 @@ def test_a_claim_is_announced_in_place_of_the_payload_when_its_news_changes():
     assert heard == [["claim 0"]] * 4 + [["claim 2"]] * 2
 
 
-def test_something_is_done_after_a_while_without_waiting_for_it():
+def test_a_delayed_action_does_not_block_its_caller():
     """And not if the pursuer has started anew in between: it broke down without memory at 0.5 s."""
     done = []
 
@@ -560,7 +562,7 @@ class Asked(Rule):
             yield 1
 
 
-def test_a_rule_is_asked_at_each_turn_of_its_schedule_but_not_who_has_no_choice():
+def test_a_rule_is_called_at_each_turn_of_its_schedule_unless_there_is_no_choice():
     """Rounds of 0.25 s; pursuer 0 cannot capture, and is ordered to stay, unasked."""
     rule = Asked(schedule=Rounds(period=0.25), asked=[])
     team = Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=[0.0, 1.0], active_at_start=1.0)
@@ -570,7 +572,7 @@ def test_a_rule_is_asked_at_each_turn_of_its_schedule_but_not_who_has_no_choice(
     assert found == [(0.25, 0, False), (0.25, 1, True), (0.5, 0, False), (0.5, 1, True)]
 
 
-def test_a_rule_that_does_not_say_what_it_does_is_told_so():
+def test_a_rule_without_actions_raises_not_implemented():
     with pytest.raises(NotImplementedError):
         Rule().actions(Puppet())
 
@@ -579,9 +581,9 @@ def test_a_rule_that_does_not_say_what_it_does_is_told_so():
 
 
 def static_game(protocol, seed, horizon=10.0):
-    """Return a game of 2 to 7 pursuers in which nobody moves, r = 10 s, and their times of capture.
+    """Return a static game of 2 to 7 pursuers, r = 10 s, and their times of capture.
 
-    They are 0.5 to 3 s apart, in random order, so that some are late; everybody is active at first with 1/2.
+    They are 0.5 to 3 s apart, in random order, so that some are late; each is active at first with probability 1/2.
     """
     rng = np.random.default_rng(seed)
     phi = rng.permutation(np.cumsum(rng.uniform(0.5, 3.0, rng.integers(2, 8)))).tolist()
@@ -665,7 +667,7 @@ def played(rule):
 
 
 @pytest.mark.slow
-def test_regret_matching_has_no_regret_in_the_long_run_and_who_plays_at_random_has():
+def test_regret_matching_has_no_long_run_regret_and_random_play_has():
     """Hart & Mas-Colell: regret falls like 1/sqrt(T) or faster, so by 2 at least when T is four times as long.
 
     How often the relay profile was played tends to 1, as it is the only coarse correlated equilibrium. The control: the
@@ -680,7 +682,7 @@ def test_regret_matching_has_no_regret_in_the_long_run_and_who_plays_at_random_h
     assert share < 0.2
 
 
-# Who has no choice (`prune`).
+# Pursuers without a choice (`prune`).
 
 EVERY = sorted(PROTOCOLS.choices())
 
@@ -706,15 +708,15 @@ def chase(kind, prune, tau=None, horizon=4.0, count=6, seed=0):
 
 
 def ever_active(result):
-    """Return who was active at the start, and whoever was at any time."""
+    """Return the pursuers active at the start, and those active at any time."""
     start = {i for i, a in enumerate(result.trace.of(Started)[0].active) if a}
     return start, start | {d.pursuer for d in result.trace.of(Decided) if d.active}
 
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", EVERY)
-def test_who_cannot_capture_never_chases_unless_nobody_is_pruned(kind):
-    """Everybody is active at first if nobody is pruned, and otherwise all but the two that are too slow."""
+def test_a_pursuer_that_cannot_capture_never_chases_unless_pruning_is_off(kind):
+    """All are active at first without pruning, and otherwise all but the two that are too slow."""
     for seed in range(3):
         start, ever = ever_active(run(chase(kind, "inf", seed=seed)))
         assert start == {2, 3, 4, 5}
@@ -733,7 +735,7 @@ class Hot:
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", ["sap", "binary_log_linear", "selective_sap"])
 @pytest.mark.parametrize(("prune", "share"), [("none", 0.5), ("inf", 0.0), ("infeasible", 0.0)])
-def test_at_infinite_temperature_who_cannot_capture_chases_at_every_second_turn_unless_it_is_pruned(kind, prune, share):
+def test_at_infinite_temperature_an_unpruned_slow_pursuer_chases_at_every_second_turn(kind, prune, share):
     """About 20 turns a second of two pursuers for at most 4 s, 10 seeds: four standard errors of a fair coin.
 
     The selective rule tosses it at every second turn only, which doubles the variance and more: 3 times.
@@ -748,10 +750,10 @@ def test_at_infinite_temperature_who_cannot_capture_chases_at_every_second_turn_
 
 
 @pytest.mark.parametrize("kind", [each for each in EVERY if each != "centralised"])
-def test_the_others_ignore_who_cannot_capture_even_if_it_chases(kind):
-    """Pursuer 0 cannot capture and says all the time that it chases; pursuer 1 chases, pursuer 2 is slower than 1.
+def test_teammates_ignore_a_chasing_pursuer_that_cannot_capture(kind):
+    """Pursuer 0 cannot capture and announces all the time that it chases; pursuer 1 chases, pursuer 2 is slower than 1.
 
-    phi = inf, 1.9 and 3.9 s. If pursuer 0 counted, a mean of inf would let everyone chase or nobody.
+    phi = inf, 1.9 and 3.9 s. If pursuer 0 counted, a mean of inf would let all chase or none.
     """
     model = PROTOCOLS.choices()[kind]
     if "schedule" not in model.model_fields:
@@ -774,10 +776,10 @@ def test_the_others_ignore_who_cannot_capture_even_if_it_chases(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EVERY)
-def test_if_who_would_be_late_is_pruned_nobody_is_ordered_to_chase_in_vain(kind):
+def test_with_pruning_of_late_pursuers_no_chase_is_in_vain(kind):
     """At each order to chase phi < r, and of those that are active at the start, too; some would be late: the control.
 
-    Seen at the instant of the order by who was told of it, from the world as it is.
+    Seen by a watcher at the instant of the action, from the true state.
     """
     late = {"none": 0, "inf": 0, "infeasible": 0}
     for prune in late:

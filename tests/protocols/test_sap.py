@@ -54,8 +54,8 @@ def test_the_relay_profile_is_reached_on_a_complete_graph_in_spite_of_latency_an
 
 @pytest.mark.slow
 @pytest.mark.parametrize("deaf", [Links(loss=Bernoulli(p=1.0)), Links(range=1e-9)])
-def test_without_a_network_everybody_chases_who_can_be_in_time(deaf):
-    """The control: whoever hears nobody but a start with nobody active believes itself alone."""
+def test_without_a_network_every_pursuer_that_can_be_in_time_chases(deaf):
+    """The control: without messages and with no pursuer active at the start, each believes itself alone."""
     result = run(frozen(deaf, p0=0.0).model_copy(update={"team": Team(count=8, speeds=3.0, active_at_start=0.0)}), 1)
     assert final_profile(result) == (True,) * 8
 
@@ -74,7 +74,7 @@ def test_latency_costs_active_time():
     assert (times(1e-9) - prompt).mean() == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_team_that_cannot_capture_stays_and_says_so():
+def test_a_team_that_cannot_capture_stays_and_announces_it():
     each_time = Announcements(trigger="revision")
     result = run(Scenario(team=Team(count=3, speeds=0.5), horizon=2.0, announce=each_time), 0)
     numbers = summary(result)

@@ -33,7 +33,7 @@ def decisions(schedule, count, horizon, seed=0):
 
 
 def test_every_slot_belongs_to_exactly_one_pursuer():
-    """Over three blocks of 4096 slots the owners partition 1, 2, ..., whoever asks."""
+    """Over three blocks of 4096 slots the owners partition 1, 2, ..., whichever pursuer asks."""
     limit = 3 * 4096
     owned = []
     for pursuer in range(5):
@@ -105,7 +105,7 @@ def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team():
 
 
 @pytest.mark.parametrize("count", [1, 3, 8])
-def test_in_a_round_everybody_decides_at_the_same_instant_in_the_order_of_ids(count):
+def test_in_a_round_all_pursuers_decide_at_one_instant_in_id_order(count):
     made = [(d.t, d.pursuer) for d in decisions(Rounds(period=0.1), count, 2.05)]
     assert made == [(k * 100_000_000, pursuer) for k in range(1, 21) for pursuer in range(count)]
 
@@ -128,7 +128,7 @@ def rounds(seed, latency, p0=0.5, count=7):
 
 
 def all_respond(phi, profile):
-    """Return the best response of everybody to a profile, all at once; r = 30 s."""
+    """Return the best responses of all to a profile, all at once; r = 30 s."""
 
     def others(i):
         return [phi[j] for j, active in enumerate(profile) if active and j != i]
@@ -137,7 +137,7 @@ def all_respond(phi, profile):
 
 
 def one_by_one(phi, profile):
-    """Return the profile after everybody in turn has responded to those before: not what a round is."""
+    """Return the profile after sequential best responses: not what a round is."""
     for i in range(len(phi)):
         profile = (*profile[:i], all_respond(phi, profile)[i], *profile[i + 1 :])
     return profile
@@ -145,7 +145,7 @@ def one_by_one(phi, profile):
 
 @pytest.mark.parametrize("latency", [0.0, 1e-9, 0.0999])
 def test_a_round_is_simultaneous_best_response_even_without_latency(latency):
-    """Everybody answers the profile of the round before. The control: one by one goes another way."""
+    """All respond to the profile of the round before. The control: one by one goes another way."""
     differs = 0
     for seed in range(12):
         profile, found, phi = rounds(seed, latency, p0=seed % 3 / 2)
@@ -156,7 +156,7 @@ def test_a_round_is_simultaneous_best_response_even_without_latency(latency):
     assert differs > 6
 
 
-def test_word_that_takes_longer_than_a_round_is_of_the_round_before_last():
+def test_with_latency_above_the_period_decisions_use_the_round_before_last():
     """L = 0.15 s, rounds of 0.1 s: each answers what was decided two rounds ago, at first the profile of the start."""
     profile, found, phi = rounds(3, 0.15, p0=1.0)
     known = [profile, profile, *found]
@@ -194,7 +194,7 @@ def ticks(schedule, count, horizon, seed=0):
 def test_waits_of_a_timer_are_uniform_about_the_period(jitter):
     """2,000 waits within 0.01 (1 -+ jitter) s, uniform (Kolmogorov and Smirnov, p > 0.001); their mean is a period.
 
-    The control: a jitter that is a tenth greater is told apart.
+    The control: a jitter that is a tenth greater is distinguished.
     """
     (times,) = ticks(Periodic(period=0.01, jitter=jitter), 1, 20.0, seed=2)
     waits = np.diff(times) / 0.01 - 1.0
@@ -211,7 +211,7 @@ def test_a_timer_without_jitter_is_strictly_periodic():
 
 
 def test_timers_begin_at_random_phases():
-    """200 phases are uniform in [0, period) (p > 0.001); the control, a third less, is told apart."""
+    """200 phases are uniform in [0, period) (p > 0.001); the control, a third less, is distinguished."""
     first = np.array([times[0] for times in ticks(Periodic(period=0.5, jitter=0.5), 200, 0.75)])
     assert kstest(first / 0.5, "uniform").pvalue > 0.001
     assert kstest(first / 0.75, "uniform").pvalue < 0.001
@@ -231,7 +231,7 @@ def test_timers_begin_at_random_phases():
         (0.2, 0.5, 0.01, False),
     ],
 )
-def test_a_strict_timer_of_an_even_number_of_steps_is_warned_of(period, jitter, step, warned):
+def test_a_strict_timer_with_an_even_number_of_steps_gives_a_warning(period, jitter, step, warned):
     protocol = SpatialAdaptivePlay(schedule=Periodic(period=period, jitter=jitter))
     found = dict(warnings(Scenario(protocol=protocol, motion=Motion(step=step))))
     assert [*found] == (["protocol.schedule.jitter"] if warned else [])

@@ -28,7 +28,7 @@ SECOND = 1_000_000_000
 
 
 def changes(result):
-    """Return [(t, pursuer, active)] of all that changed what somebody does, those of one instant by id."""
+    """Return [(t, pursuer, active)] of all changes of an action, those of one instant by id."""
     active, found = list(result.trace.of(Started)[0].active), []
     for event in result.trace:
         if not isinstance(event, Decided | BrokeDown):
@@ -41,7 +41,7 @@ def changes(result):
 
 
 def profile(result):
-    """Return who chases in the end."""
+    """Return the final profile."""
     active = list(result.trace.of(Started)[0].active)
     for _, pursuer, now in changes(result):
         active[pursuer] = now
@@ -65,7 +65,7 @@ def static(protocol, *, count=6, latency=0.0, loss=0.0, horizon=5.0, seed=0, **g
 
 
 def stress(protocol, latency=0.0, **given):
-    """Return a relay that depends on orders: 20 equal pursuers, at first nobody is active."""
+    """Return a relay that depends on orders: 20 equal pursuers, none active at first."""
     settings = {
         "horizon": 60.0,
         "team": Team(speeds=1.0, active_at_start=0.0),
@@ -87,8 +87,9 @@ def late(event):
     "world",
     [{"announce": Announcements(payload="state")}, {"team": Team(active_at_start=0.5)}, {"evader": Evader(count=3)}],
 )
-def test_it_is_an_omniscient_centre_whose_orders_are_one_latency_late(world, latency):
-    """The same pursuers do the same at the same nanoseconds, whoever is the host: each is reckoned to where it is.
+def test_it_equals_an_omniscient_centre_whose_orders_are_one_latency_late(world, latency):
+    """The same pursuers do the same at the same nanoseconds, whichever pursuer is the host: each is dead reckoned
+    exactly.
 
     A report arrives `latency` after it was made, and by then the server knows as much as the centre. Without latency
     the centre is the centralised benchmark, at the instants of the reports.
@@ -111,7 +112,7 @@ def test_the_centre_that_it_is_compared_with_is_the_centralised_benchmark_if_not
 @pytest.mark.parametrize("latency", [0.03, 0.1, 0.13, 0.37])
 @pytest.mark.parametrize("host", [0, 3])
 def test_the_first_order_takes_a_round_trip(host, latency):
-    """States of t = 0 arrive at L, the order at 2 L; the host obeys it at L already. Nobody moves before."""
+    """States of t = 0 arrive at L, the order at 2 L; the host obeys it at L already. None moves before."""
     result = run(static(Server(host=host), latency=latency))
     there, back = (round(k * latency * SECOND) for k in (1, 2))
     assert changes(result) == sorted((there if j == host else back, j, False) for j in range(1, 6))
@@ -196,7 +197,7 @@ def test_an_order_that_was_overtaken_is_not_obeyed():
 
 @pytest.mark.parametrize("p", [0.5, 1.0])
 def test_lost_reports_and_orders_are_repeated(p):
-    """With half of all lost the game ends in the relay profile; with all lost everybody goes on as at first.
+    """With half of all lost the game ends in the relay profile; with all lost every pursuer keeps its first action.
 
     But for the host: 3 periods and a round trip without a report, and it decides alone, for itself.
     """
@@ -226,7 +227,7 @@ def test_a_period_costs_one_report_and_one_order_per_pursuer():
 
 
 @pytest.mark.parametrize("period", [0.1, 0.5])
-def test_who_is_not_heard_any_more_is_left_out(period):
+def test_a_pursuer_whose_reports_stop_is_excluded(period):
     """Pursuer 0 falls silent at 1.25 s; it counts for 3 periods and a round trip after its last report has come.
 
     The first report of another that comes later makes the order to pursuer 1, which obeys it 0.05 s later.
@@ -241,8 +242,8 @@ def test_who_is_not_heard_any_more_is_left_out(period):
     assert (t / 1e9, pursuer, active) == (pytest.approx(min(each for each in come if each > late) + 0.05), 1, True)
 
 
-def test_without_the_host_nobody_leads_and_repaired_it_leads_again():
-    """The host breaks down at 1 s; pursuer 0, which chases, at 2 s: nobody takes over until the host is back at 4 s.
+def test_without_the_host_no_orders_are_sent_until_it_is_repaired():
+    """The host breaks down at 1 s; pursuer 0, which chases, at 2 s: none takes over until the host is back at 4 s.
 
     Without its memory it waits for reports: one comes soon after 4.02 s, and then one better after another, within
     a period and two latencies that of pursuer 1.
@@ -269,14 +270,14 @@ def test_a_repaired_pursuer_obeys_the_order_as_it_is_repeated():
 
 
 def alone(count, **given):
-    """Return when a host that hears nobody sends itself, if nobody is active at first, s."""
+    """Return when a host without reports sends itself, if none is active at first, s."""
     team = Team(positions=[(1.1 + j, 0.0) for j in range(count)], speeds=1.0, active_at_start=0.0)
     (change,) = changes(run(static(Server(), team=team, latency=0.12, **given)))
     assert change[1:] == (0, True)
     return change[0] / 1e9
 
 
-def test_a_host_waits_three_periods_and_a_round_trip_for_a_first_report_if_there_is_somebody_to_report():
+def test_a_host_waits_for_first_reports_only_if_there_are_other_pursuers():
     assert alone(1) == 0.0
     assert alone(3, loss=1.0) == pytest.approx(0.5 + phase(0))  # the first tick after 0.54 s
 
@@ -293,7 +294,7 @@ def test_reports_of_one_instant_make_one_decision():
     assert len({sent.body.number for sent in orders(run(static(Server(), team=team, horizon=20.0)))}) == 1
 
 
-def test_who_is_repaired_does_not_make_up_for_the_reports_that_it_missed():
+def test_a_repaired_pursuer_does_not_send_its_missed_reports():
     """Pursuer 0 is down from 1 to 2.03 s: a single one is made up for as it is back, with the state of then."""
     result = run(static(Server(host=5), fault=(Crash(node=0, start=1.0, end=2.03),), horizon=2.45))
     times = [sent.t / 1e9 for sent in result.trace.of(Sent) if sent.src == 0]
@@ -313,7 +314,7 @@ def test_a_host_that_is_left_alone_leads_itself():
     assert [t / 1e9 for t in when] == pytest.approx([due])
 
 
-def test_nobody_is_sent_who_would_be_late():
+def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
     """phi = 1 .. 6 s, and 0.9 s are left."""
     assert profile(run(static(Server(), latency=0.05, horizon=0.9))) == (False,) * 6
 
@@ -356,7 +357,7 @@ def test_at_rest_several_evaders_are_assigned_as_by_the_centralised_benchmark(pa
     assert other > 0
 
 
-def test_an_order_says_who_chases_each_evader():
+def test_an_order_names_the_chaser_of_each_evader():
     """Pursuers 1 and 0 are next to the evaders 1 and 2, the third is out of reach: 24 bytes and 8 for each that is."""
     case = at_rest(
         Server(host=2),
@@ -378,7 +379,7 @@ def test_an_order_is_of_as_many_numbers_as_there_are_evaders():
     assert [Order(7, (None, 0, 2)).action(j) for j in range(3)] == [2, 0, 3]
 
 
-def test_who_is_still_ordered_to_chase_what_has_been_captured_stays_and_decides_nothing():
+def test_a_pursuer_ordered_to_chase_a_captured_evader_stays_without_a_decision():
     """Pursuer 0 begins at 0.2 s and captures the first evader at 1.4 s; an order to chase it is still under way."""
     scenario = static(
         Server(host=2),
@@ -401,7 +402,7 @@ def test_a_host_that_does_not_exist_is_an_error():
 
 
 def test_its_assumptions():
-    """In a star around pursuer 0 only that one reaches everybody; of a ring of 6 three are too far from any."""
+    """In a star around pursuer 0 only that one reaches all; of a ring of 6 three are too far from any."""
 
     def why(**given):
         return [reason.partition(", but ")[2] for _, reason in violations(static(**given))]

@@ -1,4 +1,4 @@
-"""Everybody at once, at the pace of another schedule."""
+"""Simultaneous decisions, at the pace of another schedule."""
 
 import pytest
 from pydantic import ValidationError
@@ -39,7 +39,7 @@ def frozen(schedule, count=6, rule=BestResponse, latency=0.0):
 
 
 def decisions(schedule, **options):
-    """Return who decides when, s, in the order in which they do."""
+    """Return the decisions (pursuer and time, s) in order."""
     result = run(frozen(schedule, **options), 4)
     return [(event.t / SECOND, event.pursuer) for event in result.trace.of(Decided)]
 
@@ -87,8 +87,9 @@ def test_no_token_is_sent():
 
 
 def test_temperatures_go_by_the_slot_of_the_other_schedule():
-    """So what differs from the other schedule is who decides, not how warm it is; rounds of their own cool 6 times as
-    fast, for they count 6 slots per round."""
+    """So what differs from the other schedule is the deciding pursuers, not the temperature; rounds of their own cool 6
+    times as fast, for they count 6 slots per round.
+    """
 
     class Slots(BestResponse):
         def actions(self, me):
@@ -110,7 +111,9 @@ def test_temperatures_go_by_the_slot_of_the_other_schedule():
 @pytest.mark.parametrize("latency", [0.0, 0.1])
 @pytest.mark.parametrize("seed", range(6))
 def test_all_at_once_end_in_the_relay_profile_too(seed, latency):
-    """The game is dominance solvable: who should leave, leaves in whatever order (Nisan, Schapira & Zohar 2008)."""
+    """The game is dominance solvable: every pursuer that should leave, leaves in any order (Nisan, Schapira & Zohar
+    2008).
+    """
     case = frozen(Synchronous(schedule=SharedSeed(slot=SLOT)), latency=latency).model_copy(update={"seed": seed})
     profile, phi = outcome(case, case.protocol.kind)
     assert profile == relay_profile(phi, 3.0)
@@ -126,7 +129,7 @@ def test_it_takes_a_schedule_with_slots_also_from_a_file(other):
 
 @pytest.mark.parametrize("kind", ["poisson", "rounds", "periodic", "local_mutex", "synchronous", "no_such"])
 def test_a_file_cannot_have_one_without_slots(kind):
-    """A slot that is an average of independent clocks is nobody's, and all at once are so already."""
+    """A slot that is an average of independent clocks has no owner, and all at once are so already."""
     with pytest.raises(ValidationError, match="'shared_seed', 'token_ring', 'token_walk'"):
         Synchronous.model_validate({"kind": "synchronous", "schedule": {"kind": kind}})
 
@@ -146,14 +149,14 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
 
 
 @pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(holding_time=0.2), TokenWalk(holding_time=0.2)])
-def test_it_is_what_schedules_with_slots_are_without_turns(other):
+def test_it_replaces_schedules_with_slots_when_turns_are_removed(other):
     scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=other))
     assert without_turns(scenario).protocol == SpatialAdaptivePlay(schedule=Synchronous(schedule=other))
     assert without_turns(without_turns(scenario)) == without_turns(scenario)
 
 
-def test_those_who_ask_their_neighbours_have_no_slots_and_decide_by_their_clocks_without_turns():
-    """At 6 x 3 = 18 decisions per second, of which 54 +- 3 x 7.3 are expected in 3 s; and nobody asks any more."""
+def test_without_turns_local_mutex_decides_by_its_clocks_and_sends_no_requests():
+    """At 6 x 3 = 18 decisions per second, of which 54 +- 3 x 7.3 are expected in 3 s; and no requests are sent."""
     free = without_turns(frozen(LocalMutex(rate=3.0)))
     result = run(free, 4)
     assert not result.trace.of(Sent)

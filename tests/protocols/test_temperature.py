@@ -56,7 +56,7 @@ def test_hajeks_temperature_cools_so_slowly_that_an_upward_step_is_made_infinite
     assert steps(PaperTau(), 1.0, range(10_000)) == pytest.approx(0.5 * (1 + (10 * 3.14159265) ** 0.5), rel=1e-6)
 
 
-def test_the_geometric_temperature_falls_by_a_factor_down_to_its_floor_and_a_constant_one_does_not_change():
+def test_the_geometric_temperature_falls_to_its_floor_and_a_constant_one_does_not_change():
     """2 s halved eight times is 1/128 s, above the floor of 1/200 s; the ninth time it would be 1/256 s."""
     tau = GeometricTau(first=2.0, ratio=0.5, floor=0.005)
     assert [1 / tau(k) for k in range(9)] == pytest.approx([2.0 / 2**k for k in range(9)], rel=1e-12)
@@ -78,9 +78,9 @@ SLOT = 0.1
 
 
 def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
-    """Return eta at each of the turns of a pursuer whose phi is 2 s, while its teammates do what `teammate` says.
+    """Return eta at each of the turns of a pursuer whose phi is 2 s, while its teammates run `teammate`.
 
-    Words are believed for 0.35 s, nobody is known at first, and nobody says anything but what `teammate` lets it.
+    Records are trusted for 0.35 s, none is known at first, and only `teammate` announces.
     """
     seen = []
 
@@ -114,11 +114,11 @@ def since(turns, surprises):
 
 
 def eventful(me):
-    """Pursuer 2 speaks all the time, of an action that changes, and ties with the observer. Pursuer 1:
+    """Pursuer 2 announces all the time, an action that changes, and ties with the observer. Pursuer 1:
 
-    1 to 1.9 s: speaks, and is slower than the observer (a new neighbour, at the turn of 1.05 s).
+    1 to 1.9 s: announces, and is slower than the observer (a new neighbour, at the turn of 1.05 s).
     2 to 2.9 s: is faster (a change of order, at 2.05 s). 3 to 3.9 s: slower again (another, at 3.05 s).
-    From 4 s on it is silent: its word of 3.9 s is believed until 4.25 s, and not at the turn of 4.35 s.
+    From 4 s on it is silent: its record of 3.9 s is trusted until 4.25 s, and not at the turn of 4.35 s.
     """
     for k in range(50):
         yield me.at(0.1 * k)
@@ -132,7 +132,7 @@ SURPRISES = {"neighbour": [1.05], "order": [2.05, 3.05], "silence": [4.35]}
 
 
 @pytest.mark.parametrize("listed", [each for k in range(4) for each in combinations(SURPRISES, k)], ids=repr)
-def test_it_begins_anew_at_each_surprise_that_is_listed_and_at_no_other(listed):
+def test_reheating_happens_only_at_the_listed_events(listed):
     """Whatever of the three is listed; nor do teammates' actions, or one that ties and comes later, surprise."""
     expected = since(TURNS, [turn for each in listed for turn in SURPRISES[each]])
     assert watch(AdaptiveTau(reheat_on=listed), eventful) == pytest.approx(expected, abs=1e-9)
@@ -142,10 +142,10 @@ def test_other_temperatures_count_from_the_start_whatever_happens():
     assert watch(GeometricTau(), eventful) == pytest.approx(since(TURNS, []), abs=1e-9)
 
 
-def test_who_is_first_of_any_evader_matters_and_that_one_has_been_captured():
+def test_reheating_on_order_covers_every_evader_and_captures():
     """Pursuer 0 is first of evader 1, until 1 is, from 1 s on, and of evader 2, which is captured at 2 s.
 
-    That nobody says its time of evader 3 at 1.5 s does not matter: nan is no time.
+    That no time is announced for evader 3 at 1.5 s does not matter: nan is no time.
     """
     me, eta = SimpleNamespace(id=0, restarts=0, now=0.0), []
     phi = {2: nan}
@@ -160,7 +160,7 @@ def test_who_is_first_of_any_evader_matters_and_that_one_has_been_captured():
 
 
 @pytest.mark.parametrize(("restarts", "eta"), [(0, 4.0), (1, 0.0)])
-def test_who_starts_anew_without_memory_counts_from_then_on(restarts, eta):
+def test_a_pursuer_restarted_without_memory_counts_slots_from_the_restart(restarts, eta):
     """Its first turn is at 2 s, in slots of 0.5 s."""
     me = SimpleNamespace(id=0, restarts=restarts, now=2.0)
     me.evaders, me.capture_time, me.beliefs = lambda: [1], lambda evader: 3.0, lambda evader=1: {}
@@ -170,7 +170,7 @@ def test_who_starts_anew_without_memory_counts_from_then_on(restarts, eta):
     assert next(slots) == eta + 2.0
 
 
-def test_whom_one_has_heard_of_at_the_first_turn_is_no_surprise_even_if_it_is_first():
+def test_teammates_known_at_the_first_turn_do_not_cause_reheating():
     def teammate(me):
         for k in range(50):
             yield me.at(0.1 * k)
@@ -179,8 +179,8 @@ def test_whom_one_has_heard_of_at_the_first_turn_is_no_surprise_even_if_it_is_fi
     assert watch(AdaptiveTau(), teammate) == pytest.approx(since(TURNS, []), abs=1e-9)
 
 
-def test_who_comes_back_is_a_neighbour_again():
-    """Silent from 1 s to 3 s: not believed any more at 1.35 s, heard again at 3.05 s."""
+def test_a_returning_pursuer_is_a_neighbour_again():
+    """Silent from 1 s to 3 s: not trusted any more at 1.35 s, received again at 3.05 s."""
 
     def teammate(me):
         for k in range(50):
@@ -195,7 +195,7 @@ def test_who_comes_back_is_a_neighbour_again():
 
 
 def test_of_two_that_tie_the_lower_number_is_first():
-    """Pursuer 0 says 4 s, and from 2 s on 2 s, as the observer has: it goes ahead of 1 but not of 0."""
+    """Pursuer 0 announces 4 s, and from 2 s on 2 s, as the observer has: it goes ahead of 1 but not of 0."""
 
     def teammate(me):
         for k in range(50):

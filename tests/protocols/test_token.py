@@ -52,7 +52,7 @@ class Circulation(OneToken):
             self.visits[event.pursuer].append(event.t / SECOND)
 
     def fault(self, since, until, *, everybody=True):
-        """Return what is wrong from a time on (s): two tokens, or somebody, or nobody at all, reached until another."""
+        """Return what is wrong from a time on (s): two tokens, or a pursuer, or all, not reached before the end."""
         if self.spoilt >= since * SECOND:
             return f"two tokens among {self._members} at {self.spoilt / SECOND} s"
         starved = [j for j in self._members if not any(since <= t < until for t in self.visits[j])]
@@ -63,7 +63,7 @@ class Circulation(OneToken):
 # Without faults.
 
 
-def test_the_mean_slot_counts_the_airtime_of_a_token_that_knows_of_everyone():
+def test_the_mean_slot_counts_the_airtime_of_a_token_with_records_of_all_pursuers():
     """16 bytes, 4 numbers of epoch and hop, 20 visits and 20 records of 24 bytes: 688; at 9600 bit/s 0.5733 s."""
     slots = set()
 
@@ -95,7 +95,7 @@ def test_the_ring_decides_in_cyclic_order_every_hold_and_latency(latency):
     "latency", [0.0, 0.05, 1.0, Lognormal(mean=0.05, cv=2.0)], ids=["0 s", "0.05 s", "1 s", "heavy tails"]
 )
 def test_no_decision_is_stale_at_any_latency(schedule, graph, latency):
-    """On any connected graph: the token brings the actions of those who are out of reach, too."""
+    """On any connected graph: the token carries the actions of those out of range, too."""
     log = []
     horizon = 100.0 if latency == 1.0 else 5.0
     run(frozen(flips(schedule, log), count=7, horizon=horizon, latency=latency, graph=graph), 2)
@@ -105,7 +105,7 @@ def test_no_decision_is_stale_at_any_latency(schedule, graph, latency):
 
 @pytest.mark.parametrize("skew", [(), (ClockSkew(offset=3.0, drift=0.01),)], ids=["clocks agree", "skewed clocks"])
 def test_announcements_and_clocks_do_not_make_the_ring_stale(skew):
-    """Heartbeats are older word of the same action, or newer word of it; clocks serve as timers only."""
+    """Heartbeats are older or newer records of the same action; clocks serve as timers only."""
     log = []
     result = run(frozen(flips(TokenRing(), log), count=7, latency=0.3, faults=skew, trigger="both"), 2)
     assert len(log) > 25
@@ -141,9 +141,9 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", [TokenRing(holding_time=0.004), TokenWalk(holding_time=0.004)])
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
-    """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, whoever revises one at a time, within 4 s.e.
+    """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, with serial revisions in any order, within 4 s.e.
 
-    10 seeds of 2,500 decisions: 1.4 / sqrt(25,000) = .009 if owners are drawn (`test_paper`). The control, everybody at
+    10 seeds of 2,500 decisions: 1.4 / sqrt(25,000) = .009 if owners are drawn (`test_paper`). The control, all at
     once, would have .4930, 10 s.e. away.
     """
     play = SpatialAdaptivePlay(schedule=schedule, tau=ConstantTau(value=0.5))
@@ -163,7 +163,7 @@ def test_a_hop_takes_two_messages():
 
 
 @pytest.mark.parametrize("graph", [Ring(), Star(centre=2), Grid(columns=3)])
-def test_on_any_connected_graph_the_ring_visits_everybody_within_two_rounds(graph):
+def test_on_any_connected_graph_the_ring_visits_every_node_within_two_rounds(graph):
     """A tour of a tree of N nodes has 2 (N - 1) hops; hops lead along edges."""
     result = run(frozen(flips(TokenRing()), count=8, graph=graph), 0)
     links = graph(8)
@@ -198,7 +198,7 @@ class Scale:
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("absent", [(), (3,)])
 @pytest.mark.parametrize("graph", [nx.star_graph(5), nx.path_graph(6), nx.complete_graph(6), nx.wheel_graph(6)])
-def test_the_walk_leaves_the_uniform_law_as_it_is(graph, absent):
+def test_the_uniform_law_is_stationary_under_the_walk(graph, absent):
     """P(i -> j) = min(1/d_i, 1/d_j) is symmetric, so every column sums to 1 as every row does; absent ones apart."""
     steps = 3600
     token = Token((1, 0, 0.0), 1, (0,) * 6, absent, ())
@@ -223,7 +223,7 @@ def plain_walk(me, revise):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("graph", [Star(), Ring()])
-def test_everybody_has_the_walking_token_equally_often(graph):
+def test_every_pursuer_holds_the_walking_token_equally_often(graph):
     """Shares of 5 pursuers over 8 runs of 1,000 decisions: 1/5 each, within 5 s.e. (at most 0.011).
 
     The control, a plain walk on the star, is at its centre every second time.
@@ -270,8 +270,8 @@ def test_a_token_that_is_lost_is_sent_again(latency):
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.1])
-def test_a_receipt_that_is_lost_is_given_again_and_the_duplicate_not_accepted(latency):
-    """The receipt of the first token is transmission 2: nothing is late and nobody decides twice."""
+def test_a_lost_acknowledgement_is_repeated_and_the_duplicate_token_rejected(latency):
+    """The acknowledgement of the first token is transmission 2: nothing is late and no pursuer decides twice."""
     result = run(frozen(flips(TokenRing()), latency=latency, loss=Drop(2)), 0)
     decisions = decided(result)
     assert [d.pursuer for d in decisions] == [k % 5 for k in range(len(decisions))]
@@ -279,7 +279,7 @@ def test_a_receipt_that_is_lost_is_given_again_and_the_duplicate_not_accepted(la
     assert [sent.body.hop for sent in bodies(result, Token)].count(1) == 2
 
 
-def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hold():
+def test_a_duplicate_token_does_not_prolong_the_holding_time():
     """The first token takes 0.34 s; its repetition, sent after 2.5 L, comes 0.01 s later."""
 
     def late(context, rng):
@@ -290,7 +290,7 @@ def test_a_duplicate_that_comes_while_the_token_is_held_does_not_prolong_the_hol
     assert [d.t for d in decided(result)][:2] == [0.05 * SECOND, 0.44 * SECOND]
 
 
-def test_a_neighbour_that_does_not_answer_is_left_out_and_taken_in_again():
+def test_an_unresponsive_neighbour_is_skipped_and_included_again_later():
     """A radio fails for a second: 5 tries of 2.5 L cost 0.625 s once, then the ring goes on without it, and with it."""
     group = Circulation({0, 1, 2, 4})
     fault = Crash(start=1.0, end=4.0, node=3, scope="radio")
@@ -304,8 +304,8 @@ def test_a_neighbour_that_does_not_answer_is_left_out_and_taken_in_again():
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
-    """Pursuer 2 has the token from 0.12 to 0.13 s. There is one new epoch, and nobody acts upon the old one."""
+def test_the_token_of_a_robot_that_breaks_down_is_regenerated_once(memory):
+    """Pursuer 2 has the token from 0.12 to 0.13 s. There is one new epoch, and none acts upon the old one."""
     everyone = Circulation(range(5))
     fault = Crash(start=0.125, end=5.0, node=2, memory=memory)
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0, everyone)
@@ -319,7 +319,7 @@ def test_the_token_of_a_robot_that_breaks_down_is_claimed_anew_once(memory):
     assert everyone.fault(7.0, 10.0) is None
 
 
-def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
+def test_the_sender_of_a_token_of_an_old_epoch_is_informed_of_the_newest():
     """After a partition heals two tokens meet; without an answer the older one would be sent again and again."""
     fault = Partition(start=0.5, end=4.0, groups=((0, 1, 2), (3, 4)))
     result = run(frozen(flips(TokenRing()), latency=0.05, faults=(fault,)), 0)
@@ -335,7 +335,7 @@ def test_who_brings_a_token_of_an_old_epoch_is_told_of_the_newer_one():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_new_epoch_is_newer_than_all_that_who_makes_it_has_heard_of(seed):
+def test_a_new_epoch_is_newer_than_every_epoch_its_creator_has_seen(seed):
     """Also than those whose token it never had."""
     result = run(frozen(flips(TokenRing()), latency=0.05, loss=Storm(0.6, 9.0)), seed)
     sent = [each for kind in (Token, TokenReceipt, TokenNotice) for each in bodies(result, kind)]
@@ -369,8 +369,8 @@ def test_a_robot_without_memory_gives_the_token_that_it_gets_an_epoch_of_its_own
     assert list(epochs) == ([(1, 0)] if memory else [(1, 0), (2, 2)])
 
 
-def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
-    """Who is left alone keeps the token for 0.01 s at each hop, and greets the other at the first hop after 2.5 L."""
+def test_absent_pursuers_are_probed_no_more_often_than_they_could_answer():
+    """One left alone keeps the token for 0.01 s at each hop, and probes the other at the first hop after 2.5 L."""
     fault = Crash(start=1.0, node=1, scope="radio")
     result = run(frozen(flips(TokenRing()), count=2, latency=0.1, horizon=7.0, faults=(fault,)), 0)
     times = [sent.t for sent in bodies(result, TokenNotice) if sent.src == 0 and sent.body.asks]
@@ -380,7 +380,7 @@ def test_the_absent_are_greeted_no_oftener_than_they_could_answer():
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
-def test_a_partition_in_the_middle_of_a_round_has_two_tokens_and_one_when_it_heals(schedule):
+def test_a_partition_has_two_tokens_and_one_after_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
     fault = Partition(start=1.03, end=8.0, groups=((0, 2, 4),))
     watchers = [Circulation(group) for group in (*groups, range(6))]
@@ -405,8 +405,9 @@ def test_a_pursuer_without_a_radio_goes_on_alone():
 
 
 def soak(seed):
-    """Return a scenario with a storm of 3 s, who can talk after it, the longest patience (s), and whether it is a ring.
+    """Return a scenario with a storm of 3 s and what holds after it.
 
+    These are the connected components, the longest time to detect a lost token (s), and whether it is a ring.
     Crashes of both scopes, partitions, jamming and losses come and go; in half of the plans a partition, in a third
     a crash stays open.
     """
@@ -421,7 +422,7 @@ def soak(seed):
         Constant(value=0.0),
     )[rng.integers(4)]
     mean = 0.0 if isinstance(latency, Constant) else 0.03
-    patience = 5 * count * (mean + hold) + 5 * max(2.5 * mean, hold)
+    detection_time = 5 * count * (mean + hold) + 5 * max(2.5 * mean, hold)
     faults = [RandomFaults(rate=float(rng.uniform(0.5, 4.0)), mean_duration=0.7, end=storm)]
     links = nx.Graph(graph(count))
     if rng.random() < 0.5:
@@ -437,21 +438,21 @@ def soak(seed):
     scenario = frozen(
         flips(schedule),
         count=count,
-        horizon=storm + 3.5 * patience,
+        horizon=storm + 3.5 * detection_time,
         latency=latency,
         faults=tuple(faults),
         graph=graph,
         loss=Storm(float(rng.uniform(0.0, 0.4)), storm),
     )
-    return scenario, list(nx.connected_components(links)), patience, isinstance(schedule, TokenRing)
+    return scenario, list(nx.connected_components(links)), detection_time, isinstance(schedule, TokenRing)
 
 
 def faults_after(seed):
-    """Return what is wrong from 1.5 patiences after the storm on: two tokens, or not one that goes round."""
-    scenario, groups, patience, goes_round = soak(seed)
+    """Return what is wrong from 1.5 detection times after the storm on: two tokens, or not one that goes round."""
+    scenario, groups, detection_time, goes_round = soak(seed)
     watchers = [Circulation(group) for group in groups]
     run(scenario, seed, *watchers)
-    window = (3.0 + 1.5 * patience, scenario.horizon)
+    window = (3.0 + 1.5 * detection_time, scenario.horizon)
     return [fault for watcher in watchers if (fault := watcher.fault(*window, everybody=goes_round))]
 
 
@@ -463,29 +464,29 @@ def test_one_token_is_left_in_each_component_after_every_storm(block):
 
 
 @pytest.mark.slow
-def test_the_watcher_notices_a_token_that_is_never_replaced(monkeypatch):
-    """A negative control: with endless patience some of 20 storms leave a component without a token."""
+def test_the_watcher_detects_a_token_that_is_never_replaced(monkeypatch):
+    """A negative control: if the token is never missed, some of 20 storms leave a component without a token."""
     monkeypatch.setattr(TokenNode, "loss_timeout", property(lambda self: 1e6))
     assert any(fault.startswith("no token") for seed in range(20) for fault in faults_after(seed))
 
 
 @pytest.mark.slow
-def test_the_watcher_notices_tokens_whose_epoch_nobody_heeds(monkeypatch):
+def test_the_watcher_detects_tokens_whose_epoch_is_ignored(monkeypatch):
     """A negative control: if old tokens are taken and are not given up for new ones, there are two of one epoch."""
-    heed = TokenNode._hear
+    accept = TokenNode._hear
 
-    def hear(self, src, body):
+    def receive(self, src, body):
         if isinstance(body, Token) and self.token is None and body.epoch < self._newest[0]:
             self._answer(src, (body.epoch, body.hop))
             self.token = body
         else:
-            heed(self, src, body)
+            accept(self, src, body)
 
     def notice(self, age):
         self._newest = age
         self._reassured()
 
-    monkeypatch.setattr(TokenNode, "_hear", hear)
+    monkeypatch.setattr(TokenNode, "_hear", receive)
     monkeypatch.setattr(TokenNode, "_notice", notice)
     with pytest.raises(AssertionError, match="an epoch has one token"):
         list(map(faults_after, range(40)))
@@ -519,7 +520,7 @@ NARROW = [(way, count) for way in ("a radio each", "one channel") for count in (
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()], ids=lambda schedule: schedule.kind)
 @pytest.mark.parametrize(("way", "count"), NARROW)
-def test_on_a_thin_channel_there_is_one_token_and_no_more_messages_than_it_needs(schedule, way, count):
+def test_on_a_narrow_channel_there_is_one_token_without_extra_messages(schedule, way, count):
     """No token is sent twice nor made in vain: one epoch, and per decision one token and one receipt, if not yet open.
 
     A token of 20 takes 600 bytes and more: 0.13 s at 38.4 kbit/s, thirteen holds; one of 5 at SF 7 is 0.33 s.

@@ -37,8 +37,8 @@ def play(protocol, latency=0.0, **changes):
     return run(Scenario(**(given | changes)))
 
 
-def test_the_gain_is_judged_against_what_has_arrived():
-    """Pursuer 2 (phi = 3.9) hears of pursuer 0 (phi = 0.9, chasing since 1 s) 0.5 s late."""
+def test_the_gain_uses_the_records_that_have_arrived():
+    """Pursuer 2 (phi = 3.9) learns of pursuer 0 (phi = 0.9, chasing since 1 s) 0.5 s late."""
     seen = {}
 
     def protocol(me):
@@ -60,7 +60,7 @@ def test_the_gain_is_judged_against_what_has_arrived():
     assert seen[1.25] == (*seen[1.3][:2], 8.75) == ([0], -1.5, 8.75)
 
 
-def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants_and_nobody_commands_one_that_does_not_exist():
+def test_a_pursuer_that_cannot_capture_stays_and_actions_of_unknown_pursuers_are_refused():
     def protocol(me):
         yield me.at(1.0)
         me.assign(True)
@@ -77,7 +77,7 @@ def test_a_pursuer_that_cannot_capture_stays_whatever_it_wants_and_nobody_comman
     ("call", "time", "allowed"),
     [("sleep", inf, "duration should be finite and at least 0 s"), ("sleep", -1.0, "duration"), ("at", nan, "time")],
 )
-def test_who_waits_for_a_time_that_never_comes_is_told(call, time, allowed):
+def test_waiting_for_a_time_that_never_comes_is_an_error(call, time, allowed):
     def protocol(me):
         yield me.at(me.id * 0.25)
         if me.id == 1:
@@ -89,7 +89,7 @@ def test_who_waits_for_a_time_that_never_comes_is_told(call, time, allowed):
         play(protocol)
 
 
-def test_an_agent_knows_itself_and_its_team():
+def test_an_agent_has_its_id_and_team_data():
     def protocol(me):
         yield me.sleep(0.25)
         assert (me.now, me.team_size, me.action) == (0.25, 3, False)
@@ -119,8 +119,8 @@ def test_agents_talk_by_message():
     assert heard == [(1, 0.125, "to all"), (2, 0.125, "to one"), (2, 0.125, "to all")]
 
 
-def test_decisions_of_one_instant_are_made_in_the_order_of_ids_and_see_each_other_without_latency():
-    """All three find nobody active at 1 s; the first chases, and the others hear of it at once."""
+def test_decisions_of_one_instant_are_in_id_order_and_see_each_other_at_zero_latency():
+    """All three find none active at 1 s; the first chases, and the others learn of it at once."""
 
     def protocol(me):
         yield me.at(1.0)
@@ -132,10 +132,10 @@ def test_decisions_of_one_instant_are_made_in_the_order_of_ids_and_see_each_othe
 
 
 @pytest.mark.parametrize(("between", "said"), [(True, [0.1, 2.0]), (False, [0.1])])
-def test_what_a_heartbeat_has_said_counts_as_said(between, said):
-    """Active and so announced at 0.1 s; inactive from 0.2 to 2 s, of which only a heartbeat tells; active again at 2 s.
+def test_a_heartbeat_counts_as_the_last_announcement(between, said):
+    """Active and so announced at 0.1 s; inactive from 0.2 to 2 s, announced only by a heartbeat; active again at 2 s.
 
-    That is a change to who heard the heartbeat, and none if there was no heartbeat between.
+    That is a change for receivers of the heartbeat, and none without a heartbeat between.
     """
 
     def protocol(me):
@@ -159,7 +159,7 @@ def test_what_a_heartbeat_has_said_counts_as_said(between, said):
 
 
 class Dicing:
-    """A way to spread word that draws from the generator of a pursuer's decisions, every 0.1 s."""
+    """A dissemination that draws from the generator of a pursuer's decisions, every 0.1 s."""
 
     def __init__(self, drawn):
         self._drawn = drawn
@@ -173,7 +173,7 @@ class Dicing:
             yield me.sleep(0.1)
 
 
-def test_the_way_word_spreads_and_the_protocol_share_one_generator():
+def test_dissemination_and_protocol_share_one_generator():
     """Each draws ten times in turns; together they draw what the stream gives, each number once."""
     drawn = {}
 
@@ -186,8 +186,8 @@ def test_the_way_word_spreads_and_the_protocol_share_one_generator():
 
 
 @pytest.mark.parametrize(("payload", "known"), [("action", [0, 1, 2]), ("time", [1, 2]), ("state", [1, 2])])
-def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, known):
-    """Pursuer 0 speaks at 0 s only, pursuer 2 at 0 s and 1 s; at 1.5 s what is older than 1 s is forgotten."""
+def test_the_team_estimate_is_sensed_or_from_records_within_the_belief_timeout(payload, known):
+    """Pursuer 0 announces at 0 s only, pursuer 2 at 0 s and 1 s; at 1.5 s records older than 1 s are forgotten."""
     seen = []
 
     def protocol(me):
@@ -212,8 +212,8 @@ def test_whereabouts_are_sensed_or_as_told_by_whom_is_not_forgotten(payload, kno
     ("payload", "neighbours", "component"),
     [("action", [0], {0, 1}), ("time", [0, 1, 2], {0, 1, 2}), ("state", [0, 1, 2], {0, 1, 2})],
 )
-def test_whose_actions_count_is_who_can_be_heard_or_if_nobody_is_seen_whoever_is(payload, neighbours, component):
-    """One way from 0 to 1, and from 1 to 2: 1 hears 0, and nobody hears 2."""
+def test_counted_teammates_are_the_audible_ones_or_without_sensing_those_with_records(payload, neighbours, component):
+    """One way from 0 to 1, and from 1 to 2: 1 receives from 0, and none from 2."""
     seen = []
 
     def protocol(me):
@@ -234,7 +234,7 @@ def test_whose_actions_count_is_who_can_be_heard_or_if_nobody_is_seen_whoever_is
 
 
 @pytest.mark.parametrize("utility", [LocalMean(), EdgePenalty(), Mean()], ids=repr)
-def test_who_hears_a_faster_one_that_does_not_hear_it_leaves_the_chase_to_that_one(utility):
+def test_a_pursuer_leaves_the_chase_to_a_faster_one_over_a_one_way_link(utility):
     scenario = Scenario(
         horizon=5.0,
         team=Team(positions=[(1.0, 0.0), (2.0, 0.0)], speeds=1.0),
@@ -252,7 +252,7 @@ class Claim(NamedTuple):
     news: int = 0
 
 
-def test_of_a_claim_nobody_learns_where_its_speaker_is():
+def test_a_claim_does_not_reveal_the_position_of_its_sender():
     """Unless positions are sensed."""
 
     for payload in ("action", "time", "state"):
@@ -275,8 +275,8 @@ def test_of_a_claim_nobody_learns_where_its_speaker_is():
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
-    """A heartbeat every 0.1 s tells the claim until 0.3 s, and from 0.5 s on that or, without memory, the payload."""
+def test_a_claim_made_before_a_restart_is_not_repeated(memory):
+    """A heartbeat every 0.1 s carries the claim until 0.3 s, and from 0.5 s on that or, without memory, the payload."""
 
     def protocol(me):
         if me.id == 0 and not me.restarts:
@@ -295,8 +295,8 @@ def test_what_it_claimed_in_a_former_life_is_not_repeated(memory):
 @pytest.mark.parametrize("dissemination", [OneHop(), Flooding(hops=2), Gossip()])
 @pytest.mark.parametrize("scope", ["radio", "robot"])
 @pytest.mark.parametrize("warm", [True, False])
-def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, dissemination, scope, warm):
-    """The beliefs, kept by the news, against all that has been heard; pursuer 1 forgets everything at 2 s."""
+def test_the_believed_chasers_follow_from_the_latest_records(payload, dissemination, scope, warm):
+    """The incremental beliefs, against all received records; pursuer 1 forgets everything at 2 s."""
     checked, chased = [], set()
 
     def protocol(me):
@@ -304,8 +304,8 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, dissemin
         while True:
             yield me.sleep(rng.exponential(0.05))
             for evader in (1, 2):
-                words = me.trusted()
-                expected = sorted(j for j in words if words[j].body.active == evader)
+                records = me.trusted()
+                expected = sorted(j for j in records if records[j].body.active == evader)
                 assert me.believed_active(evader) == list(me.believed_chasers(evader)) == expected
                 chased.add((evader, tuple(expected)))
             checked.append(me.id)
@@ -328,7 +328,7 @@ def test_who_is_believed_to_chase_is_what_the_newest_words_say(payload, dissemin
     assert len(chased) > 10
 
 
-def test_what_is_repeated_happens_every_period_from_a_phase_of_the_named_stream_on():
+def test_periodic_actions_start_at_a_phase_of_the_named_stream():
     def protocol(me):
         yield me.at(0.5)
         yield from me.repeat(lambda: seen.append((me.id, me.now)), 0.3, "chores")

@@ -1,7 +1,7 @@
-"""What pursuers tell each other: payloads and what they make the others believe, triggers, memory, warm and cold start.
+"""Announcements: payloads and the resulting beliefs, triggers, memory, warm and cold start.
 
-Unless a test says otherwise three pursuers at 2, 3 and 5 m (speed 1) of an evader that stands still say what they are
-told to say and nothing else. The radius of capture is 0.1 m, so they need 1.9, 2.9 and 4.9 s.
+Unless a test states otherwise, three pursuers at 2, 3 and 5 m (speed 1) of a stationary evader announce what they are
+scripted to and nothing else. The radius of capture is 0.1 m, so they need 1.9, 2.9 and 4.9 s.
 """
 
 from functools import partial
@@ -70,8 +70,8 @@ def believed_chasers(me):
     return {j: round(phi, 9) for j, phi in me.believed_chasers().items()}
 
 
-def told(result, src):
-    """Return when a pursuer said something, s."""
+def announcement_times(result, src):
+    """Return the times of the announcements of a pursuer, s."""
     return [seconds(event.t) for event in result.trace.of(Broadcast) if event.src == src]
 
 
@@ -82,10 +82,10 @@ def told(result, src):
     ("payload", "reckoning", "phi"),
     [("action", "exact", 2.4), ("time", "exact", 2.9), ("state", "exact", 1.9), ("state", "straight_line", 1.9)],
 )
-def test_a_payload_decides_what_the_others_believe(payload, reckoning, phi):
-    """Pursuer 1 chases from 0.5 s on, says so, and stops silently at 1 s, at 2.5 m; pursuer 2 wonders at 1.5 s.
+def test_the_payload_determines_the_beliefs_of_the_others(payload, reckoning, phi):
+    """Pursuer 1 chases from 0.5 s on, announces it, and stops silently at 1 s, at 2.5 m; pursuer 2 looks at 1.5 s.
 
-    action: it sees it at 2.5 m; time: it was told 2.9 s; state: it thinks that it has chased and is at 2 m. Its own
+    action: it senses it at 2.5 m; time: it received 2.9 s; state: it dead reckons it at 2 m. Its own
     time is 4.9 s, so its gain is (phi - 4.9) / 2.
     """
     seen = {}
@@ -94,8 +94,8 @@ def test_a_payload_decides_what_the_others_believe(payload, reckoning, phi):
     assert seen[1.5] == ({1: phi}, pytest.approx((phi - 4.9) / 2))
 
 
-def test_a_time_that_was_told_is_a_commitment_until_something_else_is_told():
-    """It stays 2.9 s while the teller comes nearer, and is 1.9 s when it says so 1 s later."""
+def test_an_announced_time_is_a_commitment_until_the_next_announcement():
+    """It stays 2.9 s while the sender comes nearer, and is 1.9 s when that is announced 1 s later."""
     seen = {}
     looks = [(t, 2, believed_chasers) for t in (0.7, 0.8, 1.7, 1.8, 2.5)]
     play(script((0.5, 1, chase), (1.5, 1, chase), *looks, seen=seen), {"payload": "time"}, latency=0.25)
@@ -103,8 +103,8 @@ def test_a_time_that_was_told_is_a_commitment_until_something_else_is_told():
 
 
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
-def test_the_state_of_who_stands_still_stays_exact(reckoning):
-    """It said that its speed is 0: while the evader flees its time grows, just as its sensed position says."""
+def test_the_announced_state_of_an_idle_pursuer_stays_exact(reckoning):
+    """It announced a speed of 0: while the evader flees its time grows, as with its sensed position."""
 
     def stand(me):
         me.publish(LocatedAssignment(active=True, x=3.0, y=0.0, speed=0.0))
@@ -115,14 +115,14 @@ def test_the_state_of_who_stands_still_stays_exact(reckoning):
     ]
     announce = {"payload": "state", "reckoning": reckoning}
     play(script((0.0, 1, stand), *looks, seen=seen), announce, evader=Evader(position=(0.0, 1.0), speed=0.5))
-    for told, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):
-        assert told == pytest.approx(sensed, abs=1e-9)
+    for announced, sensed in (seen[t] for t in (0.5, 1.234, 7.5)):
+        assert announced == pytest.approx(sensed, abs=1e-9)
     assert seen[7.5][1] > seen[0.5][1] + 5.0
 
 
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize("reckoning", ["exact", "straight_line"])
-def test_in_a_frozen_game_all_payloads_say_the_same_for_ever(payload, reckoning):
+def test_in_a_static_game_all_payloads_give_the_same_beliefs_forever(payload, reckoning):
     seen = {}
     announce = {"payload": payload, "reckoning": reckoning}
     acts = [(0.5, 0, chase), (0.5, 1, chase), (9.5, 2, believed_chasers)]
@@ -140,15 +140,15 @@ def test_an_announcement_has_the_size_of_its_payload(payload, size):
 # Reckoning.
 
 
-def reckonings(order, step, seed, reckoning="exact"):
-    """Return for each look at a teammate that has chased since it spoke how far off its reckoned place was, m.
+def dead_reckoning_errors(order, step, seed, reckoning="exact"):
+    """Return the dead-reckoning error of each look at a teammate that has chased since its announcement, m.
 
-    Five pursuers start and stop at random times, on the boundaries of steps and inside them, and each speaks at some
-    of these times or between them. Latencies up to 2 s let word age by many steps. Only who is farther than a step's
-    way from the evader is looked at.
+    Five pursuers start and stop at random times, on the boundaries of steps and inside them, and each announces at some
+    of these times or between them. Latencies up to 2 s let records age by many steps. Only a teammate farther than a
+    step's way from the evader is looked at.
 
     Returns:
-        Rows of: error, age, distance to the evader, whether it spoke in a step inside which it had begun.
+        Rows of: error, age, distance to the evader, whether it announced in a step inside which it had begun.
     """
     rng = np.random.default_rng(seed)
     turned, rows, h = {}, [], nanoseconds(step)
@@ -194,18 +194,18 @@ def reckonings(order, step, seed, reckoning="exact"):
 
 @pytest.mark.parametrize("step", [0.01, 0.07, 0.5])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
-def test_exact_reckoning_is_where_a_chasing_teammate_is(order, step):
+def test_exact_dead_reckoning_gives_the_position_of_a_chasing_teammate(order, step):
     """Orders inside steps, ages of many steps: to 1e-9 m. The control: straight towards the evader it is not."""
-    rows = np.vstack([reckonings(order, step, seed) for seed in range(2)])
+    rows = np.vstack([dead_reckoning_errors(order, step, seed) for seed in range(2)])
     assert len(rows) > 100
     assert rows[:, 1].max() > 2.0
     assert rows[:, 3].sum() > 10
     assert rows[:, 0].max() < 1e-9
-    assert reckonings(order, step, 0, "straight_line")[:, 0].max() > 0.01
+    assert dead_reckoning_errors(order, step, 0, "straight_line")[:, 0].max() > 0.01
 
 
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
-def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
+def test_straight_line_reckoning_subtracts_the_path_length_from_the_distance(order):
     """d = max(|x_e - x_j| - v_j age, 0), whatever way the evader went and even if the teammate has silently stopped."""
     seen = []
 
@@ -237,13 +237,13 @@ def test_cheap_reckoning_takes_the_way_run_off_the_distance(order):
 
 # Triggers.
 
-SAID = "TTFFTTTFF"
+ACTIONS = "TTFFTTTFF"
 """What pursuer 0 decides at 0.1, 0.2, ... 0.9 s; it is inactive at first."""
 
 
 def decide(me):
     """Decide as it is written."""
-    for k, letter in enumerate(SAID, 1):
+    for k, letter in enumerate(ACTIONS, 1):
         yield me.at(k / 10)
         if me.id == 0:
             me.assign(letter == "T")
@@ -254,20 +254,20 @@ def decide(me):
     ("trigger", "deciding", "others"),
     [("change", 4, 0), ("heartbeat", 4, 4), ("both", 8, 4), ("revision", 9, 0), ("never", 0, 0)],
 )
-def test_a_trigger_decides_how_often_something_is_said(trigger, deciding, others):
+def test_the_trigger_determines_when_announcements_are_sent(trigger, deciding, others):
     """9 decisions, 4 of them changes, in 1 s; a heartbeat of 0.25 s beats 4 times from any phase in [0, 0.25) s on.
 
-    Changes are told at once and in both directions.
+    Changes are announced at once and in both directions.
     """
     result = play(decide, {"trigger": trigger, "heartbeat": 0.25}, horizon=1.0, motion=Motion(static=True))
-    assert [len(told(result, pursuer)) for pursuer in range(3)] == [deciding, others, others]
+    assert [len(announcement_times(result, pursuer)) for pursuer in range(3)] == [deciding, others, others]
     if trigger == "change":
-        assert told(result, 0) == [0.1, 0.3, 0.5, 0.8]
+        assert announcement_times(result, 0) == [0.1, 0.3, 0.5, 0.8]
         assert [event.body.active for event in result.trace.of(Broadcast)] == [True, False, True, False]
 
 
-def test_what_has_never_been_told_is_news_after_a_cold_start():
-    """The first decision is to stay: after a warm start everybody knows, after a cold one nobody."""
+def test_after_a_cold_start_the_first_action_counts_as_a_change():
+    """The first decision is to stay: after a warm start all know it, after a cold one none."""
 
     def stays(me):
         for t in (0.1, 0.2):
@@ -277,7 +277,7 @@ def test_what_has_never_been_told_is_news_after_a_cold_start():
 
     for warm, times in ((True, []), (False, [0.1])):
         result = play(stays, {"trigger": "change", "warm_start": warm}, horizon=1.0)
-        assert told(result, 1) == times
+        assert announcement_times(result, 1) == times
 
 
 def phases(count, period):
@@ -289,14 +289,14 @@ def phases(count, period):
         team=Team(count=count),
         motion=Motion(static=True),
     )
-    times = np.array([told(result, pursuer) for pursuer in range(count)])
+    times = np.array([announcement_times(result, pursuer) for pursuer in range(count)])
     assert times.shape == (count, 4)
     assert np.diff(times) == pytest.approx(period, abs=1.1e-9)
     return times[:, 0]
 
 
 def test_heartbeats_are_periodic_from_a_random_phase_on():
-    """120 phases are uniform in [0, T): p > 0.001 (Kolmogorov and Smirnov); the control, 30 % less, is told apart."""
+    """120 phases are uniform in [0, T): p > 0.001 (Kolmogorov and Smirnov); the control, 30 % less, is detected."""
     found = phases(120, 0.2) / 0.2
     assert kstest(found, "uniform").pvalue > 0.001
     assert kstest(0.7 * found, "uniform").pvalue < 0.001
@@ -306,9 +306,9 @@ def test_heartbeats_are_periodic_from_a_random_phase_on():
 
 
 def last_trusted(announce, latency=0.25, **changes):
-    """Return how long after its last word arrived pursuer 2 believes pursuer 0 active, s; None if it is for ever.
+    """Return for how long after its last record arrived pursuer 2 believes pursuer 0 active, s; None if forever.
 
-    Pursuer 0 chases from 0.5 s on, says so, and its radio is dead from 1.05 s on.
+    Pursuer 0 chases from 0.5 s on, announces it, and its radio is down from 1.05 s on.
     """
     seen = {}
 
@@ -342,7 +342,7 @@ def last_trusted(announce, latency=0.25, **changes):
         ({"trigger": "never", "belief_timeout": 3.0}, 3.0),
     ],
 )
-def test_a_teammate_is_forgotten_after_so_long_without_its_word(announce, until):
+def test_a_teammate_is_forgotten_after_the_belief_timeout(announce, until):
     """A number; auto: 3 T + 2 L with T = 0.1 s, if nothing else is given, and L = 0.25 s; without heartbeats never."""
     found = last_trusted(announce)
     if until == inf:
@@ -351,7 +351,7 @@ def test_a_teammate_is_forgotten_after_so_long_without_its_word(announce, until)
         assert found == pytest.approx(until, abs=0.0011)
 
 
-def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
+def test_the_default_belief_timeout_includes_the_airtime_of_an_announcement():
     """3 T + 2 (L + A) after arrival, where 24 bytes take A = 0.04 s at 4800 bit/s."""
     slow = Links(latency=Constant(value=0.25), medium=Bitrate(bitrate=4800.0))
     announce = {"trigger": "heartbeat", "heartbeat": 0.2}
@@ -359,8 +359,8 @@ def test_what_is_remembered_by_default_counts_the_airtime_of_an_announcement():
 
 
 @pytest.mark.parametrize(("announce", "memory"), [({"belief_timeout": 1.0}, 1.0), ({"heartbeat": 0.2}, 0.6 + 0.5)])
-def test_word_counts_up_to_the_very_end_of_the_memory_and_not_a_nanosecond_longer(announce, memory):
-    """It was said at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
+def test_a_record_counts_up_to_the_belief_timeout_and_not_a_nanosecond_longer(announce, memory):
+    """It was announced at 0.5 s, arrived at 0.75 s, and counts from then on; auto is 3 T + 2 L."""
     end, seen = 0.75 + memory, {}
     acts = [
         (0.75 - 1e-9, 2, believed_chasers),
@@ -380,8 +380,8 @@ def test_word_counts_up_to_the_very_end_of_the_memory_and_not_a_nanosecond_longe
 
 @pytest.mark.parametrize("payload", PAYLOADS)
 @pytest.mark.parametrize("active", [True, False])
-def test_after_a_warm_start_everybody_knows_who_is_active_at_first(payload, active):
-    """Nobody ever says anything; r = 10 s. Warm: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; cold: 10 - 4.9."""
+def test_after_a_warm_start_every_pursuer_knows_the_initial_actions(payload, active):
+    """Nothing is ever announced; r = 10 s. Warm: pursuer 2 gains (mean of 1.9 and 2.9 - 4.9) / 3; cold: 10 - 4.9."""
     team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=float(active))
 
     def latest_records(me):

@@ -61,7 +61,7 @@ def test_the_global_utility_is_an_exact_potential(drawn_game, data):
 
 
 @given(games(), st.data())
-def test_the_wonderful_life_utility_is_what_is_lost_if_a_pursuer_stays(drawn_game, data):
+def test_the_wonderful_life_utility_is_the_loss_of_welfare_if_a_pursuer_stays(drawn_game, data):
     phi, actions, reward = drawn_game
     i = data.draw(st.integers(0, len(phi) - 1))
     without = (*actions[:i], 0, *actions[i + 1 :])
@@ -95,7 +95,7 @@ def test_with_one_evader_the_best_assignment_is_the_relay_pursuer(drawn_game):
 
 
 def test_the_welfare_is_that_of_a_game_worked_out_by_hand():
-    """Evader 1 is chased by pursuers at 3 and 5 s, evader 2 by one at 10 s, evader 3 by nobody; r = 25 s."""
+    """Evader 1 is chased by pursuers at 3 and 5 s, evader 2 by one at 10 s, evader 3 by none; r = 25 s."""
     phi = [[3.0, 1.0, 1.0], [5.0, 1.0, 1.0], [1.0, 10.0, 1.0], [1.0, 1.0, 1.0]]
     assert welfare(phi, (1, 1, 2, 0), 25.0) == (25 - 4) + (25 - 10)
     assert wonderful_life_utility(phi, (1, 1, 2, 0), 25.0, 0) == (25 - 4) - (25 - 5)
@@ -103,7 +103,7 @@ def test_the_welfare_is_that_of_a_game_worked_out_by_hand():
     assert wonderful_life_utility(phi, (1, 1, 2, 0), 25.0, 3) == 0.0
 
 
-def test_who_can_never_capture_an_evader_does_not_count_and_is_in_no_equilibrium():
+def test_a_pursuer_that_can_never_capture_does_not_count_and_is_in_no_equilibrium():
     phi = [[inf, 4.0], [2.0, inf]]
     assert welfare(phi, (1, 1), 25.0) == 23.0
     assert equilibria(phi, 25.0) == [(2, 1)]
@@ -111,7 +111,7 @@ def test_who_can_never_capture_an_evader_does_not_count_and_is_in_no_equilibrium
     assert equilibria([[inf], [inf]], 25.0) == [(0, 0)]
 
 
-def test_nobody_is_better_off_in_an_equilibrium_by_trying_everything():
+def test_no_unilateral_deviation_improves_on_an_equilibrium():
     """The control of `is_equilibrium`: the utilities of all other actions, one by one."""
     for seed in range(20):
         phi = drawn((3, 2), seed)
@@ -141,7 +141,7 @@ def test_an_equilibrium_has_at_most_one_pursuer_on_an_evader_and_several_are_com
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_best_assignment_is_the_best_of_all_profiles_and_an_equilibrium(size):
-    """That follows from the exact potential: nobody can better what is best; here it is counted in 50 games each."""
+    """That follows from the exact potential: no pursuer can improve on the best; here counted in 50 games each."""
     for seed in range(50):
         phi = drawn(size, seed)
         best = profile(optimal_assignment(phi, REWARD), len(phi))
@@ -192,20 +192,20 @@ def test_to_take_the_nearest_pair_first_may_be_poor():
     assert optimum(phi, 25.0) == 46.0
 
 
-def test_who_would_be_late_or_is_not_known_is_left_out_of_the_best_assignment():
+def test_late_and_unknown_pursuers_are_left_out_of_the_best_assignment():
     assert optimal_assignment([[25.0, nan], [inf, 24.0], [30.0, 3.0]], 25.0) == {2: 2}
     assert optimal_assignment([[inf, 26.0]], 25.0) == {}
     assert optimum([[inf, 26.0]], 25.0) == 0.0
 
 
-def test_who_would_be_late_or_is_not_known_is_left_out_of_the_greedy_assignment():
-    """So is who would come just as time is up."""
+def test_late_and_unknown_pursuers_are_left_out_of_the_greedy_assignment():
+    """So is a pursuer that would arrive just as time is up."""
     assert greedy_assignment({1: {0: nan, 1: 24.0}, 2: {0: 25.0, 1: 3.0}}, 25.0) == {1: 2}
     assert greedy_assignment({1: {0: nan}, 2: {1: 25.0}}, 25.0) == {}
 
 
 @pytest.mark.parametrize("size", [(2, 5), (5, 2)])
-def test_who_is_too_many_waits(size):
+def test_surplus_pursuers_wait(size):
     assignment = optimal_assignment(drawn(size, 0) / 2, REWARD)
     assert len(assignment) == 2
     assert len(set(assignment.values())) == 2

@@ -99,7 +99,7 @@ def test_the_time_of_one_by_hand():
     assert all(type(radial.of(i, 4.5)) is float for i in range(3))
 
 
-def test_a_team_that_is_all_fast_is_never_late_for_ever():
+def test_a_team_of_only_fast_pursuers_has_finite_capture_times():
     """And what was asked for is not changed."""
     asked = np.array([1.0, 1e9])
     asked.setflags(write=False)

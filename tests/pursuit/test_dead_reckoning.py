@@ -26,7 +26,7 @@ def straight_run(law, evader, evader_velocity, until, *, ahead=True):
 
 
 def turning(seed, until):
-    """Yield what is seen at each step of an evader that turns at every step, far from everybody."""
+    """Yield what is seen at each step of an evader that turns at every step, far from all pursuers."""
     rng = np.random.default_rng(seed)
     at = 50.0 + 50.0j
     for t in range(0, until + 1, STEP):
@@ -36,7 +36,7 @@ def turning(seed, until):
 
 
 def fresh(law, seed, question, now):
-    """Return the answer of one who has never been asked before."""
+    """Return the answer of a fresh track."""
     path = EvaderTrack(law)
     for leg in turning(seed, now):
         path.see(*leg)
@@ -51,7 +51,7 @@ def test_a_leg_goes_on_straight():
 
 
 @pytest.mark.parametrize("remembers", [True, False])
-def test_the_present_step_is_what_was_seen_last(remembers):
+def test_the_current_step_is_the_latest_observation(remembers):
     path = EvaderTrack(PurePursuit(), remembers=remembers)
     path.see(0, 1j, 2j, 1.0)
     assert path.last == (0, 1j, 2j, 1.0)
@@ -59,7 +59,7 @@ def test_the_present_step_is_what_was_seen_last(remembers):
     assert path.last == (STEP, 3j, 4j, 5.0)
 
 
-def test_who_need_not_remember_keeps_but_the_last_step_however_long_the_run():
+def test_a_track_without_history_keeps_only_the_last_step():
     path = EvaderTrack(PurePursuit(), remembers=False)
     for k in range(100):
         path.see(k, 0j, 0j, 0j)
@@ -103,7 +103,7 @@ def test_a_tail_chase_is_a_straight_line(law, ahead):
     assert path.position(0j, 2.0, 0, now) == pytest.approx(6.2, abs=1e-9)
 
 
-def test_pure_pursuit_aims_anew_at_every_step():
+def test_pure_pursuit_updates_its_aim_at_every_step():
     """The evader runs from (3, 0) north at 4 m/s, the pursuer from (0, 0) at 4 m/s, so 1 m a step, from 0.125 s on.
 
     The first half step leads 0.5 m towards (3, 1), the second step 1 m towards (3, 2), and 0.06 s of the third 0.24 m
@@ -128,7 +128,7 @@ def test_a_turn_of_the_evader_inside_the_age_turns_the_pursuer(law):
         assert path.position(position, 4.0, since, 2 * STEP) == pytest.approx(1.0 + 1.0j, abs=1e-12)
 
 
-def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece():
+def test_a_guidance_law_receives_the_evader_as_observed_at_the_start_of_each_segment():
     """At 0.125 s and 0.25 s: the evader runs from (3, 0) north at 4 m/s and is aimed at where a step ends, 1 m on."""
     told = []
 
@@ -143,8 +143,8 @@ def test_a_law_is_given_the_evader_as_it_is_seen_at_the_beginning_of_each_piece(
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
-    """A clock that is ahead lets word seem older than the pursuit: 1 s of chase, not 3."""
+def test_positions_are_unchanged_before_the_start_and_after_zero_time(law):
+    """A clock that is ahead lets a record seem older than the pursuit: 1 s of chase, not 3."""
     assert EvaderTrack(law).position(3j, 1.0, -SECOND, 0) == 3j
     path = straight_run(law, 9.0 + 0j, 0j, SECOND)
     assert path.position(3j, 1.0, SECOND, SECOND) == 3j
@@ -157,7 +157,7 @@ def test_nobody_has_moved_before_the_beginning_or_when_no_time_has_passed(law):
 @pytest.mark.parametrize("law", [*LAWS, lambda gaps, aims, w, v: toward(gaps + w, v)])
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(0, 3 * SECOND), st.lists(st.integers(0, 3 * SECOND), min_size=1, max_size=6))
-def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed, since, later):
+def test_an_incremental_query_equals_a_fresh_one(law, seed, since, later):
     """Bit by bit: it goes on from the beginning of a step, so that no piece of a path is ever cut in two."""
     path, legs, question = EvaderTrack(law), list(turning(seed, 3 * SECOND)), (1j, 1.5, since)
     for now in sorted(t for t in [*later, STEP, 2 * STEP, 3 * SECOND] if t >= since):
@@ -166,7 +166,7 @@ def test_going_on_from_the_last_question_is_asking_for_the_first_time(law, seed,
         assert path.position(*question, now) == fresh(law, seed, question, now)
 
 
-def test_going_on_looks_at_no_step_that_is_over():
+def test_an_incremental_query_reads_no_completed_step():
     """Twelve steps the first time, one the second, in the same step, and two in the next: the last and the new one."""
     asked = []
 
@@ -196,7 +196,7 @@ def test_paths_that_differ_in_place_or_speed_or_beginning_are_kept_apart():
         assert path.position(*question, 5 * STEP + 9) == fresh(PurePursuit(), 3, question, 5 * STEP + 9)
 
 
-def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longest_ago_goes():
+def test_the_cache_of_paths_is_bounded_and_evicts_the_least_recently_used():
     """One more than the bound, the first asked for again before the last: the second goes, and is retraced anew."""
     path, (now, *later) = EvaderTrack(PurePursuit()), turning(4, 5 * STEP)
     path.see(*now)
@@ -215,8 +215,8 @@ def test_no_more_paths_are_remembered_than_the_bound_and_the_one_asked_for_longe
 # Without the path of the evader.
 
 
-def test_the_way_run_comes_off_the_distance_at_most_to_the_evader():
-    """From (3, 4) to the evader at (0, 0) it is 5 m: 2 m lead to (1.8, 2.4), 5 or 7 there; who is there stays."""
+def test_straight_line_reckoning_ends_at_the_evader():
+    """From (3, 4) to the evader at (0, 0) it is 5 m: 2 m lead to (1.8, 2.4), 5 or 7 there; at the evader it stays."""
     assert nearer(3.0 + 4.0j, 0j, 2.0) == pytest.approx(1.8 + 2.4j)
     assert nearer(3.0 + 4.0j, 0j, 0.0) == pytest.approx(3.0 + 4.0j)
     assert nearer(3.0 + 4.0j, 0j, 5.0) == nearer(3.0 + 4.0j, 0j, 7.0) == 0j

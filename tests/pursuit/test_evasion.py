@@ -92,7 +92,7 @@ def test_a_heading_is_1_long_or_0(strategy, team, evader, heading, elapsed, hand
 
 
 @pytest.mark.parametrize("strategy", FLEEING, ids=named)
-def test_who_flees_stands_still_if_there_is_nobody_to_flee_from(strategy):
+def test_an_evader_that_flees_stands_still_without_pursuers(strategy):
     active_only = type(strategy)(**dict(strategy) | WITH)
     assert heading_of(strategy) == 0j
     assert heading_of(active_only, 1j, 2 + 0j, active=False) == 0j
@@ -100,14 +100,14 @@ def test_who_flees_stands_still_if_there_is_nobody_to_flee_from(strategy):
 
 
 @pytest.mark.parametrize("strategy", WANDERING, ids=named)
-def test_who_wanders_goes_on_whether_there_is_anybody_or_not(strategy):
+def test_a_wandering_evader_moves_with_and_without_pursuers(strategy):
     assert heading_of(strategy) == heading_of(strategy, 1j, 2 + 0j) != 0j
 
 
 @pytest.mark.parametrize("strategy", FLEEING, ids=named)
 @settings(max_examples=25)
 @given(crowds, st.data())
-def test_who_heeds_the_active_flees_as_if_there_were_no_others(strategy, team, data):
+def test_an_evader_that_flees_active_pursuers_ignores_the_others(strategy, team, data):
     active = data.draw(st.lists(st.booleans(), min_size=len(team), max_size=len(team)))
     alone = [place for place, chases in zip(team, active, strict=True) if chases]
     active_only = type(strategy)(**dict(strategy) | WITH)
@@ -155,7 +155,7 @@ def test_pure_evasion_flees_the_nearest_whether_it_chases_or_not(active):
     assert heading_of(PureEvasion(), -5j, -2 + 0j, active=active) == 1 + 0j
 
 
-def test_pure_evasion_of_who_chases_lets_the_others_come_near():
+def test_pure_evasion_from_active_pursuers_ignores_idle_ones():
     """The one to the left is nearest and stays; it flees from the one below."""
     assert heading_of(PureEvasion(flees_from="active"), -5j, -2 + 0j, active=[True, False]) == 1j
 
@@ -165,7 +165,7 @@ def test_pure_evasion_flees_the_lowest_of_several_nearest():
 
 
 @pytest.mark.parametrize("strategy", FLEEING[:-1], ids=named)
-def test_who_flees_a_pursuer_right_here_stands_still(strategy):
+def test_an_evader_at_the_position_of_a_pursuer_stands_still(strategy):
     assert heading_of(strategy, 0j) == 0j
 
 
@@ -268,7 +268,7 @@ def test_a_heading_diffuses_by_sigma_squared_t_whatever_the_step():
 
 
 @pytest.mark.parametrize("strategy", [Diffusion(), ConstantHeading()], ids=named)
-def test_a_heading_that_is_drawn_is_anything(strategy):
+def test_a_drawn_heading_is_uniform_over_all_directions(strategy):
     """The mean of 400 unit vectors has a standard deviation of 1 / sqrt(800) in each coordinate."""
     mean = np.mean([heading_of(strategy, seed=seed) for seed in range(400)])
     assert max(abs(mean.real), abs(mean.imag)) < 4 / sqrt(800)
@@ -281,12 +281,12 @@ def test_a_constant_heading_is_the_angle_or_drawn_once():
     assert heading_of(ConstantHeading(), seed=1) != heading_of(ConstantHeading(), seed=2)
 
 
-def test_who_is_still_draws_nothing_and_stays():
+def test_a_stationary_evader_draws_no_random_numbers():
     assert heading_of(Still(), 1j) == 0j
 
 
 @pytest.mark.parametrize("handover", [True, False])
-def test_a_listener_does_one_thing_while_a_hand_over_is_in_flight_and_another_else(handover):
+def test_a_listener_switches_strategy_while_a_handover_is_in_flight(handover):
     assert heading_of(Listener(), -1j, handover=handover) == (1j if handover else 0j)
     other = Listener(during_handover=ConstantHeading(angle=0.0), normally=PureEvasion())
     assert heading_of(other, -1j, handover=handover) == (1 + 0j if handover else 1j)
@@ -312,7 +312,7 @@ def safe_length(evader, heading, team, arena):
 
 @pytest.mark.slow
 @given(crowds, points, headings, st.sampled_from([0.0, 0.1, 0.5]))
-def test_nobody_can_go_farther_in_its_cell_than_to_the_vertex(team, evader, heading, hysteresis):
+def test_the_vertex_is_the_farthest_point_of_the_voronoi_cell(team, evader, heading, hysteresis):
     """By brute force: of a grid of points, those in the cell are no farther than it goes, but for the hysteresis."""
     low, high = ARENA
     assume(low <= min(evader.real, evader.imag) and max(evader.real, evader.imag) <= high)

@@ -69,8 +69,8 @@ def test_the_relay_profile_is_the_only_equilibrium(phi, reward):
     assert equilibria(phi, reward) == [relay_profile(phi, reward)]
 
 
-def test_with_the_time_left_as_utility_of_nobody_the_game_would_be_another():
-    """The control of the test above: two pursuers of equal phi have two equilibria, and nobody chases in vain."""
+def test_with_the_time_left_as_utility_of_the_empty_set_the_game_would_differ():
+    """The control of the test above: two pursuers of equal phi have two equilibria, and no chase is in vain."""
     assert equilibria([2.0, 2.0], 10.0) == [(False, True), (True, False), (True, True)]
     assert equilibria([20.0, 30.0], 10.0) == [(False, False)]
 
@@ -92,7 +92,7 @@ def test_a_lone_pursuer_chases_if_it_can_be_in_time():
 
 
 def test_gibbs_law_of_two_pursuers_by_hand():
-    """phi = (1, 2), r = 4, tau = 1: U = 0, 2, 3, 2.5 for nobody, pursuer 1, pursuer 0, both."""
+    """phi = (1, 2), r = 4, tau = 1: U = 0, 2, 3, 2.5 for none, pursuer 1, pursuer 0, both."""
     weights = np.exp([0.0, 2.0, 3.0, 2.5])
     assert profiles(2) == [(False, False), (False, True), (True, False), (True, True)]
     assert gibbs([1.0, 2.0], 4.0, 1.0) == pytest.approx(weights / weights.sum(), rel=1e-14)
@@ -117,7 +117,7 @@ def test_the_gibbs_law_of_a_cold_team_does_not_overflow():
     assert gibbs([1.0, 2.0], 4.0, 0.001).tolist() == [0.0, 0.0, 1.0, exp(-500.0)]
 
 
-def test_the_gibbs_law_knows_only_who_can_capture():
+def test_the_gibbs_law_requires_finite_capture_times():
     with pytest.raises(ValueError, match=r"should be finite, got \[1.0, inf\]"):
         gibbs([1.0, inf], 4.0, 1.0)
 
@@ -127,19 +127,19 @@ def test_the_gibbs_law_knows_only_who_can_capture():
 
 @st.composite
 def games_on_graphs(draw, most=6):
-    """Distinct phi, some of them late, r = 10, and who hears whom."""
+    """Distinct phi, some of them late, r = 10, and the links."""
     count = draw(st.integers(1, most))
     phi = draw(st.permutations([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]))[:count]
     return phi, nx.gnp_random_graph(count, draw(st.floats(0.0, 1.0)), seed=draw(st.integers(0, 1000)))
 
 
 def neighbourhoods(graph):
-    """Return for each pursuer whom it hears."""
+    """Return the neighbours of each pursuer."""
     return [list(graph.adj[i]) for i in range(len(graph))]
 
 
 def maximal_independent_sets(phi, reward, graph):
-    """Return the maximal independent sets of those who would be in time, as profiles, by networkx.
+    """Return the maximal independent sets of the pursuers in time, as profiles, by networkx.
 
     They are the maximal cliques of the complement.
     """
@@ -158,7 +158,7 @@ def test_with_a_penalty_on_edges_the_equilibria_are_the_maximal_independent_sets
 
 @given(games_on_graphs())
 def test_the_greedy_set_is_a_maximal_independent_one_and_the_only_fixed_point_of_local_min(game):
-    """A fixed point: who is active is in time and hears nobody active of smaller phi, and who is not is or does not."""
+    """A fixed point: a pursuer is active iff it is in time and has no active neighbour of smaller phi."""
     phi, graph = game
     greedy = greedy_maximal_independent_set(phi, 10.0, neighbourhoods(graph))
     assert greedy in maximal_independent_sets(phi, 10.0, graph)
@@ -176,13 +176,13 @@ def test_the_greedy_set_breaks_ties_by_number():
     assert greedy_maximal_independent_set([5.0, inf], 5.0, [[], []]) == (False, False)
 
 
-def test_in_the_greedy_set_whom_one_hears_counts_and_not_by_whom_one_is_heard():
+def test_the_greedy_set_follows_the_direction_of_links():
     assert greedy_maximal_independent_set([1.0, 2.0], 5.0, [[1], []]) == (True, True)
     assert greedy_maximal_independent_set([1.0, 2.0], 5.0, [[], [0]]) == (True, False)
 
 
 def test_on_a_path_of_three_the_local_mean_has_no_equilibrium():
-    """j - i - k with phi = (1, 2, 4): by enumeration. Where all hear all it has one; with a penalty on edges two."""
+    """j - i - k with phi = (1, 2, 4): by enumeration. On a complete graph it has one; with a penalty on edges two."""
     hearing = neighbourhoods(nx.path_graph(3))
     assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), hearing) == []
     assert equilibria([1.0, 2.0, 4.0], 25.0, LocalMean(), neighbourhoods(nx.complete_graph(3))) == [
@@ -192,7 +192,7 @@ def test_on_a_path_of_three_the_local_mean_has_no_equilibrium():
     assert greedy_maximal_independent_set([1.0, 2.0, 4.0], 25.0, hearing) == (True, False, True)
 
 
-def test_who_cannot_capture_stays_in_an_equilibrium_and_counts_for_nobody():
+def test_in_an_equilibrium_a_pursuer_that_cannot_capture_stays_and_is_ignored():
     """Also under a utility that would let it chase for nothing, and with a neighbour that chases in vain."""
     assert not is_equilibrium([1.0, inf], [True, True], 5.0, Minimum())
     assert equilibria([1.0, inf], 5.0, Minimum()) == [(True, False)]
@@ -200,13 +200,13 @@ def test_who_cannot_capture_stays_in_an_equilibrium_and_counts_for_nobody():
     assert equilibria([inf], 5.0) == [(False,)]
 
 
-def test_an_equilibrium_does_not_ask_who_is_heard_about_itself():
-    """phi = 1 against nobody; heard of itself it would be indifferent, and stay as well."""
+def test_an_equilibrium_ignores_self_links():
+    """phi = 1 against none; with a link to itself it would be indifferent, and stay as well."""
     assert equilibria([1.0], 5.0, hearing=[[0]]) == [(True,)]
     assert not is_equilibrium([1.0], [False], 5.0, hearing=[[0]])
 
 
-def test_under_minimum_who_is_slower_may_do_either():
+def test_under_minimum_a_slower_pursuer_is_indifferent():
     """phi = (1, 2): the first chases, the second neither gains nor loses. Equally fast: one of them, or both."""
     assert equilibria([1.0, 2.0], 5.0, Minimum()) == [(True, False), (True, True)]
     assert equilibria([2.0, 2.0], 5.0, Minimum()) == [(False, True), (True, False), (True, True)]

@@ -18,7 +18,7 @@ def test_headings_have_the_speed_asked_for_and_none_at_distance_0():
 
 @given(st.lists(st.tuples(plane, plane), min_size=1, max_size=4), st.floats(0.01, 1.0), st.floats(0.01, 5.0))
 def test_first_contact_is_the_first_time_within_the_radius(motions, radius, duration):
-    """At the contact the distance is the radius; before it, sampled finely, nobody is within."""
+    """At the contact the distance is the radius; before it, sampled finely, no pursuer is within."""
     p, q = np.array([m[0] for m in motions]), np.array([m[1] for m in motions])
     contact = first_contact(p, q, radius, duration)
     until = duration if contact is None else contact[0]
@@ -45,7 +45,7 @@ def test_a_tangent_misses_and_a_secant_meets():
     assert first_contact(np.array([-1 + 0.0999j]), np.array([1 + 0j]), 0.1, 5.0) is not None
 
 
-def test_who_moves_away_from_inside_is_caught_at_once_and_from_outside_never():
+def test_moving_away_is_caught_at_once_from_inside_and_never_from_outside():
     assert first_contact(np.array([0.05 + 0j]), np.array([1 + 0j]), 0.1, 1.0) == (0.0, 0)
     assert first_contact(np.array([0.2 + 0j]), np.array([1 + 0j]), 0.1, 1.0) is None
 

@@ -18,7 +18,7 @@ speeds = st.floats(0.0, 5.0).map(lambda x: round(x, 6))
 
 
 def course(gap, flight, speed, aim=None):
-    """Return the velocity by constant bearing of one pursuer; it aims at where the evader is unless said otherwise."""
+    """Return the velocity by constant bearing of one pursuer; it aims at the position of the evader by default."""
     aims = np.array([gap if aim is None else aim])
     return complex(ConstantBearing()(np.array([gap]), aims, flight, np.array([speed]))[0])
 
@@ -33,7 +33,7 @@ def meeting(gap, flight, speed):
 
 @pytest.mark.slow
 @given(plane, plane, speeds)
-def test_the_course_leads_to_the_point_of_meeting_and_straight_to_the_evader_if_there_is_none(gap, flight, speed):
+def test_the_course_leads_to_the_intercept_point_or_else_straight_to_the_evader(gap, flight, speed):
     """Held against the roots of |gap + w t|^2 = v^2 t^2, away from the double root, where rounding decides."""
     across = abs((flight * gap.conjugate()).imag) / max(abs(gap), 1e-300)
     assume(abs(gap) > 1e-3 and speed > 1e-3 and abs(speed - abs(flight)) > 1e-3 and abs(speed - across) > 1e-3)
@@ -158,7 +158,7 @@ def test_the_time_to_intercept_an_evader_that_runs_straight_is_the_closed_form(s
     assert found == pytest.approx(expected, abs=2e-9)
 
 
-def test_a_slower_pursuer_intercepts_who_runs_past_it_and_pure_pursuit_does_not():
+def test_a_slower_pursuer_intercepts_a_passing_evader_and_pure_pursuit_does_not():
     """At (0, 3) with 0.6 m/s, the evader runs past at 1 m/s from (-6, 0): 5 s of 3 m to (0, 0), it has 6 s.
 
     Constant bearing: b = (-6, -3)/sqrt(45), across 1/sqrt(5) = 0.447 < 0.6.
@@ -203,7 +203,7 @@ def test_with_simultaneous_moves_the_evader_is_seen_as_it_moved_last():
     assert found == pytest.approx(0.5 + (abs(gap) - 0.1) / (np.sqrt(4 - across**2) - along), abs=2e-9)
 
 
-def test_sampled_capture_and_a_law_of_ones_own_go_together_with_it():
+def test_simultaneous_moves_work_with_sampled_capture_and_a_user_guidance_law():
     """A law that leads 1 s ahead of the evader misses one that stands still, and meets it, for it does not move."""
 
     def lead(gaps, aims, flight, speeds):

@@ -55,7 +55,7 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
             places, since, velocities = expected, now, heading
 
 
-def test_frozen_players_stay_and_places_are_not_to_be_written_to():
+def test_players_of_a_static_game_stay_and_positions_are_read_only():
     env, places = Clock(), np.array([1j, 2j])
     players = Kinematics(env, places, static=True)
     players.go(np.array([1.0 + 0j, 1.0 + 0j]))
@@ -72,7 +72,7 @@ def test_frozen_players_stay_and_places_are_not_to_be_written_to():
 @pytest.mark.parametrize("known", [True, False], ids=["state known", "state unknown"])
 @pytest.mark.parametrize("count", [1, evader.SINGLY, evader.SINGLY + 1])
 def test_times_of_capture_of_some_are_those_of_all(known, count):
-    """One of the pursuers is too slow; the evader runs, so that nobody is where it was."""
+    """One of the pursuers is too slow; the evader runs, so that no position is unchanged."""
     speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
     world = World(env := Clock(), Scenario(team=Team(count=20, speeds=speeds), horizon=3.0), 4, Trace())
     world.begin()
@@ -116,8 +116,8 @@ def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("frozen", [False, True])
-def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
-    """600 of them, more than are all looked at, on a line 10 m apart; one runs 95 m along it, heard all the way."""
+def test_the_network_links_distant_pursuers_as_they_approach(frozen):
+    """600 of them, more than are all looked at, on a line 10 m apart; one runs 95 m along it, linked all the way."""
     seen, size = {}, 600
     runner = size - 1
     positions = [(10.0 * k, 0.0) for k in range(runner)] + [(0.0, 3.0)]
@@ -146,7 +146,7 @@ def test_the_network_hears_far_away_pursuers_as_they_come_near(frozen):
     assert len(seen) == 20
 
 
-def test_who_cannot_move_captures_nobody_that_stands_still():
+def test_an_immobile_pursuer_never_captures_a_stationary_evader():
     """Nor is anything divided by how fast they come nearer."""
     still = Team(positions=[(0.0, 0.0), (3.0, 0.0)], speeds=0.0)
     end = run(Scenario(team=still, evader=Evader(position=(1.0, 0.0), speed=0.0), horizon=1.0, prune="none")).trace

@@ -59,7 +59,7 @@ def controller(strategy, *, seed=0, **settings):
     return Evader(strategy=strategy, **settings).controller(np.random.default_rng(seed), SPEEDS, 0.1)
 
 
-def told(states, **settings):
+def observations(states, **settings):
     """Return the outlooks of an evader that is asked in these states."""
     witness = Witness()
     whole = controller(witness, **settings)
@@ -76,7 +76,7 @@ def told(states, **settings):
     [PureEvasion(), MaxMin(), Zigzag(), Diffusion(), VoronoiVertex(arena=(-9.0, 9.0))],
     ids=lambda strategy: strategy.kind,
 )
-def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit(strategy):
+def test_full_and_immediate_perception_gives_exactly_the_heading_of_the_strategy(strategy):
     whole, rng, heading = controller(strategy, seed=3), np.random.default_rng(3), 0j
     for k in range(40):
         now = state(50 * k * MS, evader=0.1 * k + 0j)
@@ -85,15 +85,15 @@ def test_who_sees_everything_at_once_does_what_its_strategy_says_to_the_last_bit
         assert heading == expected
 
 
-def test_an_outlook_is_the_state_and_what_the_evader_knows_of_itself():
-    (observation,) = told([now := state(7 * MS)], speed=0.9)
+def test_an_observation_has_the_state_and_the_evaders_own_data():
+    (observation,) = observations([now := state(7 * MS)], speed=0.9)
     for name, value in vars(now).items():
         assert getattr(observation, name) is value
     assert (observation.speed, observation.radius, observation.speeds.tolist()) == (0.9, 0.1, SPEEDS.tolist())
 
 
 @pytest.mark.parametrize("sight", [inf, 2.5])
-def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sight):
+def test_an_observation_has_the_last_heading_and_elapsed_time_at_any_sensing_range(sight):
     witness = Witness(1j, 0j, 0.5 + 0j)
     whole = controller(witness, sensing_range=sight)
     chosen = [whole.heading(state(t * MS), handover=t == 40) for t in (0, 10, 40, 45)]
@@ -104,7 +104,7 @@ def test_it_is_told_what_it_chose_last_and_how_long_ago_however_far_it_sees(sigh
     assert [len(each.pursuers) for each in witness.outlooks] == [3 if sight == inf else 1] * 4
 
 
-def test_only_who_listens_has_to_be_told_of_hand_overs():
+def test_only_listening_strategies_need_handovers():
     assert [Evader(strategy=each).listens for each in (PureEvasion(), Witness(), Listener())] == [False, False, True]
     listening = controller(Listener())
     assert [listening.heading(state(0), handover) for handover in (True, False)] == [1 + 0j, 0j]
@@ -126,7 +126,7 @@ def test_a_heading_of_more_than_1_is_refused(heading):
 def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k):
     """And the evader where it is; in the first k steps, the pursuers as they were at first."""
     states = [state(10 * n * MS, evader=0.3j * n, active=(n % 2 == 0, n % 3 == 0, True)) for n in range(20)]
-    late = told(states, reaction_delay=k * 0.01)
+    late = observations(states, reaction_delay=k * 0.01)
     for n, observation in enumerate(late):
         before = states[max(n - k, 0)]
         assert (observation.t, observation.evader) == (states[n].t, states[n].evader)
@@ -136,14 +136,14 @@ def test_a_reaction_of_k_steps_shows_the_pursuers_as_they_were_k_steps_before(k)
 
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=30), st.integers(1, 10**9))
-def test_pursuers_that_go_straight_are_seen_where_they_were_however_often_it_is_asked(steps, delay):
+def test_delayed_positions_on_straight_paths_are_exact_at_any_query_rate(steps, delay):
     memory = DelayedState(delay)
     for t in np.cumsum([0, *steps]) * MS:
         seen = memory(state(int(t))).pursuers
         assert seen == pytest.approx(TEAM + DRIFT * max(int(t) - delay, 0) / 1e9, abs=1e-12)
 
 
-def test_between_two_steps_who_chased_is_as_at_the_first():
+def test_between_two_steps_the_delayed_actions_are_those_of_the_earlier_step():
     """Orders at 10 ms; what was 1 ms before that is seen 14 ms later, what was at 10 ms 1 ms after that."""
     memory = DelayedState(14 * MS)
     profiles = [(True, True, True), (False, True, True)]
@@ -152,14 +152,15 @@ def test_between_two_steps_who_chased_is_as_at_the_first():
     assert memory(state(24 * MS)).active.tolist() == list(profiles[1])
 
 
-def test_to_be_asked_twice_at_one_instant_changes_nothing():
+def test_repeated_queries_at_one_instant_change_nothing():
     once, twice = (
-        told([state(t * MS) for t in times], reaction_delay=0.015) for times in ((0, 10, 20), (0, 0, 10, 10, 20))
+        observations([state(t * MS) for t in times], reaction_delay=0.015)
+        for times in ((0, 10, 20), (0, 0, 10, 10, 20))
     )
     assert once[-1].pursuers.tolist() == twice[-1].pursuers.tolist()
 
 
-def test_what_was_long_ago_is_forgotten():
+def test_old_states_are_dropped():
     memory, living = DelayedState(30 * MS), weakref.WeakSet()
     for k in range(200):
         memory(now := state(10 * k * MS))
@@ -182,29 +183,29 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
 # Near by.
 
 
-def test_it_sees_who_is_within_its_sight_in_the_order_of_the_team():
+def test_an_evader_sees_the_pursuers_within_its_sensing_range_in_team_order():
     """At 2, 3 and 7.07 m."""
     for sight, count in ((0.0, 0), (1.99, 0), (2.0, 1), (3.0, 2), (7.0, 2), (7.1, 3), (inf, 3)):
-        (observation,) = told([state(0)], sensing_range=sight)
+        (observation,) = observations([state(0)], sensing_range=sight)
         assert observation.pursuers.tolist() == TEAM[:count].tolist()
         assert observation.speeds.tolist() == SPEEDS[:count].tolist()
         assert observation.active.tolist() == [True, True, False][:count]
         assert observation.nearest == (0 if count else -1)
-    (observation,) = told([state(0, evader=5 + 4j)], sensing_range=5.5)
+    (observation,) = observations([state(0, evader=5 + 4j)], sensing_range=5.5)
     assert (observation.pursuers.tolist(), observation.nearest) == (TEAM[1:].tolist(), 1)
 
 
 @pytest.mark.parametrize("flees_from", ["all", "active"])
-def test_nobody_in_sight_is_nobody_to_flee_from(flees_from):
+def test_without_pursuers_in_sensing_range_there_is_none_to_flee_from(flees_from):
     whole = controller(PureEvasion(flees_from=flees_from), sensing_range=1.0)
     assert [whole.heading(state(t * MS)) for t in (0, 900, 1000)] == [0j, 0j, 1 + 0j]
 
 
-def test_its_sight_is_of_where_it_perceives_them():
+def test_the_sensing_range_applies_to_the_delayed_positions():
     """The first is at 1 m after 1 s; it sees it there half a second late."""
     counts = [
         len(each.pursuers)
-        for each in told([state(k * 100 * MS) for k in range(16)], sensing_range=1.0, reaction_delay=0.5)
+        for each in observations([state(k * 100 * MS) for k in range(16)], sensing_range=1.0, reaction_delay=0.5)
     ]
     assert counts == [0] * 15 + [1]
 
@@ -216,7 +217,7 @@ def test_its_sight_is_of_where_it_perceives_them():
     ("settings", "time"),
     [({}, 5.8), ({"sensing_range": 2.0}, 4.467), ({"sensing_range": 2.0, "reaction_delay": 0.2}, 4.067)],
 )
-def test_who_sees_less_is_captured_sooner(settings, time):
+def test_an_evader_with_a_shorter_sensing_range_is_captured_sooner(settings, time):
     """A pursuer of 1.5 m/s at 3 m, radius 0.1 m; the evader flees at 1 m/s: 2.9 / 0.5 s if it sees it from the start.
 
     It is 2 m away after 1 / 1.5 s, and captures it 1.9 / 0.5 s later; if that is noticed 0.2 s late, it is only 1.7 m
@@ -243,17 +244,18 @@ APART = Team(positions=((100.0, 0.0), (110.0, 0.0), (120.0, 0.0)), speeds=2.0, a
 CHASING = APART.model_copy(update={"active_at_start": 1.0})
 
 
-def way(*words, dissemination=None, **keys):
-    """Return how far an evader goes, m, that moves at 1 m/s while it hears that a change is told, and else stands.
+def flight_distance(*changes, dissemination=None, **keys):
+    """Return how far an evader goes, m, that moves at 1 m/s while an announcement of a change is in flight, and
+    otherwise stands.
 
     Args:
-        words: (time, pursuer, action) what who does from when on, and tells then.
-        spread: how word spreads; one hop if None.
+        changes: (time, pursuer, action), the action of the pursuer from this time on, which it announces then.
+        dissemination: how announcements spread; one hop if None.
         keys: of the scenario.
     """
 
     def behaviour(me):
-        for time, who, action in words:
+        for time, who, action in changes:
             if who == me.id:
                 yield me.at(time)
                 me.assign(action)
@@ -270,34 +272,34 @@ def way(*words, dissemination=None, **keys):
     return pytest.approx(result.trace.of(Sampled)[-1].evader[0], abs=1e-9)
 
 
-def test_it_moves_for_exactly_as_long_as_word_of_a_change_is_in_flight():
-    assert way() == 0.0
-    assert way((1.0, 0, 1)) == LATENCY
-    assert way((1.0, 0, 1), (3.0, 0, 0)) == 2 * LATENCY
-    assert way((1.0, 0, 1), (1.3, 1, 1)) == 0.3 + LATENCY
+def test_a_listener_moves_exactly_while_an_announcement_of_a_change_is_in_flight():
+    assert flight_distance() == 0.0
+    assert flight_distance((1.0, 0, 1)) == LATENCY
+    assert flight_distance((1.0, 0, 1), (3.0, 0, 0)) == 2 * LATENCY
+    assert flight_distance((1.0, 0, 1), (1.3, 1, 1)) == 0.3 + LATENCY
 
 
-def test_word_of_what_was_said_before_is_no_change():
-    assert way((1.0, 0, 1), (1.3, 0, 1), (3.0, 0, 1)) == LATENCY
-    assert way((1.0, 0, 1), (1.3, 1, 0)) == LATENCY
+def test_a_repeated_announcement_is_no_change():
+    assert flight_distance((1.0, 0, 1), (1.3, 0, 1), (3.0, 0, 1)) == LATENCY
+    assert flight_distance((1.0, 0, 1), (1.3, 1, 0)) == LATENCY
 
 
-def test_word_that_arrives_early_does_not_end_that_which_is_still_in_flight():
+def test_an_early_arrival_does_not_end_a_change_still_in_flight():
     """That of pursuer 0 is on its way to pursuer 2 until 1.5 s, that of pursuer 1 until 1.15 s."""
     quick = [Link(src=1, dst=node, latency=Constant(value=0.05)) for node in (0, 2)]
     links = Links(latency=Constant(value=LATENCY), link=quick)
-    assert way((1.0, 0, 1), (1.1, 1, 1), network=links) == LATENCY
+    assert flight_distance((1.0, 0, 1), (1.1, 1, 1), network=links) == LATENCY
 
 
-def test_what_everybody_does_at_first_is_known():
-    assert way((1.0, 0, 1), team=CHASING) == 0.0
-    assert way((1.0, 0, 0), team=CHASING) == LATENCY
+def test_the_initial_actions_are_known():
+    assert flight_distance((1.0, 0, 1), team=CHASING) == 0.0
+    assert flight_distance((1.0, 0, 0), team=CHASING) == LATENCY
 
 
 def test_to_chase_another_evader_is_a_change():
     listens = Evader(position=(0.0, 0.0), speed=1.0, strategy=Listener(during_handover=ConstantHeading(angle=0.0)))
     two = (listens, Evader(position=(0.0, 90.0), speed=1.0, strategy=Still()))
-    assert way((1.0, 0, 1), (2.0, 0, 2), (3.0, 0, 2), evader=two) == 2 * LATENCY
+    assert flight_distance((1.0, 0, 1), (2.0, 0, 2), (3.0, 0, 2), evader=two) == 2 * LATENCY
 
 
 @pytest.mark.parametrize(
@@ -310,26 +312,28 @@ def test_to_chase_another_evader_is_a_change():
     ids=["nobody there", "nobody near", "all is lost"],
 )
 @pytest.mark.parametrize("dissemination", [None, Flooding(), Gossip()], ids=["one_hop", "flooding", "gossip"])
-def test_word_that_reaches_nobody_is_not_in_flight(dissemination, keys):
-    assert way((1.0, 0, 1), dissemination=dissemination, **keys) == 0.0
+def test_an_announcement_without_receivers_is_not_in_flight(dissemination, keys):
+    assert flight_distance((1.0, 0, 1), dissemination=dissemination, **keys) == 0.0
 
 
 @pytest.mark.parametrize(("hops", "flights"), [(1, 1), (2, 2), (5, 3)])
-def test_a_change_that_is_passed_on_is_in_flight_for_longer(hops, flights):
-    """On a line of three: it is told to the next one, to that one's neighbours, and by the last one back."""
+def test_a_forwarded_change_is_in_flight_for_longer(hops, flights):
+    """On a line of three: it travels to the next one, to that one's neighbours, and from the last one back."""
     line = Links(graph=Edges.of(nx.path_graph(3)), latency=Constant(value=LATENCY))
     flooding = Flooding(hops=hops, jitter=0.0)
-    assert way((1.0, 0, 1), dissemination=flooding, network=line) == flights * LATENCY
-    assert way((1.0, 0, 0), dissemination=flooding, network=line) == 0.0
+    assert flight_distance((1.0, 0, 1), dissemination=flooding, network=line) == flights * LATENCY
+    assert flight_distance((1.0, 0, 0), dissemination=flooding, network=line) == 0.0
 
 
-def test_of_what_is_passed_on_only_the_change_counts():
-    """Pursuer 1 stays, and says so with all it knows: at 1.2 s that pursuer 0 stayed at first, at 1.7 s that it chases.
+def test_only_changes_among_forwarded_records_count():
+    """Pursuer 1 stays, and announces it with all its records: at 1.2 s that pursuer 0 stayed at first, at 1.7 s that it
+    chases.
 
-    Word of the change is in flight from 1 to 1.5 s and from 1.7 to 2.2 s; what is out of date by 1.2 s is no change.
+    The record of the change is in flight from 1 to 1.5 s and from 1.7 to 2.2 s; what is out of date by 1.2 s is no
+    change.
     """
-    assert way((1.0, 0, 1), (1.2, 1, 0), dissemination=Gossip()) == LATENCY
-    assert way((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), dissemination=Gossip()) == 2 * LATENCY
+    assert flight_distance((1.0, 0, 1), (1.2, 1, 0), dissemination=Gossip()) == LATENCY
+    assert flight_distance((1.0, 0, 1), (1.2, 1, 0), (1.7, 1, 0), dissemination=Gossip()) == 2 * LATENCY
 
 
 @pytest.mark.parametrize("settings", [{}, {"reaction_delay": 0.1}])

@@ -50,11 +50,11 @@ def looks(questions, period=0.1):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "payload"), [("sap", "action"), ("cbba", "time"), ("argmin", "state")])
-def test_who_sees_everything_does_as_who_is_not_limited(kind, payload):
+def test_a_radius_beyond_all_distances_equals_unlimited_sensing(kind, payload):
     """Beyond any distance there is, but finite: all that is decided and sampled is the same, event for event."""
     protocol = desim.scenario.scenario.PROTOCOLS.choices()[kind]()
     keys = {"protocol": protocol, "network": Links(latency=Constant(value=0.05))}
-    # An evader that a sender has not told everybody of is reckoned on along its path only without limits.
+    # An evader not announced to all is dead reckoned along its path only without limits.
     keys["announce"] = Announcements(payload=payload, reckoning="straight_line")
     unlimited = desim.run(scenario(Sensing(), **keys))
     assert pursuit(desim.run(scenario(Sensing(radius=1e6), **keys))) == pursuit(unlimited)
@@ -62,15 +62,15 @@ def test_who_sees_everything_does_as_who_is_not_limited(kind, payload):
 
 
 @pytest.mark.parametrize("evaders", [1, 2])
-def test_who_knows_everything_does_so_however_far_pursuers_see(evaders):
-    """All of the trace is the same, so that nobody reports anything either."""
+def test_the_centralised_benchmark_ignores_the_sensing_radius(evaders):
+    """All of the trace is the same, so that nothing is reported either."""
     keys = {"protocol": Centralised(slot=0.05), "evader": Evader(count=evaders)}
     full, limited = (list(desim.run(scenario(Sensing(radius=radius), **keys)).trace) for radius in (inf, 2.0))
     assert limited == full
 
 
 @pytest.mark.parametrize("estimate", ["hold", "constant_velocity", "worst_case"])
-def test_who_never_sees_anything_never_moves(estimate):
+def test_a_pursuer_without_sightings_never_moves(estimate):
     result = desim.run(scenario(Sensing(radius=0.0, estimate=estimate)))
     start, *_, end = result.trace.of(Sampled)
     assert start.pursuers == end.pursuers
@@ -137,7 +137,7 @@ def test_the_worst_case_grows_with_age():
     assert phi[2.0] == pytest.approx((2.999 + 0.9 * (2.0 - 1.11) - 0.1) / 0.1)
 
 
-def test_who_has_lost_it_stays_or_searches():
+def test_a_pursuer_that_lost_the_evader_stays_or_searches():
     """It is last seen at 1.11 s, and so lost from 3.11 s on."""
     for on_lost, knows in (("stay", False), ("search", True)):
         sensing = Sensing(radius=3.0, track_timeout=2.0, on_lost=on_lost)
@@ -164,7 +164,7 @@ def test_the_search_goes_round_where_the_evader_was_lost():
 
 
 def test_of_two_that_search_each_goes_another_way():
-    """Both were told of 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
+    """Both receive a sighting at 7 m at 0 s, and lose it at 0.5 s; they are equally fast."""
     rig = Rig(Sensing(radius=3.0, estimate="hold", track_timeout=0.5), evader=HIDDEN)
     rig.broadcast(sighting(7.0, 0.0), src=0)
     rig.broadcast(sighting(7.0, 0.0), src=1)
@@ -192,8 +192,10 @@ def on_a_line(count, *, relay):
     return [min((t for t, j, able in found if j == k and able), default=inf) for k in range(count)]
 
 
-def test_sightings_travel_as_messages_hop_by_hop_or_not_at_all_if_nobody_passes_on():
-    """Each hop takes the latency and, on the way, what is left of a period; who does not see does not know before."""
+def test_sightings_travel_hop_by_hop_as_messages_only_if_relayed():
+    """Each hop takes the latency and, on the way, what is left of a period; one that does not see it does not know
+    before.
+    """
     known = on_a_line(5, relay=True)
     hops = np.diff(known)
     assert known[0] == 0.01
@@ -204,14 +206,14 @@ def test_sightings_travel_as_messages_hop_by_hop_or_not_at_all_if_nobody_passes_
     assert known[2:] == [inf] * 3
 
 
-def test_a_report_has_its_size_and_tells_the_newest():
-    """Header of 16 bytes and six numbers of 8. Nobody tells older news than it told before."""
+def test_a_report_has_its_size_and_carries_the_newest_sighting():
+    """Header of 16 bytes and six numbers of 8. No pursuer reports an older sighting than before."""
     result = desim.run(scenario(Sensing(radius=9.0, period=0.05)))
     sent = [event for event in result.trace.of(Sent) if hasattr(event.body[0], "seen")]
     assert {event.size for event in sent} == {64}
-    told = [(event.flight, event.src, event.body[0].seen) for event in sent]
+    reports = [(event.flight, event.src, event.body[0].seen) for event in sent]
     newest = {}
-    for _, src, seen in sorted(set(told)):
+    for _, src, seen in sorted(set(reports)):
         assert seen >= newest.get(src, -1.0)
         newest[src] = seen
     assert len(newest) >= 4
@@ -227,8 +229,8 @@ def test_a_report_has_its_size_and_tells_the_newest():
         (1, "radio", True, True),
     ],
 )
-def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, scope, memory, knows):
-    """The sighting is of 1.11 s and told until 3.11 s; nobody tells it again after the crash."""
+def test_recovery_without_memory_forgets_own_and_reported_sightings(who, scope, memory, knows):
+    """The sighting is of 1.11 s and reported until 3.11 s; none reports it again after the crash."""
     crash = Crash(node=who, start=2.5, end=4.0, memory=memory, scope=scope)
     straight, sensing = ConstantHeading(angle=0.0), Sensing(radius=3.0, track_timeout=2.0 if who else inf)
     answers = seen_once(sensing, straight, lambda me: me.may_chase(), who=who, fault=(crash,))
@@ -236,8 +238,8 @@ def test_who_recovers_without_memory_has_forgotten_what_it_saw_or_was_told(who, 
     assert answers[4.5] == knows
 
 
-def test_a_report_that_is_lost_is_told_again_until_it_is_too_old():
-    """Cut off until 4 s, pursuer 1 hears within a period of 0.1 s of what was seen at 1.11 s, if that is still told."""
+def test_a_lost_report_is_repeated_until_it_is_too_old():
+    """Cut off until 4 s, pursuer 1 receives within a period of 0.1 s the sighting of 1.11 s, if still reported."""
     cut = Partition(start=1e-4, end=4.0, groups=((0,),))
     for track_timeout, knows in ((5.0, True), (2.0, False)):
         sensing = Sensing(radius=3.0, track_timeout=track_timeout, on_lost="search")
@@ -246,8 +248,8 @@ def test_a_report_that_is_lost_is_told_again_until_it_is_too_old():
         assert [isnan(answers[t].real) for t in (4.2, 7.9)] == [not knows] * 2
 
 
-def test_a_sighting_is_told_every_period_for_as_long_as_it_is_not_too_old():
-    """Seen until 1.11 s, and told for 2 s more: the last time within a period of 3.11 s."""
+def test_a_sighting_is_reported_every_period_until_it_is_too_old():
+    """Seen until 1.11 s, and reported for 2 s more: the last time within a period of 3.11 s."""
     team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
     evader = Evader(position=(2.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=0.0))
     base = scenario(Sensing(radius=3.0, track_timeout=2.0), team=team, evader=evader, protocol=lambda me: iter(()))
@@ -257,7 +259,7 @@ def test_a_sighting_is_told_every_period_for_as_long_as_it_is_not_too_old():
     assert sent[-1].body[0].seen == 1.11
 
 
-def test_who_is_broken_sees_nothing():
+def test_a_broken_down_pursuer_sees_nothing():
     """The evader is within 2 m of the pursuer, which is broken from 1 to 5 s, for |2 t - 5| <= sqrt(3)."""
     behaviour, found = looks(lambda me: me.may_chase())
     base = scenario(
@@ -302,8 +304,8 @@ class Rig:
         """Let one report to the other."""
         self.network.send(src, None, sightings, port=PORT)
 
-    def told(self, dst=1):
-        """Return the reports that have come in and nobody has read."""
+    def reports(self, dst=1):
+        """Return the unread reports that have arrived."""
         return [message.body for message in self.network.inbox(dst, PORT).drain()]
 
 
@@ -313,10 +315,10 @@ def sighting(x, seen, *, evader=1, velocity=0j):
 
 
 HIDDEN = Evader(position=(0.0, 40.0), speed=0.9, strategy=Still())
-"""An evader that nobody sees."""
+"""An evader out of sight of all pursuers."""
 
 
-def test_what_it_has_seen_is_stamped_by_its_own_clock():
+def test_a_sighting_is_stamped_by_the_clock_of_its_observer():
     """Seen last at 1.11 s, when its clock showed 5 + 1.1 x 1.11 s; at 3 s it shows 8.3 s, 2.079 s later."""
     rig = Rig(Sensing(radius=3.0), clock=(5.0, 1.1)).until(3.0)
     seen = rig.one.newest(1)
@@ -326,7 +328,7 @@ def test_what_it_has_seen_is_stamped_by_its_own_clock():
 
 @pytest.mark.parametrize("estimate", ["constant_velocity", "worst_case"])
 def test_a_sighting_from_the_future_is_of_now(estimate):
-    """Whoever saw it has a clock that is 3 s ahead: the evader is not sent 3 s back, nor is the bound any tighter."""
+    """The observer has a clock that is 3 s ahead: the evader is not sent 3 s back, nor is the bound any tighter."""
     rig = Rig(Sensing(radius=3.0, estimate=estimate), evader=HIDDEN)
     rig.broadcast(sighting(10.0, 3.0, velocity=0.9 + 0j))
     velocity = 0.9 + 0j if estimate == "constant_velocity" else 0j
@@ -344,7 +346,7 @@ def test_an_older_report_does_not_replace_a_newer_one():
     assert rig.one.newest(1) == later
 
 
-def test_it_goes_by_the_newest_be_it_its_own_or_reported():
+def test_the_newest_sighting_counts_whether_own_or_reported():
     """Its own is of 1.11 s; what it sees now is newer than all that is reported."""
     rig = Rig(Sensing(radius=3.0)).until(0.5)
     rig.broadcast(sighting(7.0, 0.9))
@@ -356,7 +358,7 @@ def test_it_goes_by_the_newest_be_it_its_own_or_reported():
 
 
 @pytest.mark.parametrize(("heard_only", "seen"), [(True, 1.11), (False, None)])
-def test_it_forgets_what_was_reported_or_all(heard_only, seen):
+def test_forgetting_clears_reported_sightings_or_all(heard_only, seen):
     """What has come in but was not read is forgotten too."""
     rig = Rig(Sensing(radius=3.0)).until(2.0)
     rig.broadcast(sighting(7.0, 1.2))
@@ -367,16 +369,16 @@ def test_it_forgets_what_was_reported_or_all(heard_only, seen):
     assert (None if newest is None else newest.seen) == seen
 
 
-@pytest.mark.parametrize(("relay", "told"), [(True, (1, 2)), (False, (1,))])
-def test_who_passes_on_tells_its_own_and_what_it_heard(relay, told):
-    """It sees the first of two evaders, and has heard of the other; pursuer 1 has seen none."""
+@pytest.mark.parametrize(("relay", "reported"), [(True, (1, 2)), (False, (1,))])
+def test_a_relaying_pursuer_reports_its_own_and_received_sightings(relay, reported):
+    """It sees the first of two evaders, and has a report of the other; pursuer 1 has seen none."""
     seen = Evader(position=(2.0, 0.0), speed=0.9, strategy=Still())
     rig = Rig(Sensing(radius=3.0, relay=relay), evader=(seen, HIDDEN))
     rig.broadcast(sighting(7.0, 0.0, evader=2))
     rig.one.report()
-    assert [tuple(each.evader for each in news) for news in rig.told()] == [told]
+    assert [tuple(each.evader for each in news) for news in rig.reports()] == [reported]
     rig.other.report()
-    assert rig.told(dst=0) == []
+    assert rig.reports(dst=0) == []
 
 
 def test_the_bound_is_of_any_position():
@@ -388,11 +390,11 @@ def test_the_bound_is_of_any_position():
     assert rig.other.capture_time_from(0, 0j, 1) == inf
 
 
-def test_a_teammate_that_chases_is_reckoned_towards_where_the_evader_is_believed_to_be():
+def test_a_chasing_teammate_is_dead_reckoned_towards_the_believed_position_of_the_evader():
     """It was at -3 m, at 1 m/s: after 2 s at -1 m, and never beyond the evader at 7 m."""
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(2.0)
     for exact in (True, False):
-        assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == -3.0  # it has not heard of any
+        assert rig.other.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == -3.0  # it has no sighting
     rig.broadcast(sighting(7.0, 1.0))
     for exact in (True, False):
         assert rig.one.reckoned(-3.0 + 0j, 1.0, 2 * SECOND, 1, exact=exact) == pytest.approx(-1.0)
@@ -409,7 +411,7 @@ def caught():
     return rig
 
 
-def test_nobody_can_capture_what_has_been_captured(caught):
+def test_a_captured_evader_cannot_be_captured_again(caught):
     assert caught.world.evaders() == (2,)
     assert caught.one.sees(1)
     assert not caught.other.sees(1)
@@ -418,17 +420,17 @@ def test_nobody_can_capture_what_has_been_captured(caught):
         assert not sight.may_chase(0, 1)
 
 
-def test_who_chased_what_has_been_captured_is_reckoned_up_to_the_capture(caught):
-    """Everybody knows where that was: from the origin, where it set off, pursuer 0 came to 1.9 m."""
+def test_a_chaser_is_dead_reckoned_up_to_the_capture(caught):
+    """All know where that was: from the origin, where it set off, pursuer 0 came to 1.9 m."""
     for sight in (caught.one, caught.other):
         for exact in (True, False):
             assert sight.reckoned(0j, 1.0, 5 * SECOND, 1, exact=exact) == pytest.approx(1.9, abs=1e-8)
 
 
-# Who chases what it does not see.
+# Chasers that do not see their evader.
 
 
-def test_an_order_within_a_step_sends_it_to_where_it_believes_the_evader_to_be():
+def test_an_action_within_a_step_leads_to_the_believed_position_of_the_evader():
     """5 ms into a step of 10 ms; 3 ms later it has gone 3 mm to the right, where the evader, far above it, is not."""
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(0.005)
     rig.broadcast(sighting(10.0, 0.0))
@@ -437,7 +439,7 @@ def test_an_order_within_a_step_sends_it_to_where_it_believes_the_evader_to_be()
 
 
 @pytest.mark.parametrize(("order", "aim"), [("evader_first", 10.0 + 0.09j), ("simultaneous", 10.0 + 0j)])
-def test_it_heads_for_where_it_believes_the_evader_to_be_at_the_end_of_the_step(order, aim):
+def test_a_pursuer_heads_for_the_believed_position_at_the_end_of_the_step(order, aim):
     """Believed to be 10 m to the right and to move up at 0.9 m/s: after the step of 0.1 s, 9 cm higher."""
     rig = Rig(Sensing(radius=3.0), evader=HIDDEN, motion=Motion(step=0.1, order=order))
     rig.broadcast(sighting(10.0, 0.0, velocity=0.9j))
@@ -446,7 +448,7 @@ def test_it_heads_for_where_it_believes_the_evader_to_be_at_the_end_of_the_step(
 
 
 @pytest.mark.parametrize(("x", "able"), [(0.5, True), (5.0, False)])
-def test_who_would_be_late_is_judged_by_what_it_believes(x, able):
+def test_lateness_is_evaluated_with_the_believed_position_of_the_evader(x, able):
     """Of 8 s: (0.5 - 0.1) / 0.1 = 4 s are enough, 49 s are not; to where the evader is it would be 399 s."""
     rig = Rig(Sensing(radius=0.2, estimate="hold"), evader=HIDDEN, prune="infeasible")
     assert rig.one.evader(1) is NOWHERE
@@ -456,7 +458,7 @@ def test_who_would_be_late_is_judged_by_what_it_believes(x, able):
     assert rig.world.action(0) == able
 
 
-def test_nobody_runs_past_the_place_where_it_believes_the_evader_to_be():
+def test_a_pursuer_does_not_overshoot_the_believed_position_of_the_evader():
     """The evader is last seen at 3.25 m, 3 m from the pursuer, which waits there: else it would go to and fro."""
 
     def chase(me):

@@ -20,7 +20,7 @@ EXPECTING = (Mean(), Minimum(), EdgePenalty(), EdgePenalty(factor=3.0))
 # By hand.
 
 
-def test_what_chasing_gains_by_hand():
+def test_the_gain_of_chasing_in_worked_examples():
     """phi_i = 2, r = 10. Others of 1 and 5, whose mean is 3: (3 - 2)/3. Of 3 and 5: 3 - 2 for the least.
 
     Each of two active neighbours costs 1.1 r = 11.
@@ -36,7 +36,7 @@ def test_what_chasing_gains_by_hand():
         assert utility(inf, [], 10.0) == -inf
 
 
-def test_who_counts_is_everyone_heard_the_neighbours_or_the_component():
+def test_the_scope_counts_all_known_teammates_the_neighbours_or_the_component():
     assert [u.scope for u in (Mean(), Minimum())] == ["heard", "heard"]
     assert [u.scope for u in (LocalMean(), EdgePenalty(), Component())] == ["neighbours", "neighbours", "component"]
 
@@ -110,7 +110,7 @@ def by_poisson_binomials(own, others, chances, reward):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("count", "certain"), [(40, 0.0), (200, 0.0), (200, 0.5), (199, 0.5)])
 def test_the_expected_gain_of_many_is_that_of_the_poisson_binomials(count, certain):
-    """To 1e-12 of 60 s; half of all chances 0 or 1 if so said. The control: one chance off by 1e-6 is seen."""
+    """To 1e-12 of 60 s; half of all probabilities 0 or 1 if requested. The control: one chance off by 1e-6 is seen."""
     rng = np.random.default_rng(count)
     others, chances = rng.uniform(0, 60, count).tolist(), rng.random(count)
     chances = np.where(rng.random(count) < certain, chances.round(), chances * 0.2).tolist()
@@ -131,7 +131,7 @@ def test_the_expected_gain_under_minimum_of_many_is_a_sum_in_order():
 
 
 @pytest.mark.parametrize("utility", EXPECTING, ids=repr)
-def test_who_cannot_capture_expects_to_lose_without_bound(utility):
+def test_the_expected_gain_of_a_pursuer_that_cannot_capture_is_minus_infinity(utility):
     assert utility.expected(inf, [1.0, 2.0], [0.5, 1.0], 10.0) == -inf
     assert utility.expected(inf, [], [], 10.0) == -inf
 
@@ -140,7 +140,7 @@ def test_who_cannot_capture_expects_to_lose_without_bound(utility):
 
 
 def of_minimum(phi, active, reward, graph):
-    """Return r less the least phi of the active; 0 if nobody is, s."""
+    """Return r less the least phi of the active; 0 if none is, s."""
     return reward - min(p for p, a in zip(phi, active, strict=True) if a) if any(active) else 0.0
 
 
@@ -202,11 +202,12 @@ def climb(utility):
     return gains
 
 
-def test_the_local_mean_has_no_potential_for_best_replies_go_round_in_a_circle():
-    """j chases all the time. k, that hears nobody, joins (25 - 4); i, ahead of the mean of both, joins ((2.5 - 2)/3).
+def test_the_local_mean_has_no_potential_since_best_replies_cycle():
+    """j chases all the time. k, without incoming links, joins (25 - 4); i, ahead of the mean of both, joins ((2.5 -
+    2)/3).
 
-    Now k hears i and leaves ((4 - 2)/2), and so does i ((2 - 1)/2): each step is a best reply, and the circle gains
-    22.67 s. Around it the change of any potential would be 0, as it is for those that have one.
+    Now k receives from i and leaves ((4 - 2)/2), and so does i ((2 - 1)/2): each step is a best reply, and the circle
+    gains 22.67 s. Around it the change of any potential would be 0, as it is for those that have one.
     """
     assert climb(LocalMean()) == pytest.approx([21.0, 0.5 / 3, 1.0, 0.5])
     for name in EXACT:
@@ -218,7 +219,7 @@ def test_the_local_mean_has_no_potential_for_best_replies_go_round_in_a_circle()
 
 
 def chain(utility, phi, reward, graph, tau, at_once=False):
-    """Return the (2^N, 2^N) transition matrix of log-linear learning, one of all at random or everyone at once."""
+    """Return the (2^N, 2^N) transition matrix of log-linear learning, one of all at random or all at once."""
     everyone = profiles(len(phi))
     number = {profile: k for k, profile in enumerate(everyone)}
     matrix = np.zeros((len(everyone), len(everyone)))
@@ -257,7 +258,7 @@ def test_the_gibbs_law_of_the_potential_is_stationary(name, game, tau):
 
 @pytest.mark.parametrize("name", EXACT)
 def test_no_other_law_is_stationary(name):
-    """The control: not that of another temperature, not under everyone at once, and not for the local mean."""
+    """The control: not that of another temperature, not under simultaneous revision, and not for the local mean."""
     phi, reward, tau = (1.0, 2.0, 4.0, 8.0), 10.0, 2.0
     utility, height = EXACT[name]
     graph = nx.path_graph(4)

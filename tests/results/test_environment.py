@@ -39,7 +39,7 @@ def test_distributions_that_add_protocols_are_among_the_versions(monkeypatch):
     assert len(versions) == 8
 
 
-def test_what_is_not_installed_has_no_version(monkeypatch):
+def test_a_package_that_is_not_installed_has_no_version(monkeypatch):
     monkeypatch.setattr(environment, "NUMERICS", ("no-such-distribution",))
     assert environment.environment()["versions"]["no-such-distribution"] is None
 
@@ -99,12 +99,12 @@ def test_a_changed_project_file_is_dirty(repository):
 
 
 @pytest.mark.parametrize("path", ["docs/__init__.py", "docs/new.md", "out.json", "desim/cached.pyc"])
-def test_what_is_no_code_of_the_simulator_is_not_dirty(repository, path):
+def test_files_that_are_not_simulator_code_do_not_make_the_checkout_dirty(repository, path):
     (repository.root / path).write_text("x = 1\n")
     assert environment._checkout() == (repository("rev-parse", "HEAD"), False)
 
 
-def test_to_ask_changes_nothing_in_the_repository(repository):
+def test_collecting_provenance_changes_nothing_in_the_repository(repository):
     """git would note in its index that a touched file is as it was, and be in the way of another git."""
     os.utime(repository.root / "desim" / "__init__.py", (1e9, 1e9))
     before = (repository.root / ".git" / "index").read_bytes()

@@ -1,4 +1,4 @@
-"""run.json: what it says, what is refused, and that a run is repeated from it byte for byte."""
+"""run.json: its contents, refusals, and repeating a run from it byte for byte."""
 
 import json
 import os
@@ -46,10 +46,10 @@ def _committed(monkeypatch):
     monkeypatch.setattr(environment, "_checkout", lambda: (COMMIT, False))
 
 
-# What it says.
+# Its contents.
 
 
-def test_a_document_says_what_was_done_with_what_and_where(monkeypatch, tmp_path):
+def test_a_document_records_command_inputs_and_environment(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "argv", ["desim", "run", "a b"])
     monkeypatch.chdir(tmp_path)
     made = document("run", SCENARIO, seed=5, runs=3, folder=Path("below"), grid={"horizon": [1.0]})
@@ -81,7 +81,7 @@ def test_the_same_run_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a" / "run.json").read_bytes() == (tmp_path / "b" / "run.json").read_bytes()
 
 
-def test_what_is_written_is_strict_json_in_a_folder_that_is_made_and_is_read_as_it_was(tmp_path, monkeypatch):
+def test_a_record_is_strict_json_in_a_created_folder_and_reads_back_unchanged(tmp_path, monkeypatch):
     """An argument may be no UTF-8 text; infinity is none of JSON's numbers."""
     monkeypatch.setattr(sys, "argv", ["desim", "\udcff", "caf\u00e9"])
     made = document("sweep", SCENARIO, seed=5, grid={"network.range": (4.0, inf, -inf, [nan, 1, "x", None])})
@@ -94,7 +94,7 @@ def test_what_is_written_is_strict_json_in_a_folder_that_is_made_and_is_read_as_
     assert read(tmp_path / "x" / "y" / "other.json") == made
 
 
-def test_what_json_cannot_say_is_not_written(tmp_path):
+def test_values_that_json_cannot_represent_are_not_written(tmp_path):
     with pytest.raises(ValueError, match="Out of range"):
         write(tmp_path, document("run", seed=0) | {"more": inf})
 
@@ -196,14 +196,14 @@ def faults(path: Path) -> list[str]:
     return str(refused.value).splitlines()
 
 
-def test_what_is_no_json_is_refused_with_its_line(kept):
+def test_invalid_json_is_refused_with_its_line(kept):
     path = kept(b'{\n  "what":\n}')
     (said,) = faults(path)
     assert said.startswith(f"{path}:3: not JSON: ")
 
 
 @pytest.mark.parametrize("content", [b"\xff", b"[" * 200_000, b'{"seed": ' + b"1" * 5000 + b"}", b""])
-def test_what_is_no_text_or_too_deep_or_too_long_is_no_json(kept, content):
+def test_binary_too_deep_or_too_long_files_are_no_json(kept, content):
     (said,) = faults(kept(content))
     assert ": not JSON: " in said
 
@@ -236,7 +236,7 @@ WRONG = {
 }
 
 
-def test_values_of_the_wrong_kind_are_told_at_once_with_their_keys(kept, made):
+def test_all_values_of_the_wrong_type_are_reported_at_once_with_their_keys(kept, made):
     path = kept(made | {key: value for key, (value, _) in WRONG.items()})
     assert faults(path) == [
         f"{path}: {key}: should be {allowed} (got {json.dumps(value)})" for key, (value, allowed) in WRONG.items()
@@ -301,7 +301,7 @@ def test_an_override_of_the_network_does_what_it_does_to_the_file(tmp_path, befo
     assert recorded(tmp_path / "run.json", after) == load(file, [*before, after])
 
 
-def test_what_was_given_beside_a_preset_stays(tmp_path):
+def test_values_given_beside_a_preset_are_kept(tmp_path):
     scenario = Scenario(network=Links(preset="lora_sf7", latency={"kind": "constant", "value": 0.3}))
     write(tmp_path, document("run", scenario, seed=0))
     assert recorded(tmp_path / "run.json", "network.preset=lte").network.latency.value == 0.3
@@ -332,14 +332,14 @@ def test_a_kind_that_is_no_text_is_refused_with_its_key(kept, made, kind):
         recorded(kept(made))
 
 
-def test_the_fault_of_an_override_is_told_with_the_override(kept, made):
+def test_an_error_in_an_override_is_reported_with_the_override(kept, made):
     with pytest.raises(ScenarioError, match=r"^--set horizon=-1: horizon: should be greater than 0"):
         recorded(kept(made), "horizon=-1")
     with pytest.raises(ScenarioError, match=r"^--set horizon: should be KEY=VALUE"):
         recorded(kept(made), "horizon")
 
 
-def test_a_model_of_a_script_cannot_be_imported_and_is_told_with_its_key(kept):
+def test_a_model_of_a_script_that_cannot_be_imported_is_reported_with_its_key(kept):
     def inner(state, rng):
         return 1j
 
@@ -353,7 +353,7 @@ def test_a_model_of_a_script_cannot_be_imported_and_is_told_with_its_key(kept):
     with pytest.raises(ProvenanceError) as refused:
         recorded(path)
     why = "was defined in a script or in a function and cannot be imported; move it to a module"
-    local = f"{__name__}:test_a_model_of_a_script_cannot_be_imported_and_is_told_with_its_key.<locals>.inner"
+    local = f"{__name__}:test_a_model_of_a_script_that_cannot_be_imported_is_reported_with_its_key.<locals>.inner"
     assert sorted(str(refused.value).splitlines()) == [
         f"{path}: evader.strategy: {local!r} {why}",
         f"{path}: network.link.0.latency: '__main__:Own' {why}",
@@ -367,7 +367,7 @@ def test_a_model_of_a_script_may_be_replaced(kept, made):
 
 
 @pytest.mark.parametrize(("what", "words"), [("sweep", "a sweep"), ("table1", "the study 'table1'")])
-def test_what_is_not_of_runs_is_refused_with_how_it_was_made(kept, made, what, words):
+def test_a_record_that_is_not_of_runs_is_refused_with_its_command(kept, made, what, words):
     path = kept(made | {"what": what, "argv": ["desim", what, "a b.toml"]})
     with pytest.raises(ProvenanceError) as refused:
         recorded(path)
@@ -397,7 +397,7 @@ class {name}(Value):
 
 @pytest.fixture
 def beside(tmp_path, monkeypatch):
-    """Return a function that writes a scenario file and a module of a protocol beside it, which nobody else imports."""
+    """Return a function that writes a scenario file and a module of a protocol beside it, imported nowhere else."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     written = []
 
@@ -495,7 +495,7 @@ def test_nothing_has_changed_at_once(made):
         ({"argv": ["a"], "seed": 3}, {}, []),
     ],
 )
-def test_what_has_changed_is_named(before, after, said):
+def test_changes_are_named(before, after, said):
     same = {"versions": {}, "platform": {}, "commit": "c", "dirty": False, "code": "0", "unrecorded": []}
     assert differences(same | before, same | after) == said
 
@@ -620,7 +620,7 @@ def test_the_folder_of_each_of_several_runs_repeats_that_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_worker_processes_write_is_what_one_process_writes(beside, tmp_path):
+def test_worker_processes_write_the_same_files_as_one_process(beside, tmp_path):
     """The command line is that of the command, not that of the worker, and the module is found there, too."""
     file = beside("home", "rules_for_workers")
     words = ["--allow-import", "--set", "record.trajectory=0", "-n", 3, "-j", 1]
@@ -679,7 +679,7 @@ def seeds(*args: object) -> list[int]:
         (("--set", "seed=8", "-s", 0, "-n", 1), [0]),
     ],
 )
-def test_seeds_and_their_number_are_those_of_the_record_unless_an_option_says_other(earlier, options, expected):
+def test_seeds_and_their_number_are_those_of_the_record_unless_an_option_overrides_them(earlier, options, expected):
     assert seeds("--from", earlier, *options) == expected
 
 
@@ -695,7 +695,7 @@ def test_a_repetition_on_the_same_machine_is_not_warned_of(earlier):
     assert accepted("run", "--from", earlier).stderr == ""
 
 
-def test_what_has_changed_since_is_warned_of_on_stderr(kept, made):
+def test_changes_since_the_record_give_a_warning_on_stderr(kept, made):
     path = kept(made | {"commit": "abc", "code": "00", "versions": made["versions"] | {"numpy": "1.0"}})
     result = accepted("run", "--from", path, "--json")
     code = f"the code of desim was abc, 00 and is {COMMIT}, {made['code']}"
@@ -735,13 +735,13 @@ def test_a_record_that_is_wrong_is_refused(kept, made, change, said, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_without_a_folder_nobody_asks_where_it_comes_from(earlier, monkeypatch):
+def test_without_an_output_folder_the_provenance_is_not_collected(earlier, monkeypatch):
     """It takes a while to ask git."""
     monkeypatch.setattr(provenance, "document", lambda *_, **__: pytest.fail("it asked"))
     accepted("run", SCENARIOS[0], "--set", "horizon=0.1")
 
 
-def test_a_record_that_cannot_be_written_at_the_top_is_told(earlier, tmp_path, monkeypatch):
+def test_a_record_that_cannot_be_written_at_the_top_is_reported(earlier, tmp_path, monkeypatch):
     (tmp_path / "out" / "run.json").mkdir(parents=True)
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: True)
     said = refused("run", "--from", earlier, "--set", "record.trajectory=0", "-o", tmp_path / "out")

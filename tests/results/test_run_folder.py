@@ -52,7 +52,7 @@ def test_runs_are_written_below_a_folder_by_their_seed(result, tmp_path):
     assert names(tmp_path / "seed-5") == DATA
 
 
-def test_the_folder_of_one_of_several_runs_says_where_that_run_comes_from(result, tmp_path):
+def test_the_folder_of_one_of_several_runs_has_the_provenance_of_that_run(result, tmp_path):
     made = provenance.document("run", SCENARIO, seed=4, runs=3, folder=tmp_path) | {"argv": ["desim", "run", "x"]}
     write_below(tmp_path, result, made)
     written = provenance.read(tmp_path / "seed-5" / "run.json")
@@ -98,7 +98,7 @@ def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_pa
     assert names(tmp_path / "seed-4") == DATA | PICTURES
 
 
-def test_what_others_keep_in_the_folder_stays(seen, tmp_path):
+def test_files_of_others_in_the_folder_stay(seen, tmp_path):
     (tmp_path / "trajectory.csv").write_text("precious")
     (tmp_path / "notes.txt").write_text("precious")
     write(run(seen), tmp_path)
@@ -131,7 +131,7 @@ WITH_MESSAGES = SCENARIO.model_copy(update={"record": Recording(trajectory=0.1, 
 
 
 @pytest.mark.slow
-def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_that_of_the_result(tmp_path):
+def test_messages_recorded_to_a_file_are_in_the_trace_of_the_folder_and_not_of_the_result(tmp_path):
     result = simulate(tmp_path / "a", TO_FILE, 5)
     assert list(result.trace) == list(run(TO_FILE, 5).trace)
     assert not [event for event in result.trace if isinstance(event, MESSAGES)]
@@ -143,7 +143,7 @@ def test_messages_that_go_to_a_file_are_in_the_trace_of_the_folder_and_not_in_th
 
 
 @pytest.mark.slow
-def test_what_needs_no_messages_is_measured_though_they_go_to_a_file_and_all_of_it_is_once_they_are_read(tmp_path):
+def test_metrics_that_need_messages_are_measured_once_the_message_file_is_read(tmp_path):
     numbers = plain(write(simulate(tmp_path, TO_FILE, 5), tmp_path, simulated_there=True))
     whole = plain(summary(run(WITH_MESSAGES, 5)))
     absent = {name for name in whole if whole[name] is not None and numbers[name] is None}
@@ -352,7 +352,7 @@ def mutant(seed):
 
 
 def shown_or_refused(recorded, folder, seeds, commands):
-    """Check that what is wrong in a trace is told with its file, or harms nobody who reads it."""
+    """Check that errors in a trace are reported with its file, or harm no reader."""
     outcomes = set()
     for seed in seeds:
         copy = rewritten(recorded, folder / f"{recorded.name} {seed}", mutant(seed))

@@ -1,4 +1,4 @@
-"""Assumptions: each where it holds and where it does not, and what is said of those that a scenario breaks."""
+"""Assumptions: where each holds and where it does not, and the messages for violated ones."""
 
 import networkx as nx
 import pytest
@@ -67,11 +67,11 @@ def four(graph=None, **given):
     ],
 )
 def test_all_are_connected_over_any_number_of_hops_or_not(scenario, why):
-    """In both directions: along a one-way path the last is not heard."""
-    assert_says(connected(scenario), why)
+    """In both directions: along a one-way path no other receives from the last."""
+    assert_reason(connected(scenario), why)
 
 
-def assert_says(found, why):
+def assert_reason(found, why):
     """Check that there is a reason iff there should be one, and that it is the right one."""
     assert (found is None) == (why is None), found
     assert why is None or why in found
@@ -94,8 +94,8 @@ def assert_says(found, why):
         (Scenario(team=Team(count=1)), None),
     ],
 )
-def test_everyone_is_heard_at_once_or_as_word_is_passed_on_or_not(scenario, why):
-    assert_says(everyone_heard(scenario), why)
+def test_all_pursuers_are_reached_directly_or_by_forwarding_or_not(scenario, why):
+    assert_reason(everyone_heard(scenario), why)
 
 
 @pytest.mark.parametrize(
@@ -112,8 +112,8 @@ def test_everyone_is_heard_at_once_or_as_word_is_passed_on_or_not(scenario, why)
         (four(nx.DiGraph([(0, 1), (1, 0), (2, 3)])), "several hops"),
     ],
 )
-def test_the_component_is_heard_if_it_is_complete_or_word_is_passed_on_or_not(scenario, why):
-    assert_says(component_heard(scenario), why)
+def test_the_component_is_reached_if_it_is_complete_or_records_are_forwarded_or_not(scenario, why):
+    assert_reason(component_heard(scenario), why)
 
 
 LOSSY = Links(loss=Bernoulli(p=0.1))
@@ -153,23 +153,23 @@ ONE_LATE = Links(link=[Link(src=0, dst=1, latency={"kind": "constant", "value": 
         ),
     ],
 )
-def test_word_gets_through_if_nothing_is_lost_or_what_is_lost_is_said_again(trigger, given, lost):
+def test_information_gets_through_without_loss_or_with_heartbeats(trigger, given, lost):
     found = messages_get_through(four(announce=Announcements(trigger=trigger), **given))
     if trigger == "never":
-        assert_says(found, "nothing is ever announced")
+        assert_reason(found, "nothing is ever announced")
     else:
-        assert_says(found, "never repeated" if lost and trigger == "change" else None)
+        assert_reason(found, "never repeated" if lost and trigger == "change" else None)
 
 
-def test_who_comes_into_range_has_missed_what_was_said_before():
+def test_a_pursuer_that_comes_into_range_has_missed_earlier_announcements():
     found = messages_get_through(four(announce=Announcements(trigger="change"), network=Links(range=50.0)))
-    assert_says(found, "comes into range")
+    assert_reason(found, "comes into range")
     assert messages_get_through(four(network=Links(range=50.0))) is None
 
 
 @pytest.mark.parametrize("trigger", ["change", "never"])
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk(), LocalMutex()], ids=lambda each: each.kind)
-def test_word_gets_through_if_it_travels_with_the_messages_of_the_schedule(trigger, schedule):
+def test_information_gets_through_if_schedule_messages_carry_it(trigger, schedule):
     announce = Announcements(trigger=trigger)
     assert messages_get_through(four(network=LOSSY, announce=announce, protocol=BetterReply(schedule=schedule))) is None
 
@@ -185,8 +185,8 @@ def test_word_gets_through_if_it_travels_with_the_messages_of_the_schedule(trigg
         (four(protocol=lambda me: iter(())), None),
     ],
 )
-def test_one_decides_at_a_time_or_everybody_at_once(scenario, why):
-    assert_says(one_at_a_time(scenario), why)
+def test_pursuers_decide_one_at_a_time_or_all_at_once(scenario, why):
+    assert_reason(one_at_a_time(scenario), why)
 
 
 @pytest.mark.parametrize(
@@ -202,8 +202,8 @@ def test_one_decides_at_a_time_or_everybody_at_once(scenario, why):
     ],
 )
 def test_pursuers_break_down_and_clocks_differ_or_not(fault, crashes, skewed):
-    assert_says(no_crashes(four(fault=fault)), "break down" if crashes else None)
-    assert_says(equal_clocks(four(fault=fault)), "clocks differ" if skewed else None)
+    assert_reason(no_crashes(four(fault=fault)), "break down" if crashes else None)
+    assert_reason(equal_clocks(four(fault=fault)), "clocks differ" if skewed else None)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_pursuers_break_down_and_clocks_differ_or_not(fault, crashes, skewed):
     ],
 )
 def test_all_are_equally_fast_or_not(team, why):
-    assert_says(equal_speeds(Scenario(team=team)), why)
+    assert_reason(equal_speeds(Scenario(team=team)), why)
 
 
 class Served(Rule):
@@ -240,7 +240,7 @@ class Served(Rule):
 )
 def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why):
     """Without a host it is pursuer 0."""
-    assert_says(host_in_reach(scenario), why)
+    assert_reason(host_in_reach(scenario), why)
 
 
 @pytest.mark.parametrize(
@@ -257,24 +257,24 @@ def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why)
         ("state", {"evader": Evader(count=2)}, None, None),
     ],
 )
-def test_times_and_places_are_known_if_they_are_sensed_or_told_or_not(payload, given, times, places):
+def test_times_and_positions_are_known_if_sensed_or_announced_or_not(payload, given, times, places):
     trigger = given.get("trigger", "both")
     network = {key: each for key, each in given.items() if key != "trigger"}
     scenario = four(announce=Announcements(payload=payload, trigger=trigger), **network)
-    assert_says(times_known(scenario), times)
-    assert_says(positions_known(scenario), places)
+    assert_reason(times_known(scenario), times)
+    assert_reason(positions_known(scenario), places)
 
 
-# What is said.
+# Messages.
 
 
-def test_every_assumption_goes_by_its_own_name_and_says_what_it_is():
+def test_every_assumption_has_its_own_name_and_description():
     assert all(name == each.__name__ and each.__doc__ for name, each in ASSUMPTIONS.items())
     with pytest.raises(TypeError):
         ASSUMPTIONS["wishful"] = no_crashes
 
 
-def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
+def test_a_violated_assumption_is_reported_with_its_protocol_and_reason():
     """The rule, its schedule and its utility each break one; all are warned of under their own key."""
     scenario = four(
         nx.path_graph(4),
@@ -304,7 +304,7 @@ def test_a_broken_assumption_is_named_with_whose_it_is_and_why():
     ],
     ids=repr,
 )
-def test_on_a_ring_those_are_warned_that_go_by_more_than_their_neighbours(protocol, assumes):
+def test_on_a_ring_protocols_that_need_more_than_their_neighbours_give_a_warning(protocol, assumes):
     scenario = Scenario(team=FOUR, network=Links(graph=Ring()), protocol=protocol)
     assert [why.split(",")[0].split()[-1] for _, why in violations(scenario)] == assumes
 
@@ -324,7 +324,7 @@ class Wishful(Rule):
     kind: str = "wishful"
 
 
-def test_an_assumption_that_nobody_knows_is_an_error_that_says_which_there_are():
+def test_an_unknown_assumption_is_an_error_that_lists_the_known_ones():
     with pytest.raises(
         ValueError, match=r"wishful assumes 'good_weather', which is unknown; allowed: undivided, connected, "
     ):
@@ -334,7 +334,7 @@ def test_an_assumption_that_nobody_knows_is_an_error_that_says_which_there_are()
 
 
 def test_a_function_may_assume_something_too():
-    """It has no kind, and is called the protocol; a function that says nothing assumes nothing."""
+    """It has no kind, and is called the protocol; a function without a declaration assumes nothing."""
 
     def mine(me):
         yield from ()

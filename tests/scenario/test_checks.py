@@ -98,7 +98,7 @@ def test_the_default_is_not_warned_of():
         ),
     ],
 )
-def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key, why):
+def test_probably_unintended_values_are_named_with_key_and_reason(given, key, why):
     """The last jumps because the *evader* is fast: it is warned of that as well."""
     found = [(where, text) for where, text in warned(**given) if " assumes " not in text]
     assert [where for where, _ in found][:1] == [key] * (key is not None)
@@ -127,7 +127,7 @@ def test_what_is_probably_unintended_is_named_with_its_key_and_reason(given, key
         {"motion": Motion(step=0.11)},
     ],
 )
-def test_what_just_goes_together_is_not_warned_of(given):
+def test_barely_compatible_values_give_no_warning(given):
     assert [each for each in warned(**given) if " assumes " not in each[1]] == []
 
 
@@ -146,7 +146,7 @@ def test_what_just_goes_together_is_not_warned_of(given):
         (Argmin(), "time", True),
     ],
 )
-def test_only_those_fill_the_channel_with_heartbeats_who_have_heartbeats(protocol, payload, speaks):
+def test_only_scenarios_with_heartbeats_can_fill_the_channel_with_them(protocol, payload, speaks):
     """20 pursuers of at least 24 bytes every 0.1 s are at least 4800 bytes a second, and the channel carries 240."""
     given = {
         "protocol": protocol,
@@ -166,7 +166,7 @@ def test_only_those_fill_the_channel_with_heartbeats_who_have_heartbeats(protoco
         ((2.0, 0.9), "faster than 2 of the 2 evaders: the fastest moves at 0.9 m/s, the slowest of these at 0.9 m/s"),
     ],
 )
-def test_each_of_several_evaders_is_to_be_slower_than_somebody(speeds, said):
+def test_each_of_several_evaders_should_be_slower_than_some_pursuer(speeds, said):
     evaders = tuple(Evader(speed=speed) for speed in speeds)
     whys = [why for key, why in warned(team=Team(count=2, speeds=(0.5, 0.9)), evader=evaders) if key == "team.speeds"]
     assert len(whys) == (said is not None)

@@ -82,7 +82,7 @@ PIECES = {
 
 
 @given(st.fixed_dictionaries({}, optional=PIECES))
-def test_what_a_script_constructs_comes_back_from_its_source(pieces):
+def test_a_scenario_of_a_script_is_restored_from_its_source(pieces):
     scenario = Scenario(**pieces)
     assert validate(Source.of(scenario)) == scenario
 
@@ -100,7 +100,7 @@ def test_a_key_that_is_set_in_a_copy_is_not_set_in_the_original():
 # Keys of a scenario of a script.
 
 
-def test_what_was_given_of_a_table_stays_when_another_key_of_it_is_set():
+def test_given_keys_of_a_table_are_kept_when_another_key_is_set():
     scenario = Scenario(protocol=SpatialAdaptivePlay(tau=PaperTau(scale=2.0)))
     assert changed(scenario, protocol__kind="sap").protocol == scenario.protocol
     assert changed(scenario, protocol__tau__scale=3.0).protocol == SpatialAdaptivePlay(tau=PaperTau(scale=3.0))

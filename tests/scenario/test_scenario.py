@@ -59,7 +59,7 @@ def test_the_lists_that_a_script_gives_are_copied():
 
 
 @pytest.mark.parametrize("positions", [((0, 0), (1, 1), (2, 2)), [[0, 0], [1, 1], [2, 2]]], ids=["tuples", "lists"])
-def test_the_positions_of_a_team_say_how_many_they_are(positions):
+def test_the_positions_of_a_team_determine_its_size(positions):
     team = Team(positions=positions)
     assert team.count == 3
     assert team == Team(count=3, positions=positions)
@@ -106,7 +106,7 @@ def test_given_positions_do_not_depend_on_the_seed():
 
 @settings(deadline=None)
 @given(SEEDS)
-def test_positions_are_drawn_in_the_box_and_anew_for_every_seed(seed):
+def test_positions_are_drawn_in_the_box_for_each_seed(seed):
     team, evader = Team(count=7, box=(-3.0, -1.0)), Evader(box=(8.0, 9.0))
     assert team.start(seed).shape == (7, 2)
     assert ((team.start(seed) >= -3.0) & (team.start(seed) < -1.0)).all()
@@ -116,7 +116,7 @@ def test_positions_are_drawn_in_the_box_and_anew_for_every_seed(seed):
         assert (one.start(seed) != one.start(seed + 1)).all()
 
 
-def test_the_evader_does_not_begin_where_a_pursuer_begins_though_they_have_one_seed_and_one_box():
+def test_evader_and_pursuers_start_apart_with_the_same_seed_and_box():
     pursuers, evader = Team(box=(0.0, 1.0)).start(3), Evader(box=(0.0, 1.0)).start(3)
     assert (pursuers != evader).all()
 
@@ -124,14 +124,14 @@ def test_the_evader_does_not_begin_where_a_pursuer_begins_though_they_have_one_s
 @settings(deadline=None)
 @given(SEEDS, st.integers(1, 20), st.integers(1, 20))
 def test_a_larger_team_begins_with_the_pursuers_of_a_smaller_one(seed, one, other):
-    """The streams do not depend on what is swept, so two counts share their luck."""
+    """The streams do not depend on what is swept, so two counts share their random numbers."""
     common = min(one, other)
     np.testing.assert_array_equal(Team(count=one).start(seed)[:common], Team(count=other).start(seed)[:common])
 
 
 @settings(deadline=None)
 @given(SEEDS, SHARES, SHARES)
-def test_who_is_active_at_a_small_share_is_active_at_a_larger_one(seed, one, other):
+def test_pursuers_active_at_a_small_share_are_active_at_a_larger_one(seed, one, other):
     """u_i < p0 with the same u_i for both; the share itself is 0, 1 or, over 4000 pursuers, p0 +- 5 s.e."""
     few, many = (Team(count=4000, active_at_start=p).start_profile(seed) for p in sorted((one, other)))
     assert not (few & ~many).any()
@@ -139,7 +139,7 @@ def test_who_is_active_at_a_small_share_is_active_at_a_larger_one(seed, one, oth
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_nobody_is_active_at_share_0_and_everybody_at_share_1(share):
+def test_no_pursuer_is_active_at_share_0_and_every_pursuer_at_share_1(share):
     assert (Team(count=4000, active_at_start=share).start_profile(3) == bool(share)).all()
 
 
@@ -201,10 +201,10 @@ def test_functions_are_accepted_for_protocol_strategy_latency_and_loss(own):
     assert own.network.loss is to_even_nodes
 
 
-def test_functions_do_what_they_say_in_a_run(own):
+def test_functions_take_effect_in_a_run(own):
     """Until 0.1 s the gap grows to 1.05 m; it closes at 2 - 0.5 m/s to 0.1 m, 0.95 / 1.5 s later.
 
-    Of the three broadcasts at 0.1 s, those from 0 reach 1 alone, from 1 nobody, from 2 again 1 alone.
+    Of the three broadcasts at 0.1 s, those from 0 reach 1 alone, from 1 none, from 2 again 1 alone.
     """
     trace = run(own).trace
     assert [(each.t, each.active) for each in trace.of(Decided)] == [(100_000_000, True)] * 3
@@ -226,7 +226,7 @@ def test_functions_do_what_they_say_in_a_run(own):
     ],
     ids=str,
 )
-def test_what_is_neither_a_model_nor_callable_is_refused(wrong):
+def test_a_value_that_is_neither_a_model_nor_callable_is_refused(wrong):
     with pytest.raises(ValidationError):
         Scenario(**wrong)
 
@@ -262,7 +262,7 @@ class Called:
     ],
     ids=["dissemination", "schedule", "medium without shared", "medium without anything"],
 )
-def test_a_model_of_one_s_own_that_lacks_an_attribute_is_refused_at_once_with_its_name(make, place, says):
+def test_a_user_model_that_lacks_an_attribute_is_refused_at_once_with_its_name(make, place, says):
     with pytest.raises(ValidationError) as refused:
         make()
     (error,) = refused.value.errors()
@@ -270,7 +270,7 @@ def test_a_model_of_one_s_own_that_lacks_an_attribute_is_refused_at_once_with_it
     assert error["msg"].endswith(says)
 
 
-def test_a_model_of_one_s_own_that_has_all_it_needs_is_taken():
+def test_a_complete_user_model_is_accepted():
     dissemination, schedule = Called(broadcast=print), Called(mean_slot=print)
     medium = Called(shared=False, half_duplex=False, queue_limit=inf)
     assert Announcements(dissemination=dissemination).dissemination is dissemination
@@ -290,7 +290,7 @@ def test_a_model_of_one_s_own_that_has_all_it_needs_is_taken():
     ],
     ids=["too large", "too small", "none", "list", "multigraph", "names"],
 )
-def test_a_graph_of_one_s_own_that_does_not_fit_the_team_is_refused(graph, says):
+def test_a_user_graph_that_does_not_fit_the_team_is_refused(graph, says):
     with pytest.raises(ValidationError) as refused:
         Scenario(team=Team(count=3), network=Links(graph=graph))
     (error,) = refused.value.errors()

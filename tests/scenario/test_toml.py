@@ -29,7 +29,7 @@ SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
 
 
 def line_of(text: str, *place: str | int) -> int:
-    """Return the line that a fault in a place of a TOML text is told with."""
+    """Return the line with which an error at a place of a TOML text is reported."""
     source = Source("f", tomllib.loads(text), key_lines(text))
     return int(source.where(place).removeprefix("f:"))
 
@@ -141,7 +141,7 @@ def documents(draw) -> Document:
 @pytest.mark.slow
 @settings(deadline=None)
 @given(documents())
-def test_a_fault_is_told_with_the_line_where_its_key_stands(document):
+def test_an_error_is_reported_with_the_line_of_its_key(document):
     """In tables, dotted keys, inline tables, arrays of several lines, arrays of tables and tables below them."""
     tables, lines = tomllib.loads(document.text), key_lines(document.text)
     source = Source("f", tables, lines)
@@ -164,11 +164,11 @@ def test_a_fault_is_told_with_the_line_where_its_key_stands(document):
     ],
     ids=["table", "table that comes later", "array of tables", "array of tables below", "array below the second"],
 )
-def test_what_only_a_longer_header_names_is_told_with_the_line_of_that_header(text, place, line):
+def test_a_table_named_only_in_a_longer_header_is_reported_with_the_line_of_that_header(text, place, line):
     assert line_of(text, *place) == line
 
 
-def test_a_key_that_is_not_there_is_told_with_the_line_of_the_table_it_should_be_in():
+def test_a_missing_key_is_reported_with_the_line_of_its_table():
     text = "a = 1\n[t]\nb = 1\n[[l]]\n[[l]]\nc = 1"
     assert line_of(text, "t", "missing") == 2
     assert line_of(text, "l", 1, "missing", "too") == 5
@@ -229,7 +229,7 @@ def written(tmp_path):
         ("a.b.c.d=1", {"a": {"b": {"c": {"d": 1}}}}),
     ],
 )
-def test_the_value_of_an_override_is_toml_and_a_bare_word_is_text(written, override, expected):
+def test_the_value_of_an_override_is_toml_and_a_bare_word_is_a_string(written, override, expected):
     before = {"seed": 1, "horizon": 9.0, "team": {"count": 2}}
     source = read(written(tomli_w.dumps(before)), [override])
     assert source.tables == before | expected
@@ -251,7 +251,7 @@ def test_an_override_replaces_what_is_wrong_in_the_file(written):
     assert load(written("horizon = -1.0\n[evader]\nspeed = 0.5\n"), ["horizon=3.0"]).horizon == 3.0
 
 
-def test_a_fault_is_told_with_the_override_that_counts_and_not_with_an_earlier_one(written):
+def test_an_error_is_reported_with_the_override_in_effect_and_not_an_earlier_one(written):
     overrides = ["evader.speed=-1.0", "evader={ speed = -2.0 }"]
     with pytest.raises(ScenarioError) as error:
         load(written(""), overrides)
@@ -261,14 +261,14 @@ def test_a_fault_is_told_with_the_override_that_counts_and_not_with_an_earlier_o
     assert str(error.value).startswith("--set evader.speed=-1.0: evader.speed: ")
 
 
-def test_what_an_override_did_not_touch_is_still_told_with_its_line(written):
+def test_a_value_that_no_override_changed_is_still_reported_with_its_line(written):
     path = written("\n[evader]\nspeed = -1.0\n")
     with pytest.raises(ScenarioError) as error:
         load(path, ["evader.box=[0.0, 1.0]"])
     assert str(error.value).startswith(f"{path}:3: evader.speed: ")
 
 
-def test_the_fault_of_a_table_in_the_file_is_not_told_with_an_override_of_another_key_in_it(written):
+def test_an_error_of_a_table_in_the_file_is_not_reported_with_an_override_of_another_key(written):
     path = written("[network]\nlatency = { value = 0.1 }\n")
     with pytest.raises(ScenarioError) as error:
         load(path, ["network.latency.value=0.2"])
@@ -322,7 +322,7 @@ def inline(value: object) -> str:
 @pytest.mark.slow
 @settings(deadline=None)
 @given(place=st.sampled_from([*KNOWN, ("team", "positions"), ("team", "box", "0"), ("x",)]), value=ANYTHING)
-def test_whatever_an_override_sets_is_a_scenario_or_a_fault_of_that_override(shelf, place, value):
+def test_any_override_gives_a_scenario_or_an_error_of_that_override(shelf, place, value):
     """No other exception, and no fault of the file, for the file is empty."""
     shelf.write_text("", encoding="utf-8")
     override = f"{'.'.join(place)}={inline(value)}"
@@ -338,7 +338,7 @@ def test_whatever_an_override_sets_is_a_scenario_or_a_fault_of_that_override(she
 @pytest.mark.slow
 @settings(deadline=None)
 @given(place=st.sampled_from([*KNOWN, ("team", "positions"), ("x",)]), value=ANYTHING)
-def test_whatever_a_file_sets_is_a_scenario_or_faults_on_lines_that_name_them(shelf, place, value):
+def test_any_file_gives_a_scenario_or_errors_on_the_lines_that_cause_them(shelf, place, value):
     tables = tomllib.loads(dump(Scenario()))
     node = tables
     for key in place[:-1]:
@@ -417,13 +417,13 @@ SCENARIO_VALUES = st.builds(
 @given(scenario=SCENARIO_VALUES)
 @example(scenario=Scenario())
 @example(scenario=Scenario(name='a\u2028b\x85c\r\nd"""\'\\ \x7f [x]\n# y'))
-def test_what_is_dumped_and_loaded_is_the_same_scenario(shelf, scenario):
+def test_a_scenario_survives_dumping_and_loading(shelf, scenario):
     shelf.write_text(dump(scenario), encoding="utf-8")
     assert load(shelf) == scenario
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_the_scenarios_that_come_with_it_are_valid_and_survive_the_way_there_and_back(path, shelf):
+def test_the_bundled_scenarios_are_valid_and_survive_a_round_trip(path, shelf):
     scenario = load(path)
     assert list(warnings(scenario)) == []
     shelf.write_text(dump(scenario), encoding="utf-8")
@@ -478,7 +478,7 @@ def test_tables_are_validated_without_a_file():
         validate(Source("x", {"sed": 3}, {}))
 
 
-def test_a_scenario_with_a_function_of_ones_own_is_dumped_with_where_the_function_is():
+def test_a_scenario_with_a_user_function_is_dumped_with_its_import_path():
     written = tomllib.loads(dump(Scenario(protocol=mine)))
     assert written["protocol"] == {"kind": f"{__name__}:mine"}
 
@@ -556,7 +556,7 @@ def own_models(tmp_path, monkeypatch):
     sys.modules.pop("own_models", None)
 
 
-def test_a_file_may_name_a_function_or_a_model_of_one_s_own(own_models, written):
+def test_a_file_may_name_a_user_function_or_model(own_models, written):
     scenario = load(
         written(
             """
@@ -575,7 +575,7 @@ def test_a_file_may_name_a_function_or_a_model_of_one_s_own(own_models, written)
     assert scenario.network.link[0].latency == own_models.Doubled(value=0.125)
 
 
-def test_a_scenario_with_models_of_one_s_own_is_dumped_and_loaded_as_the_same(own_models, shelf):
+def test_a_scenario_with_user_models_survives_dumping_and_loading(own_models, shelf):
     scenario = Scenario(
         protocol=SpatialAdaptivePlay(schedule=own_models.Steady(rate=3.0)),
         network=Links(latency=own_models.slow, link=[{"src": 0, "dst": 1, "latency": own_models.Doubled(value=0.5)}]),
@@ -600,7 +600,7 @@ BAD_MODELS = {
 
 
 @pytest.mark.parametrize(("table", "words"), BAD_MODELS.values(), ids=BAD_MODELS)
-def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(own_models, written, table, words):
+def test_an_invalid_user_model_is_refused_with_file_line_and_key(own_models, written, table, words):
     file = written(f'name = "bad"\n\n[network]\nlatency = {table}\n')
     with pytest.raises(ScenarioError) as refused:
         load(file, allow_import=True)
@@ -609,7 +609,7 @@ def test_a_model_of_one_s_own_that_cannot_be_is_refused_with_file_line_and_key(o
     assert not [word for word in words if word not in said], said
 
 
-def test_a_model_of_one_s_own_that_lacks_what_it_needs_is_refused_in_a_file_too(own_models, written):
+def test_an_incomplete_user_model_is_refused_in_a_file_too(own_models, written):
     file = written('name = "bad"\n\n[announce]\ndissemination = { kind = "own_models:slow" }\n')
     with pytest.raises(ScenarioError, match=r":4: announce\.dissemination: should have broadcast; .* lacks broadcast"):
         load(file, allow_import=True)

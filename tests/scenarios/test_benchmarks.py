@@ -1,4 +1,4 @@
-"""The benchmarks: every way delivers what it should, what fails is said, and costs are those of what they say."""
+"""The benchmarks: every implementation delivers what it should, failures are reported, and costs are correct."""
 
 import json
 import re
@@ -29,8 +29,8 @@ TINY = [
     Workload("T3: complete, lognormal", nx.complete_graph(6), 100, LOGNORMAL),
     Workload("T4: ladder, lognormal", nx.ladder_graph(4), 100, LOGNORMAL, seed=1),
 ]
-SAYS = "import sys; head, *lines = sys.stdin.read().splitlines(); print('noise'); print({!r})"
-"""A program that reads what it is told and prints a line."""
+PRINTS = "import sys; head, *lines = sys.stdin.read().splitlines(); print('noise'); print({!r})"
+"""A program that reads its input and prints a line."""
 
 
 def truth(work):
@@ -50,7 +50,7 @@ def truth(work):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", ways.WAYS)
 @pytest.mark.parametrize("work", TINY, ids=lambda work: work.name[:2])
-def test_every_way_has_delivered_at_any_time_what_has_arrived_by_then(work, name):
+def test_every_implementation_has_delivered_all_arrived_messages_at_any_time(work, name):
     for turns in range(1, work.turns + 1, 3):
         part = replace(work, turns=turns)
         way = ways.WAYS[name](part)
@@ -112,7 +112,7 @@ def test_a_simulator_that_cannot_be_had_is_reported_and_the_rest_goes_on(few, mo
 
 
 @pytest.mark.slow
-def test_a_way_that_delivers_something_else_is_an_error(monkeypatch):
+def test_an_implementation_with_other_deliveries_is_an_error(monkeypatch):
     class Forgetful(PerMessage):
         def outcome(self):
             delivered, tables = super().outcome()
@@ -131,7 +131,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     peers = {"slow": Peer("peer_mesa.py", ()), "fast": Peer("peer_mesa.py", ())}
     patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", peers)
     commands = {
-        name: [sys.executable, "-c", SAYS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
+        name: [sys.executable, "-c", PRINTS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
         for name, seconds in (("slow", benchmarks_runs.LONG + 1.0), ("fast", 0.5))
     }
     laps = benchmarks_runs.Laps(TINY[0], commands, {})
@@ -147,7 +147,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
 @pytest.mark.parametrize(
     ("says", "reason"),
     [
-        (SAYS.format('{"deliveries": 239, "seconds": 0.5}'), "239 deliveries instead of 240"),
+        (PRINTS.format('{"deliveries": 239, "seconds": 0.5}'), "239 deliveries instead of 240"),
         ("raise SystemExit('no such model')", "no such model"),
     ],
 )
@@ -164,15 +164,15 @@ def test_a_simulator_that_fails_is_left_out_and_the_rest_goes_on(monkeypatch, sa
     assert reason in missing["other"]
 
 
-def test_a_simulator_takes_its_share_of_the_turns_and_says_how_long_they_took():
-    """A star of 5: the centre, whose turn comes first, tells 4, the others 1 each; 30 turns are 6 x 8 deliveries."""
-    says = [sys.executable, "-c", SAYS.format('{"deliveries": 48, "seconds": 0.5}')]
+def test_a_simulator_takes_its_share_of_the_turns_and_reports_their_duration():
+    """A star of 5: the centre, whose turn comes first, reaches 4, the others 1 each; 30 turns are 6 x 8 deliveries."""
+    says = [sys.executable, "-c", PRINTS.format('{"deliveries": 48, "seconds": 0.5}')]
     assert Peer("peer_mesa.py", (), share=0.5).run(says, TINY[1]) == (48, 0.5)
     with pytest.raises(UnavailableError, match="instead of 96"):
         Peer("peer_mesa.py", ()).run(says, TINY[1])
 
 
-def test_simulators_are_told_the_workload():
+def test_simulators_receive_the_workload():
     assert elsewhere.text(TINY[1]) == "60 0.001 0.0033 0.0 0\n1 2 3 4\n0\n0\n0\n0\n"
     assert elsewhere.text(TINY[3]).startswith("100 0.001 0.02 0.5 1\n1 4\n")
 
@@ -192,7 +192,7 @@ def test_the_bare_loop_is_the_pursuit():
     assert bare_loop(scenario, 0, 0.001) == pytest.approx(costs.end(run(scenario, 0)) / 0.001, rel=0.05)
 
 
-def test_nodes_drift_in_their_square_no_faster_than_they_say():
+def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
     clock = Clock()
     places = costs.Drifting(clock, 50, side=0.3, seed=0)
     before = places()
@@ -207,7 +207,7 @@ def test_nodes_drift_in_their_square_no_faster_than_they_say():
         assert (step <= places.fastest + 1e-12).all()
         path += step
         before = here
-    assert (path > 0.3).any()  # somebody has been thrown back
+    assert (path > 0.3).any()  # some node has been thrown back
 
 
 def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
@@ -218,7 +218,7 @@ def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
     assert costs.kept(scenario, 0) == costs.streamed(scenario, 0) == count
 
 
-def test_what_costs_too_much_is_marked():
+def test_excessive_costs_are_marked():
     found = {
         "part": [
             measuring.MessageCost("much", 2.5, "s", 2.0),

@@ -97,7 +97,7 @@ def made(strategy, protocol, difference, half_width=0.5):
 
 
 @pytest.mark.own_trace
-def test_an_evader_is_lost_if_nobody_sees_it_for_long_who_did():
+def test_an_evader_is_lost_if_once_sighted_it_stays_unseen_for_long():
     """R_s = 4 m, samples every 0.05 s: far, near, 41 times far: 2.05 s > T_lost = 2 s; 40 times is not longer."""
 
     def observed(*distances):
@@ -141,7 +141,7 @@ def errors_from_0(differences):
 
 
 @pytest.mark.slow
-def test_who_flees_only_the_active_lives_longer_than_who_flees_all():
+def test_an_evader_that_flees_only_active_pursuers_survives_longer():
     """By 1.06 +- 0.08 s (standard error of 200 runs): that of 20 runs is 0.25 s."""
     thrifty = {"announce": Announcements(trigger="change"), "motion": Motion(step=0.02)}
     all_, active = (evaders_runs.chase(name, IDEAL).model_copy(update=thrifty) for name in (REFERENCE, CLAIMED))
@@ -151,16 +151,15 @@ def test_who_flees_only_the_active_lives_longer_than_who_flees_all():
     assert abs(errors_from_0(times[2] - times[0])) < 3.0  # the same evader with other seeds
 
 
-def everybody_chases(me):
+def all_chase(me):
     """Chase, whatever the others do."""
     me.assign(True)
     yield me.sleep(1e3)
 
 
-def test_whom_an_evader_heeds_does_not_matter_if_everybody_chases():
+def test_fleeing_active_or_all_pursuers_is_the_same_if_all_chase():
     scenarios = [
-        evaders_runs.chase(name, IDEAL).model_copy(update={"protocol": everybody_chases})
-        for name in (REFERENCE, CLAIMED)
+        evaders_runs.chase(name, IDEAL).model_copy(update={"protocol": all_chase}) for name in (REFERENCE, CLAIMED)
     ]
     for seed in (0, 1):
         one, other = (run(each, seed) for each in scenarios)

@@ -83,7 +83,7 @@ def test_a_short_beginning_is_drawn_larger(drawn):
 
 
 @pytest.mark.slow
-def test_the_initial_configuration_has_everyone_at_its_place_with_its_number(drawn, results):
+def test_the_initial_configuration_shows_every_player_at_its_place_with_its_number(drawn, results):
     start = started(results["centralised"])
     (axes,) = drawn["configuration"].axes
     slow, fast, evader = (line.get_xydata().tolist() for line in axes.lines)

@@ -1,4 +1,4 @@
-"""Scenario files: each of them runs, keeps its messages, and is what it says when written and read again."""
+"""Scenario files: each of them runs, keeps its messages, and survives writing and reading."""
 
 import pytest
 

@@ -53,7 +53,7 @@ def test_the_study_shows_what_runs_come_to(few, study):
 
 
 def test_an_outcome_is_the_welfare_of_the_last_profile_in_units_of_the_best():
-    """Pursuers that never decide keep the profile of the start; who is told the best assignment has all of it."""
+    """Pursuers that never decide keep the profile of the start; one given the best assignment has all of it."""
 
     def still(me):
         yield me.sleep(1.0)
@@ -62,11 +62,11 @@ def test_an_outcome_is_the_welfare_of_the_last_profile_in_units_of_the_best():
     phi = many_runs.capture_times(scenario, 4)
     best = optimal_assignment(phi, scenario.horizon)
 
-    def told(me):
+    def optimal(me):
         yield me.sleep(0.5 + 0.1 * me.id)
         me.assign(best.get(me.id, 0))
 
-    assert many_runs.outcome(run(scenario.model_copy(update={"protocol": told}), 4)).best
+    assert many_runs.outcome(run(scenario.model_copy(update={"protocol": optimal}), 4)).best
     result = run(scenario.model_copy(update={"protocol": still}), 4)
     start = result.trace.of(Started)[0].active
     share = welfare(phi, start, scenario.horizon) / sum(scenario.horizon - phi[i, j - 1] for i, j in best.items())
@@ -81,7 +81,7 @@ def test_the_game_of_the_study_is_that_of_the_runs():
     assert many_runs.capture_times(scenario, 5) == pytest.approx((gaps - 0.1) / (2.0 - 0.9))
 
 
-def test_a_chase_counts_who_was_captured_until_the_horizon():
+def test_a_chase_counts_the_evaders_captured_until_the_horizon():
     short = many_runs.moving(3, 6, "sap").model_copy(update={"horizon": 4.0})
     result = run(short, 2)
     caught = [event.t for event in result.trace.of(Captured)]

@@ -33,7 +33,7 @@ STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rival
 
 
 @pytest.mark.parametrize("module", STUDIES, ids=lambda module: module.__name__)
-def test_a_study_says_what_it_is_about(module):
+def test_a_study_has_a_description(module):
     done = CliRunner().invoke(module.main, ["--help"])
     assert done.exit_code == 0
     assert module.__doc__.split()[0] in done.output
@@ -148,7 +148,7 @@ def test_a_found_configuration_is_written_as_it_was_found(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_clocks_says_that_table_1_is_about_the_slot(study, monkeypatch):
+def test_two_clocks_reports_that_table_1_depends_on_the_slot(study, monkeypatch):
     """From slots of 0.01 s to 0.1 s, of which the paper has 11.7 s and 55.6 s of active time."""
     monkeypatch.setattr(two_clocks, "VALUES", (0.01, 0.03, 0.1))
     document, text, picture = study(two_clocks.main, "--runs", "1")
@@ -215,7 +215,7 @@ def test_all_rivals_are_compared_in_the_same_runs(few, study, shortened):
     assert "one-way latency L (s)" in picture
 
 
-def test_what_talking_saves_is_judged_against_the_silent_team_of_the_same_seeds():
+def test_the_saving_by_communication_is_relative_to_the_silent_team_of_the_same_seeds():
     """Active times 4 and 6 s; of SAP 3 and 3 s; of the silent 10 and 20 s, so 20 s saved by 40 sent, of 2 kB."""
 
     def runs(*times):
@@ -251,7 +251,7 @@ def test_the_range_study_pairs_runs_and_enumerates_games(few, study, shortened):
 
 
 def test_the_games_of_the_range_study_are_those_of_the_runs():
-    """Who hears whom is the disk graph of the positions with which a run begins."""
+    """The links are the disk graph of the initial positions."""
     base = range_runs.scenario("all able", 6.0, "local mean")
     phi, hearing, graph = range_runs.game(base, 5)
     start = run(base.model_copy(update={"horizon": 0.01}), 5).trace.of(Started)[0]

@@ -1,4 +1,4 @@
-"""Time-outs: whatever takes too long is ended, and a run then says what each pursuer waits for."""
+"""Time-outs: a run that takes too long is ended, and the error names what each pursuer waits for."""
 
 import re
 import time
@@ -49,8 +49,8 @@ def test_a_limit_is_a_time(limit):
 
 
 @pytest.mark.slow
-def test_what_ends_in_time_is_left_alone():
-    """Also if the time is over in the very moment in which it ends: it hears of that at once, or never."""
+def test_a_run_that_ends_in_time_is_not_interrupted():
+    """Also if the time is over in the very moment in which it ends: it notices that at once, or never."""
     for _ in range(200):
         start = time.monotonic()
         try:
@@ -64,7 +64,7 @@ def test_what_ends_in_time_is_left_alone():
         pass
 
 
-def test_who_hears_of_it_only_as_it_ends_is_told_what_took_so_long(monkeypatch):
+def test_a_time_limit_noticed_only_at_the_end_still_reports_its_cause(monkeypatch):
     """The time is over while it takes leave, which has no end."""
     begun = []
 
@@ -112,7 +112,7 @@ def look(monkeypatch):
     return once
 
 
-def test_it_is_raised_again_whenever_it_is_lost_and_never_while_it_is_on_its_way(look):
+def test_a_swallowed_time_out_is_raised_again_and_never_while_it_propagates(look):
     told = []
 
     def lose():
@@ -152,7 +152,7 @@ def test_an_error_that_it_is_turned_into_is_taken_for_what_it_is(look):
     assert isinstance(caught.value.__cause__, PydanticSerializationError)
 
 
-def test_what_loses_it_to_the_end_has_taken_too_long_all_the_same(look):
+def test_code_that_swallows_the_time_out_until_its_end_is_still_reported(look):
     with (
         pytest.raises(TimedOut, match=r"^took longer than 9 s: it ended before"),
         within(9.0),
@@ -174,7 +174,7 @@ def test_an_interrupt_is_not_taken_for_it(look):
 
 @pytest.mark.slow
 def test_no_limit_is_lost_in_a_serialiser():
-    """Of 87 limits that were told of once 15 were lost here, and 69 were a PydanticSerializationError."""
+    """Of 87 limits raised once 15 were lost here, and 69 became a PydanticSerializationError."""
 
     def write_on():
         while True:
@@ -186,7 +186,7 @@ def test_no_limit_is_lost_in_a_serialiser():
             write_on()
 
 
-def test_a_loop_without_end_is_ended_and_everybody_told_of():
+def test_an_endless_loop_is_ended_and_the_state_of_every_pursuer_reported():
     """Pursuer 1 never comes back from its turn at 0.5 s; 0 has gone on to wait for mail, 2 has its turn yet to come."""
     with pytest.raises(TimedOut) as caught, within(0.3):
         run(scenario(spin))
@@ -207,7 +207,7 @@ def test_a_run_in_which_no_time_passes_is_ended():
 
 
 @pytest.mark.slow
-def test_the_command_ends_with_1_and_says_so(tmp_path, monkeypatch):
+def test_the_command_ends_with_1_and_reports_the_time_out(tmp_path, monkeypatch):
     monkeypatch.setattr(run_folder, "can_plot", lambda: False)  # to find out takes its time
     file = tmp_path / "long.toml"
     file.write_text("horizon = 1e9\nevader.speed = 9.0\nteam.count = 2\nrecord.trajectory = 0.0\n")

@@ -48,7 +48,7 @@ def positions(result):
     return {event.t / 1e9: [event.evader, *event.pursuers] for event in result.trace.of(Sampled)}
 
 
-def test_an_order_inside_a_step_takes_effect_at_its_instant():
+def test_an_action_within_a_step_takes_effect_at_its_instant():
     """Chasing from 0.3 s to 1.4 s at 1 m/s with h = 1 s: 1.1 m and 1.1 s of active time, not 1 or 2."""
     result = run(still((0.3, 0, True), (1.4, 0, False)))
     x = {t: at[1][0] for t, at in positions(result).items()}
@@ -60,7 +60,7 @@ def test_an_order_inside_a_step_takes_effect_at_its_instant():
 
 
 @pytest.mark.parametrize("order", ["simultaneous", "evader_first"])
-def test_an_order_changes_nobody_elses_path(order):
+def test_an_action_changes_no_other_players_path(order):
     plain = still((0.1, 1, True), motion=Motion(step=1.0, order=order), evader=Evader(position=(3.0, 4.0)))
     extra = plain.model_copy(update={"protocol": orders((0.1, 1, True), (0.37, 0, True), (0.61, 0, False))})
     alone, both = ({t: at[2] for t, at in positions(run(each)).items() if t <= 1.0} for each in (plain, extra))
@@ -108,19 +108,19 @@ def test_capture_between_two_steps_is_seen_at_its_instant_and_an_order_then_come
 
 
 def test_a_foreseen_capture_that_an_order_prevents_does_not_happen():
-    """Pursuer 0 would capture at 2.9 s; it is told to stay at 2.8 s, 0.2 m away."""
+    """Pursuer 0 would capture at 2.9 s; its action is set to stay at 2.8 s, 0.2 m away."""
     result = run(still((0.0, 0, True), (2.8, 0, False), horizon=5.0))
     assert result.trace.of(Ended)[0].reason == "horizon"
     assert positions(result)[5.0][1] == pytest.approx((2.8, 0.0))
 
 
-def test_capture_at_the_horizon_still_counts_and_nobody_decides_any_more():
+def test_capture_at_the_horizon_still_counts_and_no_decision_follows():
     assert summary(run(still((0.0, 0, True), horizon=2.9))).captured
     assert not summary(run(still((0.0, 0, True), horizon=2.8999999))).captured
     assert [event.t for event in run(still((2.4, 0, True), (2.5, 0, False))).trace.of(Decided)] == [2_400_000_000]
 
 
-def test_who_is_inside_at_the_start_has_captured_before_anybody_decides():
+def test_a_pursuer_within_the_radius_at_the_start_captures_before_any_decision():
     result = run(still((0.0, 0, True), evader=Evader(position=(0.05, 0.0))))
     assert result.trace.of(Ended) == [Ended(0, "captured", 0)]
     assert not result.trace.of(Decided)
@@ -136,7 +136,7 @@ def test_an_evader_that_runs_into_a_pursuer_that_stays_is_captured():
     assert run(scenario).trace.of(Ended) == [Ended(8_900_000_000, "captured", 1)]
 
 
-def test_a_frozen_game_stands_still_and_its_time_does_not_run():
+def test_in_a_static_game_positions_and_time_left_are_constant():
     seen = []
 
     def protocol(me):
@@ -164,8 +164,8 @@ def test_a_slow_pursuer_is_not_active_at_the_start():
     st.sampled_from(["evader_first", "simultaneous"]),
     st.sampled_from(["segment", "sample"]),
 )
-def test_nobody_jumps_or_is_faster_than_it_can(seed, step, order, test):
-    """Between samples 5 ms apart nobody moves farther than its speed allows while it is active: `Motion` watches."""
+def test_no_player_jumps_or_exceeds_its_maximum_speed(seed, step, order, test):
+    """Between samples 5 ms apart no pursuer moves farther than its speed allows while active: `Motion` watches."""
     rng = np.random.default_rng(seed)
     plan = [(round(rng.uniform(0, 1), 4), int(rng.integers(3)), bool(rng.integers(2))) for _ in range(8)]
     scenario = Scenario(
@@ -247,7 +247,7 @@ def test_an_order_inside_a_step_and_the_next_step_lead_to_the_same_point_of_meet
     assert abs(begun - expected) > 0.01
 
 
-def test_who_moves_at_the_same_time_as_the_evader_has_not_seen_it_turn_before_the_step_ends():
+def test_with_simultaneous_moves_a_turn_of_the_evader_is_seen_at_the_end_of_the_step():
     """Ordered at 0.5 s it sees what was to be seen at 0 s, an evader at rest at (3, 0); at 1 s one at (3, 1), rising.
 
     From (1, 0) the gap is (2, 1) then, and across it the evader moves at 2 / |gap|.
@@ -264,10 +264,11 @@ def test_who_moves_at_the_same_time_as_the_evader_has_not_seen_it_turn_before_th
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
 @pytest.mark.parametrize("law", [PurePursuit(), ConstantBearing(), lambda gaps, aims, w, v: toward(gaps + w, v)])
 def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
-    """Pursuer 0 begins inside a step and tells its state then and later, word takes 0.33 s: pursuer 1 is 1e-9 m off.
+    """Pursuer 0 begins inside a step and announces its state then and later, with 0.33 s of latency: pursuer 1 is 1e-9
+    m off.
 
-    The evader turns at every step. Under a law of one's own it tells later on only as a step begins, for the course of
-    a step is not known from a place inside it.
+    The evader turns at every step. Under a user guidance law it announces later on only as a step begins, for the
+    course of a step is not known from a place inside it.
     """
     step, errors = 0.25, []
     known = isinstance(law, PurePursuit | ConstantBearing)
@@ -306,7 +307,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
 @pytest.mark.parametrize(
     ("payload", "reckoning", "steps"), [("action", "exact", 0), ("state", "straight_line", 0), ("state", "exact", 3)]
 )
-def test_the_path_of_the_evader_is_remembered_only_by_who_reckons_exactly(payload, reckoning, steps):
+def test_the_evader_track_is_kept_only_for_exact_dead_reckoning(payload, reckoning, steps):
     """Steps begin at 0, 1 and 2 s of 2.5 s."""
     remembered = []
 

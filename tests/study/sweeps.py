@@ -1,4 +1,4 @@
-"""Small sweeps, what goes wrong in them, and who does them: what the tests of many runs share."""
+"""Small sweeps, their failures and workers: what the tests of many runs share."""
 
 import os
 import signal
@@ -156,7 +156,7 @@ def count(path):
 def start(*args, mark, program="desim", prepare=lambda: None, **options):
     """Start a program in a process group of its own, all of whose processes bear a mark.
 
-    In it interrupts are heard, which processes in the background inherit to ignore.
+    In it interrupts are enabled, which background processes inherit as ignored.
     """
 
     def begin():
@@ -191,7 +191,7 @@ def marked(mark):
         try:
             if f"{MARK}={mark}".encode() in (folder / "environ").read_bytes().split(b"\0"):
                 found[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:  # it is gone, or nobody's business
+        except OSError:  # it is gone, or belongs to no driver
             continue
     return {number: line for number, line in found.items() if line}
 

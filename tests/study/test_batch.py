@@ -47,7 +47,7 @@ def test_each_task_is_run_with_its_own_scenario_and_seed_in_the_order_given():
     assert run_many(tasks, jobs=1) == [summary(run(*task)) for task in tasks]
 
 
-def test_what_is_measured_is_returned():
+def test_measured_values_are_returned():
     tasks = [(SMALL, seed) for seed in range(3)]
     assert run_many(tasks, jobs=1, measure=active_time) == [active_time(run(*task)) for task in tasks]
 
@@ -75,7 +75,7 @@ def test_no_tasks_have_no_results(jobs):
 
 
 @pytest.mark.parametrize("with_dask", [False, True])
-def test_what_a_run_raises_is_raised(with_dask):
+def test_an_exception_of_a_run_is_raised(with_dask):
     """Also once Dask has exceptions pickled with their tracebacks, which hold more than can be pickled."""
     if with_dask:
         pytest.importorskip("tblib.pickling_support").install(BrokenRunError)
@@ -84,14 +84,14 @@ def test_what_a_run_raises_is_raised(with_dask):
 
 
 @pytest.mark.slow
-def test_what_a_run_raises_in_a_worker_is_raised_here_and_the_next_batch_runs():
+def test_an_exception_of_a_run_in_a_worker_is_raised_here_and_the_next_batch_runs():
     tasks = [(SMALL, seed) for seed in range(4)]
     with pytest.raises(BrokenRunError, match="pursuer 0"):
         run_many([*tasks, (BROKEN, 1)], jobs=2)
     assert run_many(tasks, jobs=2) == run_many(tasks, jobs=1)
 
 
-def test_what_a_measure_raises_is_raised():
+def test_an_exception_of_a_measure_is_raised():
     def divide(_):
         return 1 / 0
 

@@ -1,4 +1,4 @@
-"""The configurations of a grid: what each is, what is refused and in which words, and what tells one from another."""
+"""The configurations of a grid: their contents, refusals with their messages, and what distinguishes them."""
 
 import re
 import subprocess
@@ -223,7 +223,7 @@ def test_functions_and_models_that_are_not_installed_are_swept_and_set_inside():
 
 
 @pytest.mark.parametrize("grid", [{}, {"horizon": []}, {"horizon": 1.0}, {"prune": "inf"}, {"horizon": np.float64(1)}])
-def test_what_is_no_list_of_values_is_refused_in_a_script(grid):
+def test_a_grid_entry_that_is_not_a_list_is_refused_in_a_script(grid):
     with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid"):
         of(grid)
 
@@ -243,13 +243,13 @@ def test_a_fault_that_has_no_line_comes_first(tmp_path):
     assert second.startswith(f"{file}:1: ")
 
 
-def test_of_many_faults_the_first_are_told(refused):
+def test_of_many_errors_the_first_are_reported(refused):
     lines = refused(f"horizon = {[-1.0 - k for k in range(30)]}")
     assert len(lines) == 21
     assert lines[-1] == "... and 10 more"
 
 
-def test_what_does_not_fit_elsewhere_is_told_with_the_settings(refused):
+def test_values_that_conflict_with_other_keys_are_reported_with_the_settings(refused):
     base = BASE + 'fault = [{ kind = "crash", node = 1, start = 0.5 }]\n'
     (line,) = refused("horizon = [1.0, 2.0]\nteam.count = [2, 1]", base)
     assert line == "f:4: fault.0.node: there is no pursuer 1: they are 0 .. 0 (with team.count = 1)"
@@ -268,12 +268,12 @@ def test_a_grid_of_too_many_configurations_is_refused_before_they_are_made():
         of(many)
 
 
-def test_values_that_tables_could_not_tell_apart_are_refused():
+def test_values_with_equal_labels_in_tables_are_refused():
     with pytest.raises(ScenarioError, match=r"'protocol = Plain' names several configurations"):
         of({"protocol": [Plain(1.0), Plain(2.0)]})
 
 
-# What tells configurations apart.
+# What distinguishes configurations.
 
 SAME = Scenario(horizon=2.0, team=Team(count=3))
 OTHERS = {
@@ -298,17 +298,17 @@ def test_the_fields_below_are_all_there_are():
 
 
 @pytest.mark.parametrize("change", OTHERS.values(), ids=OTHERS)
-def test_whatever_a_run_depends_on_tells_configurations_apart(change):
+def test_everything_a_run_depends_on_distinguishes_configurations(change):
     given = {"horizon": 2.0, "team": Team(count=3)}
     assert config_hash(Scenario(**given | change)) != config_hash(SAME)
 
 
 @pytest.mark.parametrize("change", [{"name": "x"}, {"seed": 9}, {"sweep": Sweep(reps=3, grid={"horizon": [chase]})}])
-def test_name_seed_and_sweep_do_not_tell_configurations_apart(change):
+def test_name_seed_and_sweep_do_not_distinguish_configurations(change):
     assert config_hash(SAME.model_copy(update=change)) == config_hash(SAME)
 
 
-def test_what_is_the_same_in_a_file_and_a_script_is_the_same(tmp_path):
+def test_equal_configurations_of_a_file_and_a_script_have_equal_hashes(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text("horizon = 2\nteam = { count = 3 }\n")
     assert config_hash(load(path)) == config_hash(SAME)
@@ -364,13 +364,13 @@ def test_the_code_of_a_rule_beside_the_file_counts_and_is_the_same_in_every_proc
 
 
 def typed(text: str, name: str):
-    """Return what is defined by a text that nobody can look up any more, as at a prompt."""
+    """Return an object defined by a text without a source file, as at a prompt."""
     space = {"__name__": "__main__", "Value": Value}
     exec(text, space)
     return space[name]
 
 
-def test_what_is_typed_at_a_prompt_counts_with_its_code():
+def test_functions_typed_at_a_prompt_count_by_their_code():
     function = "def rule(me, gain={}):\n    x = {}\n    return iter((x,))"
     keys = [config_hash(Scenario(protocol=typed(function.format(*each), "rule"))) for each in [(1, 1), (1, 2), (3, 1)]]
     assert len(set(keys)) == 3
@@ -405,11 +405,11 @@ HELD = {
 
 
 @pytest.mark.parametrize(("one", "other"), HELD.values(), ids=HELD)
-def test_what_a_rule_of_a_script_holds_tells_configurations_apart(one, other):
+def test_the_attributes_of_a_rule_in_a_script_distinguish_configurations(one, other):
     assert config_hash(Scenario(protocol=one)) != config_hash(Scenario(protocol=other))
 
 
-def test_what_a_rule_of_a_script_holds_does_not_depend_on_where_it_lies():
+def test_the_attributes_of_a_rule_in_a_script_do_not_depend_on_its_location():
     assert config_hash(Scenario(protocol=made(1.0))) == config_hash(Scenario(protocol=made(1.0)))
     one, other = made(made(1.0)), made(made(1.0))
     assert config_hash(Scenario(protocol=one)) == config_hash(Scenario(protocol=other))
@@ -426,7 +426,7 @@ def test_it_counts_which_of_several_places_holds_what():
     assert len({of(1.0, 2.0), of(2.0, 1.0), of(1.0, 2.0, 1.0), of(1.0, 2.0, 2.0)}) == 4
 
 
-def test_what_cannot_be_told_apart_is_refused_with_its_key():
+def test_indistinguishable_values_are_refused_with_their_key():
     lock = threading.Lock()
     with pytest.raises(ScenarioError, match=r"^evader\.strategy: 'lock' objects .*__getstate__"):
         config_hash(Scenario(evader={"strategy": lambda state, rng: lock}))
@@ -488,7 +488,7 @@ def test_a_value_has_a_short_name(value, text):
     assert label(value) == text
 
 
-def test_a_configuration_is_told_by_its_settings():
+def test_a_configuration_is_named_by_its_settings():
     (cell,) = of({"horizon": [2.0], "protocol": [{"kind": "sap"}]})
     assert str(cell) == "horizon = 2, protocol = sap"
     assert module.in_words(cell.settings) == str(cell)

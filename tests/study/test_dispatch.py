@@ -1,4 +1,4 @@
-"""The driver: each task has one outcome, whatever becomes of it and of who does it."""
+"""The driver: each task has one outcome, whatever becomes of it and of its worker."""
 
 import sys
 import threading
@@ -24,7 +24,7 @@ FAILED = 3
 WAYS = ("raise", "stubborn", "wild", "quit", "recursion", "memory", "huge")
 """Ways in which a run raises."""
 PASSED = ("raise", "picky", "quit", "stubborn")
-"""Those of which another process may be told, or not."""
+"""Exceptions that can be pickled, or not."""
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_each_task_is_handed_out_once_in_its_order_and_the_first_alone(count, to
     assert max(workers.lots, default=0) == (most if count == 1000 else min(count, 1))
 
 
-def test_towards_the_end_lots_become_small_so_that_all_workers_end_together():
+def test_towards_the_end_batches_become_small_so_that_all_workers_end_together():
     workers = Counting(1e-6)
     workers.count = 4
     list(drive(range(200), workers))
@@ -78,7 +78,7 @@ def test_towards_the_end_lots_become_small_so_that_all_workers_end_together():
     assert max(workers.lots) <= 200 // 8
 
 
-def test_a_lot_that_a_broken_worker_did_not_take_is_handed_out_again_in_its_order():
+def test_a_batch_that_a_broken_worker_did_not_take_is_submitted_again_in_order():
     class Broken(Counting):
         renewed = 0
 
@@ -95,7 +95,7 @@ def test_a_lot_that_a_broken_worker_did_not_take_is_handed_out_again_in_its_orde
     assert workers.renewed == 1
 
 
-def test_the_time_of_a_run_is_that_of_its_lot_shared(monkeypatch):
+def test_the_time_of_a_run_is_its_share_of_the_time_of_its_batch(monkeypatch):
     now = 3.0
 
     def simulate(scenario, seed):
@@ -151,7 +151,7 @@ def test_two_crashes_on_a_cluster_cost_two_runs(scenario, cluster):
 
 
 @pytest.mark.slow
-def test_what_a_run_raises_reads_the_same_wherever_it_does(scenario, cluster):
+def test_an_exception_of_a_run_has_the_same_text_wherever_it_runs(scenario, cluster):
     """Two good runs stand between the bad ones, so that some share a lot with others."""
     tasks = [task for how in WAYS for task in ((wrong(scenario, how, 0), 0), (scenario, 1), (scenario, 2))]
     here = outcomes(tasks, InProcess())
@@ -179,11 +179,11 @@ def test_what_a_run_raises_reads_the_same_wherever_it_does(scenario, cluster):
 
 
 @pytest.mark.slow
-def test_an_exception_is_passed_on_if_another_process_can_be_told_of_it(scenario):
+def test_an_exception_is_passed_on_if_it_can_be_pickled(scenario):
     def fail(how, _):
         sys.modules["my_trouble"].trouble(how)
 
-    def fail_there(how, _):  # where nobody has imported it
+    def fail_there(how, _):  # where it has not been imported
         trouble(how)
 
     trouble = sys.modules["my_trouble"].trouble
@@ -206,7 +206,7 @@ def test_a_ctrl_c_in_a_run_is_no_failure_of_it(scenario):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_pickled_is_an_error_of_each_run_that_would_need_it(scenario, cluster):
+def test_an_object_that_cannot_be_pickled_is_an_error_of_each_run_that_needs_it(scenario, cluster):
     """A measure that returns a lock, and one that has a lock."""
     lock = threading.Lock()
 
@@ -254,7 +254,7 @@ class Lazy(Executor):
         return self.futures[-1]
 
 
-def test_what_nobody_waits_for_any_more_is_called_off(scenario):
+def test_runs_that_are_no_longer_needed_are_cancelled(scenario):
     executor = Lazy()
     with closing(drive([(scenario, k) for k in range(9)], Workers(executor, 2))) as found:
         assert next(found)[0] == 0

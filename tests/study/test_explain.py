@@ -128,7 +128,7 @@ def test_some_of_these_cost_something():
         assert cost.together.mean.mean > 0.0, (rule, name)
 
 
-def test_a_server_has_no_use_for_what_pursuers_announce():
+def test_a_server_does_not_use_announcements():
     """So stale announcements cost nothing, in every run, and yet they are there."""
     found = explain(GOOD.model_copy(update={"protocol": RULES["server"], **SPOILT["stale knowledge"]}), 2)
     assert all(cost.parts == {"stale knowledge": NOTHING} for cost in found.costs.values())
@@ -151,7 +151,9 @@ def test_in_an_ideal_scenario_there_is_nothing_to_explain(rule):
 
 @pytest.mark.slow
 def test_two_that_hide_each_other_cost_nothing_each_and_interact():
-    """Nobody is in reach, and all is lost: to remove one of them helps nobody, so that all is interaction."""
+    """No pursuer is in range, and all messages are lost: removing one of them has no effect, so that all is
+    interaction.
+    """
     network = Links(loss=Bernoulli(p=1.0), range=1e-3)
     cost = explain(GOOD.model_copy(update={"protocol": RULES["server"], "network": network}), 4).costs["active_time"]
     assert cost.parts == {name: Saving(Estimate(0.0, 0.0, 4), 0) for name in ("loss", "range limit")}
@@ -170,7 +172,7 @@ def whole():
 
 
 @pytest.mark.slow
-def test_costs_are_those_of_runs_done_by_hand_seed_by_seed(whole):
+def test_costs_equal_those_of_single_runs_seed_by_seed(whole):
     found = whole
     assert (found.name, found.runs, found.failed, found.absent) == ("small", 3, 0, ())
     ideal = BAD
@@ -193,7 +195,7 @@ RUN = summary(run(GOOD.model_copy(update={"horizon": 0.1})))
 TWO = LATE.model_copy(update={"network": Links(latency=Constant(value=0.4), loss=Bernoulli(p=0.5))})
 
 
-def told_of(**times):
+def explanation_of(**times):
     """Return the cost of two imperfections whose active times, s, are given by variant: a list, run by run."""
     named = {AS_IT_IS: "as_it_is", IDEAL: "ideal"}
     variants = Variants.of(TWO, len(times["ideal"]))
@@ -207,9 +209,9 @@ def told_of(**times):
         return variants.carry_out(store, workers)
 
 
-def test_what_adds_up_does_not_interact():
+def test_additive_costs_do_not_interact():
     """9 and 10 s; without latency 2 and 4 s less, without loss 1 and 3 s less, without both 3 and 7 s less."""
-    found = told_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    found = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
     cost = found.costs["active_time"]
     assert {name: (part.mean.mean, part.differing) for name, part in cost.parts.items()} == {
         "latency": (3.0, 2),
@@ -221,16 +223,16 @@ def test_what_adds_up_does_not_interact():
     assert "interact " not in found.table()
 
 
-def test_what_does_not_add_up_interacts_and_the_table_says_so():
+def test_costs_that_do_not_add_up_interact_and_the_table_reports_it():
     """One saves 1 s, the other costs 2 s, both together save 5 s, in every run; of 10 and 12 s, 5 and 7 s are left."""
-    found = told_of(as_it_is=[10.0, 12.0], latency=[9.0, 11.0], loss=[12.0, 14.0], ideal=[5.0, 7.0])
+    found = explanation_of(as_it_is=[10.0, 12.0], latency=[9.0, 11.0], loss=[12.0, 14.0], ideal=[5.0, 7.0])
     cost = found.costs["active_time"]
     assert cost.interaction == Saving(Estimate(6.0, 0.0, 2), 2)
     assert cost.interacts
     assert not found.costs["end_time"].interacts
-    told = found.document()["costs"]
-    assert [told[metric]["interacts"] for metric in EXPLAINED] == [True, False]
-    means = {name: told["active_time"][name]["mean"] for name in ("as_it_is", "ideal", "together", "interaction")}
+    costs = found.document()["costs"]
+    assert [costs[metric]["interacts"] for metric in EXPLAINED] == [True, False]
+    means = {name: costs["active_time"][name]["mean"] for name in ("as_it_is", "ideal", "together", "interaction")}
     assert means == {"as_it_is": 11.0, "ideal": 6.0, "together": 5.0, "interaction": 6.0}
     assert found.table() == (
         "small: the cost of each imperfection, 2 runs of equal seeds; +- is half a 95 % t interval\n"
@@ -255,7 +257,7 @@ TIMES = st.lists(st.tuples(*[st.floats(0.0, 1e3)] * 4), min_size=2, max_size=5)
 @given(TIMES)
 def test_the_parts_and_what_they_leave_over_are_what_is_saved_together(times):
     as_it_is, latency, loss, ideal = map(list, zip(*times, strict=True))
-    cost = told_of(as_it_is=as_it_is, latency=latency, loss=loss, ideal=ideal).costs["active_time"]
+    cost = explanation_of(as_it_is=as_it_is, latency=latency, loss=loss, ideal=ideal).costs["active_time"]
     total = cost.interaction.mean.mean + sum(part.mean.mean for part in cost.parts.values())
     assert total == pytest.approx(cost.together.mean.mean, abs=1e-9)
     assert cost.ideal.mean + total == pytest.approx(cost.as_it_is.mean, abs=1e-9)
@@ -278,7 +280,7 @@ def test_the_parts_and_what_they_leave_over_are_what_is_saved_together(times):
 )
 def test_parts_interact_if_what_they_leave_over_is_not_within_its_interval_of_0(rest, interact):
     """Half widths: 4.303 x 0.1 / sqrt(3) = 0.25; 4.303 x 1.04 / sqrt(3) = 2.6; of two, 12.706 / 2 times their distance:
-    0.953 < 1.075, and 1.27 > 1.1; 0 for what is rounding, up to 1e-9 s; of one run nothing can be said."""
+    0.953 < 1.075, and 1.27 > 1.1; 0 for what is rounding, up to 1e-9 s; one run has no interval."""
     none = Saving.of([0.0, 0.0])
     assert Cost(none.mean, none.mean, {}, none, Saving.of(rest)).interacts is interact
 
@@ -293,7 +295,7 @@ def test_parts_interact_if_what_they_leave_over_is_not_within_its_interval_of_0(
         ([0.0, 0.0, -3.0], 1, "-1.000 +- 4.303"),
     ],
 )
-def test_no_difference_in_any_run_is_told_from_none_on_the_mean(differences, differing, text):
+def test_no_difference_in_any_run_is_distinguished_from_no_difference_on_average(differences, differing, text):
     """Standard error of 1, -1, 0: 1 / sqrt(3), times 4.303 is 2.484; of 0, 0, -3: sqrt(3) / sqrt(3)."""
     saving = Saving.of(differences)
     assert saving.differing == differing
@@ -313,7 +315,7 @@ RAN = []
 
 
 def counted(me):
-    """Chase, and say that there was a run, and how late word was in it."""
+    """Chase, and record that there was a run, and its latency."""
     if me.id == 0:
         RAN.append(me.latency)
     yield me.sleep(0.1)
@@ -371,7 +373,7 @@ TROUBLE = {"on": True}
 
 
 def goes_wrong(me, where):
-    """Fail in one run in three, among those in which word is late, or those in which it is not."""
+    """Fail in one run in three, among those with latency, or those without."""
     yield me.sleep(0.1)
     wrong = me.shared_stream("trouble").random() < 1 / 3
     if TROUBLE["on"] and wrong and (me.latency > 0.0) is (where == "late"):
@@ -438,7 +440,7 @@ def test_if_one_seed_is_left_there_is_a_mean_and_no_interval():
 
 
 @pytest.mark.parametrize("where", ["as it is", "ideal"])
-def test_if_every_seed_fails_the_first_failure_is_told(where):
+def test_if_every_seed_fails_the_first_failure_is_reported(where):
     """Also if only those fail in which something is removed."""
 
     def bad(me):
@@ -499,7 +501,7 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_picture_has_a_bar_per_part_between_the_two_ends():
     """Of 9.5 s, 4.5 s are left; latency makes it 3 s more, and loss 2 s more; by hand, as in the test above."""
-    found = told_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
+    found = explanation_of(as_it_is=[9.0, 10.0], latency=[7.0, 6.0], loss=[8.0, 7.0], ideal=[6.0, 3.0])
     axes, _ = waterfall(found).axes
     assert [label.get_text() for label in axes.get_xticklabels()] == [
         "ideal", "latency", "loss", "interaction", "as it is"
@@ -565,7 +567,7 @@ def command(*arguments):
     return CliRunner().invoke(main, ["explain", *map(str, arguments)])
 
 
-def told(*arguments):
+def output_of(*arguments):
     result = command(*arguments)
     assert result.exit_code == 0, result.output
     return result.stdout
@@ -576,7 +578,7 @@ WRITTEN = {*(f"explain.{kind}" for kind in ("txt", "json", "svg", "png")), "run.
 
 @pytest.mark.slow
 def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_provenance(file):
-    table = told(file, "-n", 3)
+    table = output_of(file, "-n", 3)
     folder = file.parent / "out/late/explain"
     assert {each.name for each in folder.iterdir()} == WRITTEN
     assert (folder / "explain.txt").read_text() == table
@@ -585,7 +587,7 @@ def test_the_command_prints_the_table_and_writes_it_with_picture_numbers_and_pro
         "as it is", "latency", "faults", "serial decisions", "interaction", "all together", "ideal"
     ]  # fmt: skip
     document = json.loads((folder / "explain.json").read_text())
-    assert document == json.loads(told(file, "-n", 3, "--json"))
+    assert document == json.loads(output_of(file, "-n", 3, "--json"))
     costs = document["costs"]["active_time"]
     assert set(costs["parts"]) == {"latency", "faults", "serial decisions"}
     assert costs["parts"]["latency"].keys() == {"mean", "half_width", "runs", "differing"}
@@ -616,7 +618,7 @@ def test_the_command_has_100_runs_if_no_number_is_given(file, monkeypatch):
 )
 def test_whatever_the_scenario_is_called_all_is_written_below_out(file, tmp_path, name, place):
     before = set(tmp_path.rglob("*"))
-    told(file, "-n", 2, "--set", f"name={json.dumps(name)}", "--set", "horizon=0.1")
+    output_of(file, "-n", 2, "--set", f"name={json.dumps(name)}", "--set", "horizon=0.1")
     made = {path for path in set(tmp_path.rglob("*")) - before if path.is_file() and path.suffix != ".pyc"}
     folder = file.parent / "out" / place / "explain"
     assert {path.parent for path in made} == {folder}
@@ -625,12 +627,12 @@ def test_whatever_the_scenario_is_called_all_is_written_below_out(file, tmp_path
 
 @pytest.mark.usefixtures("without_pictures")
 def test_a_folder_is_taken_as_it_is(file, tmp_path):
-    told(file, "-n", 2, "-o", tmp_path / "there", "--set", "horizon=0.1")
+    output_of(file, "-n", 2, "-o", tmp_path / "there", "--set", "horizon=0.1")
     assert {each.name for each in (tmp_path / "there").iterdir()} == WRITTEN - {"explain.svg", "explain.png"}
     assert not (file.parent / "out").exists()
 
 
-def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
+def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file):
     result = command(file, "-n", 2, "--allow-import", "--set", "protocol.kind=wrong_in_explain:always")
     assert result.exit_code == 3
     assert result.stdout == ""
@@ -642,7 +644,7 @@ def test_if_every_seed_fails_the_command_says_why_and_ends_with_3(file):
 
 @pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("as_json", [False, True])
-def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file, as_json):
+def test_if_some_seeds_fail_the_command_reports_the_others_and_ends_with_3(file, as_json):
     result = command(
         file, "-n", 6, "--allow-import", "--set", "protocol.kind=wrong_in_explain:sometimes", *["--json"] * as_json
     )
@@ -657,7 +659,7 @@ def test_if_some_seeds_fail_the_command_tells_of_the_others_and_ends_with_3(file
         assert f"{document['failed']} seeds are left out" in result.stdout
 
 
-def test_an_interrupted_command_says_how_to_go_on(file, monkeypatch):
+def test_an_interrupted_command_explains_how_to_continue(file, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
@@ -669,7 +671,7 @@ def test_an_interrupted_command_says_how_to_go_on(file, monkeypatch):
 
 @pytest.mark.usefixtures("without_pictures")
 def test_the_folder_of_another_scenario_is_refused(file):
-    told(file, "-n", 2, "--set", "horizon=0.1")
+    output_of(file, "-n", 2, "--set", "horizon=0.1")
     before = (file.parent / "out/late/explain/explain.json").read_text()
     result = command(file, "-n", 2, "--set", "horizon=0.2")
     assert result.exit_code == 2

@@ -19,7 +19,7 @@ RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 
 
 def result(grid, runs=3, name="a <b> & $c$"):
-    """Return a sweep in which the active time of configuration k is k, k + 1, ... s, and nobody is captured."""
+    """Return a sweep in which the active time of configuration k is k, k + 1, ... s, without captures."""
     groups = []
     for k, values in enumerate(product(*grid.values())):
         rows = [Row(r, r, "ok", replace(RUN, active_time=float(k + r), capture_time=None)) for r in range(runs)]
@@ -124,7 +124,7 @@ LABELS = {"labels": ["sap", "best_response"], "truths": [True, False], "one numb
 
 
 @pytest.mark.parametrize("values", LABELS.values(), ids=LABELS)
-def test_what_is_no_axis_of_numbers_is_a_row_each_the_first_on_top(values):
+def test_values_that_are_not_numeric_are_rows_with_the_first_on_top(values):
     axes, (line,) = drawn({"x": values, "y": ["a", "b"]})
     assert line.get_xdata().tolist() == [k + 1.0 for k in range(2 * len(values))]
     assert list(ticks(axes.yaxis))[1].endswith(", b")
@@ -146,7 +146,7 @@ GRIDS = {
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("grid", "metric"), GRIDS.values(), ids=GRIDS)
-def test_a_picture_can_be_saved_also_of_single_runs_and_of_what_nobody_measured(tmp_path, grid, metric):
+def test_a_figure_of_single_runs_or_of_unmeasured_metrics_can_be_saved(tmp_path, grid, metric):
     for path in save(means(result(grid, runs=1), metric), tmp_path / "x"):
         assert path.stat().st_size > 1000
 
@@ -157,7 +157,7 @@ def test_names_are_drawn_as_they_are():
     assert [each.get_text() for each in axes.get_legend().get_texts()] == [" _own", r"\$a_\$"]
 
 
-def test_what_nobody_measured_is_not_drawn():
+def test_unmeasured_values_are_not_drawn():
     _, (line,) = drawn({"x": [1.0, 2.0]}, "capture_time")
     assert all(map(isnan, line.get_ydata()))
 
@@ -233,7 +233,7 @@ def test_a_phase_diagram_has_the_mean_of_each_configuration_at_its_place():
     assert written(axes) == {(1, 1): "1", (1, 2): "2", (1, 0): "3", (0, 1): "4", (0, 2): "5", (0, 0): "6"}
 
 
-def test_a_phase_diagram_has_a_panel_for_each_combination_of_the_other_keys_in_the_same_colours():
+def test_a_phase_diagram_has_a_panel_per_combination_of_the_other_keys_in_equal_colours():
     figure = phase(result({"prune": ["inf", "none"], "x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time")
     one, other = figure.axes
     assert [one.get_title(), other.get_title()] == ["prune = inf", "prune = none"]
@@ -245,7 +245,7 @@ def test_a_phase_diagram_has_a_panel_for_each_combination_of_the_other_keys_in_t
     assert light == sorted(light)
 
 
-def test_what_is_written_on_dark_is_light():
+def test_text_on_a_dark_cell_is_light():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "active_time").axes[0]
     for patch, each in zip(axes.patches, axes.texts, strict=True):
         red, green, blue, _ = patch.get_facecolor()
@@ -255,7 +255,7 @@ def test_what_is_written_on_dark_is_light():
 
 
 @pytest.mark.slow
-def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
+def test_an_unmeasured_value_is_a_dash_in_a_phase_diagram():
     axes = phase(result({"x": [1.0, 2.0], "y": [1.0, 2.0]}), "capture_time").axes[0]
     assert set(written(axes).values()) == {"-"}
     assert {patch.get_facecolor()[3] for patch in axes.patches} == {0.0}
@@ -263,7 +263,7 @@ def test_what_nobody_measured_is_a_dash_in_a_phase_diagram():
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("panels", "size"), [(1, 3), (3, 8)])
-def test_what_is_written_in_a_cell_fits_into_it(panels, size):
+def test_the_text_of_a_cell_fits_into_it(panels, size):
     """Values of up to 20,000, and panels of one width beside each other."""
     grid = {"prune": [str(k) for k in range(panels)], "x": [k + 0.125 for k in range(size)], "y": [1.0, 2.0]}
     found = result(grid)

@@ -1,4 +1,6 @@
-"""The fingerprint: whatever differs has another one, what is alike has the same, and what cannot be told is refused."""
+"""The fingerprint: whatever differs has another one, what is alike has the same, and what has no stable content hash is
+refused.
+"""
 
 import copy
 import linecache
@@ -49,7 +51,7 @@ class Slotted:
 
 
 class Keen(Slotted):
-    """It says itself what it is made of."""
+    """It declares its own contents."""
 
     __slots__ = ("lock",)
 
@@ -226,7 +228,7 @@ MADE_OF = {
 
 
 @pytest.mark.parametrize("make", MADE_OF.values(), ids=MADE_OF)
-def test_what_differs_somewhere_inside_has_another_fingerprint(make):
+def test_nested_differences_change_the_fingerprint(make):
     assert fingerprint(make(1.0)) == fingerprint(make(1.0)) != fingerprint(make(2.0))
 
 
@@ -260,7 +262,7 @@ UNLIKE = [
 
 
 @pytest.mark.parametrize(("one", "other"), UNLIKE)
-def test_what_looks_alike_is_told_apart(one, other):
+def test_values_that_look_alike_have_different_fingerprints(one, other):
     assert fingerprint(one) != fingerprint(other)
 
 
@@ -269,7 +271,7 @@ def test_a_copy_has_the_fingerprint_of_what_it_is_a_copy_of():
     assert fingerprint(held) == fingerprint(copy.deepcopy(held))
 
 
-def test_what_is_shared_and_can_change_is_not_the_same_as_what_is_there_twice():
+def test_shared_mutable_objects_differ_from_equal_copies():
     shared, number = Plain(1.0), (1.0, 2.0)
     assert fingerprint([shared, shared]) != fingerprint([Plain(1.0), Plain(1.0)])
     one, other = Plain(1.0), Plain(1.0)
@@ -278,7 +280,7 @@ def test_what_is_shared_and_can_change_is_not_the_same_as_what_is_there_twice():
 
 
 @pytest.mark.parametrize("make", [Plain, lambda gain: Model(gain=gain)])
-def test_what_has_been_worked_out_from_the_rest_does_not_count(make):
+def test_derived_attributes_do_not_change_the_fingerprint(make):
     one = make(1.0)
     before = fingerprint(one)
     assert one.twice == 2.0
@@ -300,7 +302,7 @@ def deep(_):
         (deep, "'Plain' objects are nested too deeply"),
     ],
 )
-def test_what_cannot_be_told_apart_is_refused(make, why, tmp_path):
+def test_objects_without_a_stable_content_hash_are_refused(make, why, tmp_path):
     held = make(tmp_path / "file")
     with pytest.raises(UnstableHashError, match=re.escape(why)):
         fingerprint(Plain([held]))

@@ -182,12 +182,12 @@ def changes(before, after):
 
 
 @pytest.mark.parametrize("name", IMPERFECTIONS)
-def test_an_imperfection_is_removed_and_nothing_else(name):
+def test_only_the_given_imperfection_is_removed(name):
     assert changes(WORST, removed(WORST, [name])) == CHANGES[name]
 
 
 @pytest.mark.parametrize("scenario", [WORST, *FILES], ids=lambda each: getattr(each, "stem", "worst"))
-def test_what_is_without_all_of_them_has_none_whatever_the_order(scenario):
+def test_removing_all_imperfections_in_any_order_leaves_none(scenario):
     scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
     ideal = removed(scenario)
     assert ideal == removed(scenario, reversed(IMPERFECTIONS))
@@ -222,7 +222,7 @@ THERE = {
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_an_imperfection_is_there_if_the_file_says_so(path):
+def test_an_imperfection_is_present_if_the_file_has_it(path):
     scenario = load(path)
     assert ", ".join(name for name, remove in IMPERFECTIONS.items() if remove(scenario) != scenario) == THERE[path.stem]
 
@@ -241,7 +241,7 @@ def unideal(result):
 def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
     """Where messages take time, some are late or have to wait, so that it means something if none is.
 
-    Only who does not see the evader does not begin to chase it.
+    Only a pursuer that does not see the evader does not begin to chase it.
     """
     scenario = load(path, ["horizon=0.3", "record.messages=true"])
     before, after = run(scenario), run(removed(scenario))
@@ -253,7 +253,7 @@ def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
 
 @pytest.mark.parametrize("processing", [Processing(sender=0.05), Processing(receiver=0.05)])
 def test_nor_does_anything_take_time_at_the_ends(processing):
-    """Word is announced every 0.1 s, and the run ends at 0.52 s: with 0.05 s more, the last is on its way then."""
+    """Announcements are sent every 0.1 s, and the run ends at 0.52 s: with 0.05 s more, the last is on its way then."""
     scenario = Scenario(
         horizon=0.52, team=Team(count=3), network=Links(processing=processing), record=Recording(messages=True)
     )
@@ -299,7 +299,7 @@ def edges(scenario):
 
 @pytest.mark.parametrize("kind", [nx.Graph, nx.DiGraph])
 @pytest.mark.parametrize("as_value", [True, False], ids=["value", "function"])
-def test_edges_of_a_graph_of_ones_own_keep_what_is_not_removed(kind, as_value):
+def test_edges_of_a_user_graph_keep_the_remaining_imperfections(kind, as_value):
     """A directed one stays directed: 0 -> 1 and 1 -> 0 are two edges."""
     own = kind()
     own.add_nodes_from(range(3))
@@ -332,7 +332,7 @@ def test_a_graph_that_a_function_hands_out_again_and_again_is_left_alone():
 
 
 @pytest.mark.parametrize("graph", [Ring(), Star(centre=2), Grid(columns=2), Edges(edges=(Edge(src=0, dst=1),))])
-def test_who_is_linked_to_whom_is_no_imperfection(graph):
+def test_the_graph_is_no_imperfection(graph):
     scenario = Scenario(team=Team(count=4), network=Links(graph=graph, range=3.0, latency=LATE, loss=LOSSY))
     assert removed(scenario).network == Links(graph=graph)
 
@@ -400,18 +400,18 @@ class NoModel:
     ],
     ids=lambda each: getattr(getattr(each, "schedule", each), "kind", type(each).__name__),
 )
-def test_who_takes_no_turns_does_not_lose_them(protocol):
+def test_a_protocol_without_turns_is_unchanged(protocol):
     scenario = Scenario(protocol=protocol, announce=Announcements(trigger="never"))
     assert without_turns(scenario) is scenario
 
 
-def test_a_rule_that_knows_no_other_schedule_keeps_its_turns():
+def test_a_rule_that_accepts_no_other_schedule_keeps_its_turns():
     """`synchronous` is none that it takes."""
     scenario = Scenario(protocol=Narrow())
     assert without_turns(scenario) == scenario
 
 
-SAID = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
+ANNOUNCED = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
 
 
 @pytest.mark.parametrize(
@@ -425,19 +425,19 @@ SAID = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
     ],
     ids=lambda each: getattr(each, "kind", each),
 )
-def test_who_takes_turns_loses_them_and_says_itself_what_the_messages_of_the_schedule_said(schedule, free, trigger):
+def test_without_turns_a_protocol_announces_what_schedule_messages_carried(schedule, free, trigger):
     """Nothing else of the rule or of what is announced changes."""
-    scenario = Scenario(protocol=CBBA(schedule=schedule, winner_timeout=7.0), announce=SAID)
+    scenario = Scenario(protocol=CBBA(schedule=schedule, winner_timeout=7.0), announce=ANNOUNCED)
     found = without_turns(scenario)
     assert found.protocol == CBBA(schedule=free, winner_timeout=7.0)
-    assert found.announce == SAID.model_copy(update={"trigger": trigger})
+    assert found.announce == ANNOUNCED.model_copy(update={"trigger": trigger})
     assert found == scenario.model_copy(update={"protocol": found.protocol, "announce": found.announce})
     assert without_turns(found) == found
 
 
 @pytest.mark.parametrize("schedule", [SharedSeed(), RING, TokenWalk(), LocalMutex()], ids=lambda each: each.kind)
-def test_one_alone_has_nobody_to_wait_for(schedule):
-    scenario = Scenario(team=Team(count=1), protocol=SpatialAdaptivePlay(schedule=schedule), announce=SAID)
+def test_a_single_pursuer_waits_for_no_other(schedule):
+    scenario = Scenario(team=Team(count=1), protocol=SpatialAdaptivePlay(schedule=schedule), announce=ANNOUNCED)
     assert without_turns(scenario) is scenario
     two = scenario.model_copy(update={"team": Team(count=2)})
     assert without_turns(two) != two
@@ -445,12 +445,12 @@ def test_one_alone_has_nobody_to_wait_for(schedule):
 
 @pytest.mark.parametrize("trigger", ["change", "heartbeat", "both", "revision", "never"])
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
-def test_whatever_was_said_is_said_at_once_and_again(trigger, payload):
+def test_without_staleness_every_change_is_announced_at_once_and_repeated(trigger, payload):
     scenario = Scenario(announce=Announcements(trigger=trigger, payload=payload, heartbeat=0.3, dissemination=Gossip()))
     assert without_staleness(scenario).announce == Announcements(heartbeat=0.3, dissemination=Gossip())
 
 
 @pytest.mark.parametrize("fault", WORST.fault, ids=lambda each: each.kind)
-def test_nothing_breaks_any_more(fault):
+def test_removing_faults_leaves_none(fault):
     scenario = Scenario(fault=(fault,))
     assert without_faults(scenario) == Scenario()

@@ -81,7 +81,7 @@ def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):
         (2, signal.SIGHUP, os.killpg, " by SIGHUP"),
     ],
 )
-def test_a_sweep_that_is_interrupted_says_so_in_a_line_and_goes_on(tmp_path, jobs, number, send, how):
+def test_an_interrupted_sweep_reports_it_in_one_line_and_can_be_continued(tmp_path, jobs, number, send, how):
     file = sweeps.write(tmp_path / "in", pause=0.05, reps=30)
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start("sweep", file, "--allow-import", "-o", out, "-j", jobs, mark=mark)
@@ -128,7 +128,7 @@ def test_many_runs_of_one_scenario_and_studies_are_interrupted_in_the_same_way(t
     assert interrupted(driver, mark, number, send) == told
 
 
-def test_an_interrupt_that_is_being_handled_is_not_repeated_and_one_that_is_ignored_is_not_heard():
+def test_a_handled_interrupt_is_not_repeated_and_an_ignored_one_has_no_effect():
     """`timeout` and terminals send their signal to a process and to its group; `nohup` lets it be ignored."""
 
     def end():

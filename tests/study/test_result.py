@@ -90,7 +90,7 @@ def test_runs_are_paired_by_number_not_by_place():
 
 
 def test_of_several_keys_all_but_one_are_equal_where_configurations_are_compared():
-    """By the first key that has several values; with another team, or another range, nobody is compared."""
+    """By the first key that has several values; with another team, or another range, none is compared."""
     groups = [
         group({"team.count": 5, "x": x, "y": y}, ok(0, active_time=base + gain), ok(1, active_time=2 * base + gain))
         for x, gain in ((0.0, 0.0), (1.0, 0.5))
@@ -104,7 +104,7 @@ def test_of_several_keys_all_but_one_are_equal_where_configurations_are_compared
 
 
 @pytest.mark.parametrize("result", [ALL_FAILED, NOTHING], ids=["all failed", "nothing"])
-def test_what_nobody_measured_has_no_mean(result):
+def test_an_unmeasured_metric_has_no_mean(result):
     for found in (*result.estimates("active_time"), *result.differences("active_time")):
         assert found.count == 0
         assert found.mean != found.mean
@@ -113,7 +113,7 @@ def test_what_nobody_measured_has_no_mean(result):
 # The table.
 
 
-def test_the_table_tells_means_intervals_and_differences():
+def test_the_table_shows_means_intervals_and_differences():
     """Half widths: t of 2 degrees 4.303 x 1/sqrt(3) = 2.484; of 1 degree 12.706 x 1 = 12.706, of 2.5 and 4.5."""
     head, rest = PLAIN.table().split("\n", 1)
     assert head.startswith("a <b> & c: 2 configurations, 6 runs; +- is half a 95 % t interval, captured with Wilson's")
@@ -136,7 +136,7 @@ def test_the_table_shows_the_metrics_that_are_named():
     assert "(n)" not in PLAIN.table(["energy"])
 
 
-def test_runs_that_failed_are_counted_and_the_first_is_told():
+def test_failed_runs_are_counted_and_the_first_is_reported():
     lines = FAILING.table().splitlines()
     assert lines[1].split()[:4] == ["protocol", "team.speeds", "runs", "failed"]
     assert [line.split("  ")[0] for line in lines[2:4]] == ["sap", "<lambda>"]
@@ -153,14 +153,14 @@ def test_a_single_run_has_no_interval():
 
 
 @pytest.mark.parametrize("result", [ALL_FAILED, NOTHING], ids=["all failed", "nothing"])
-def test_what_nobody_measured_is_a_dash(result):
+def test_an_unmeasured_metric_is_a_dash(result):
     rows = [line.split() for line in result.table().splitlines() if re.match(r"[12] ", line)]
     assert {row[-1] for row in rows} == {"-"}
     assert not re.search("nan", result.table())
 
 
 @every
-def test_the_short_form_says_what_there_is(result):
+def test_the_repr_summarises_the_contents(result):
     assert re.fullmatch(rf"<SweepResult of {re.escape(result.name)}: .* runs?, over .*>", repr(result))
 
 
@@ -204,7 +204,7 @@ def test_a_notebook_shows_the_cells_of_the_table_and_nothing_in_them_is_markup(r
     assert len(read.tables) == (1 if result is ONE_RUN else 2)
 
 
-def test_what_looks_like_markup_in_a_notebook_is_escaped():
+def test_markup_is_escaped_in_a_notebook():
     assert "a &lt;b&gt; &amp; c" in PLAIN._repr_html_()
     assert "&lt;lambda&gt;" in FAILING._repr_html_()
     assert "no &lt;b&gt; today" in FAILING._repr_html_()
@@ -221,7 +221,7 @@ def test_a_document_is_json_without_nan(result):
     assert len(made["configurations"]) == len(result.groups)
 
 
-def test_a_document_tells_what_the_table_does():
+def test_a_document_has_the_contents_of_the_table():
     made = strict_json(json.dumps(PLAIN.document(), allow_nan=False))
     first, second = made["configurations"]
     assert (made["name"], made["grid"]) == ("a <b> & c", ["network.range"])
@@ -275,7 +275,7 @@ PACK = {"captures": 2, "mean_capture_time": 1.5, "capture_times": {"2": 1.0, "1"
 
 
 @pytest.mark.slow
-def test_records_tell_what_was_captured_of_several_evaders_if_some_run_had_them(tmp_path):
+def test_records_have_the_captures_of_several_evaders_if_some_run_had_them(tmp_path):
     some = SweepResult("some", ("x",), (group({"x": 1}, ok(0), failed(1)), group({"x": 2}, ok(0, **PACK), ok(1))))
     records = list(some.records())
     assert {tuple(each) for each in records} == {("x", "replication", "status", *METRICS, "error")}
@@ -287,7 +287,7 @@ def test_records_tell_what_was_captured_of_several_evaders_if_some_run_had_them(
     assert some.to_frame()["captures"].dtype.name == "Int64"
 
 
-def test_a_store_keeps_what_was_captured_of_several_evaders_and_nothing_of_it_where_there_was_one(tmp_path):
+def test_a_store_keeps_captures_per_evader_only_for_several_evaders(tmp_path):
     with Store(tmp_path / "x.sqlite") as store:
         for row in (ok(0), ok(1, **PACK)):
             store.add("key", 0, row)
@@ -358,7 +358,7 @@ def test_no_text_of_a_csv_file_is_a_formula_or_controls_a_terminal(tmp_path):
     assert {row["active_time"] for row in read} == {"-2.0"}
 
 
-def test_what_has_no_runs_has_columns(tmp_path):
+def test_a_result_without_runs_has_columns(tmp_path):
     NOTHING.write(tmp_path / "x.csv")
     assert (tmp_path / "x.csv").read_text() == ",".join(NOTHING.to_frame().columns) + "\n"
     assert list(NOTHING.to_frame().columns) == ["x", *list(next(PLAIN.records()))[1:]]

@@ -1,4 +1,4 @@
-"""The store: what cannot be one is told of by its file, what was done is kept, and parts make a whole."""
+"""The store: invalid ones are reported by file, finished runs are kept, and parts make a whole."""
 
 import json
 import os
@@ -37,7 +37,7 @@ def file(tmp_path):
 
 
 def refused(*args):
-    """Return what a command says that it does not do."""
+    """Return the refusal of a command."""
     made = command(*args)
     assert (made.exit_code, made.stdout) == (WRONG_INPUT, "")
     assert "Traceback" not in made.stderr
@@ -50,7 +50,7 @@ def exported(out):
     return (out / "runs.csv").read_bytes()
 
 
-def test_what_is_no_store_is_named(tmp_path, file):
+def test_a_file_that_is_not_a_store_is_named(tmp_path, file):
     folder, text = tmp_path / "folder", tmp_path / "text"
     (folder / "sweep.sqlite").mkdir(parents=True)
     text.mkdir()
@@ -101,7 +101,7 @@ def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_of_and_what_was_done_is_kept(tmp_path, file, monkeypatch):
+def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monkeypatch):
     """A store that may have 16 pages of 4 kB holds the configurations, and not all of 200 runs."""
     begin = Store._open
 
@@ -125,7 +125,7 @@ def test_a_full_disk_is_told_of_and_what_was_done_is_kept(tmp_path, file, monkey
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0, 4, 60, 200])
-def test_files_that_may_not_grow_are_told_of(tmp_path, file, limit):
+def test_a_file_size_limit_is_reported(tmp_path, file, limit):
     """The process may write files of some kB at most, as where a quota ends: run.json, the store or its journal."""
     out, mark = tmp_path / "out", str(tmp_path)
     driver = sweeps.start(
@@ -143,7 +143,7 @@ def test_files_that_may_not_grow_are_told_of(tmp_path, file, limit):
 
 
 @pytest.mark.parametrize("name", ["sweep.txt", "sweep.svg", "run.json"])
-def test_what_cannot_be_written_beside_a_store_is_told_of(tmp_path, file, name):
+def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file, name):
     (tmp_path / name).mkdir()
     made = command("sweep", file, "--allow-import", "-o", tmp_path)
     assert made.exit_code == WRONG_INPUT
@@ -172,7 +172,7 @@ def test_configurations_stand_before_those_that_were_there(file):
         assert len(plan.configurations) > 1
 
 
-def test_a_failed_run_gives_way_to_any_and_a_good_one_to_none(file):
+def test_a_failed_run_is_replaced_by_any_and_a_successful_one_by_none(file):
     """So the slower of two drivers cannot spoil what the faster has."""
     plan = SweepPlan.of(load(file, allow_import=True))
     with Store() as store:
@@ -289,7 +289,7 @@ def test_the_view_has_a_column_per_metric_and_a_row_per_run(tmp_path, file):
 
 
 @pytest.mark.slow
-def test_a_merged_store_says_what_it_was_made_of(tmp_path, file):
+def test_a_merged_store_lists_its_sources(tmp_path, file):
     parts = [tmp_path / "1", tmp_path / "2"]
     for k, part in enumerate(parts, start=1):
         assert command("sweep", file, "--allow-import", "--shard", f"{k}/2", "-o", part).exit_code == 0
@@ -324,7 +324,7 @@ def test_a_store_does_not_return_the_results_of_another_model(tmp_path):
 def test_a_store_that_another_process_is_about_to_make_is_waited_for(tmp_path, monkeypatch, releases):
     """While another connection is about to write, SQLite refuses to change the journal at once, whatever its timeout.
 
-    The other lets go in the third pause or, where nobody has any patience, never.
+    The other lets go in the third pause or, where retries are off, never.
     """
     path, pauses = tmp_path / "sweep.sqlite", []
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
@@ -373,7 +373,7 @@ def good(tmp_path_factory):
 
 
 def without_rights(program, *args):
-    """Run a program as one whom file permissions bind, root as well."""
+    """Run a program to which file permissions apply, even as root."""
     prefix = [] if os.geteuid() else ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"]
     environment = {**os.environ, "PYTHONPATH": str(sweeps.ROOT)}
     made = subprocess.run(
@@ -414,8 +414,10 @@ def test_a_store_that_may_not_be_written_is_read(tmp_path, good, which):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
-def test_what_is_in_the_journal_of_a_store_that_may_not_be_written_is_not_left_out(tmp_path, file):
-    """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is told."""
+def test_the_journal_of_a_read_only_store_is_read(tmp_path, file):
+    """As of a driver that was killed: without the shared memory beside it the journal cannot be read, which is
+    reported.
+    """
     (tmp_path / "live").mkdir()
     with Store(tmp_path / "live" / "sweep.sqlite") as store:
         SweepPlan.of(load(file, allow_import=True)).register(store)
@@ -516,8 +518,8 @@ def damaged(rng, whole):
 
 
 @pytest.mark.parametrize("seed", [*range(2), pytest.param(None, marks=pytest.mark.slow)])
-def test_a_damaged_store_is_refused_or_says_what_the_whole_one_says(tmp_path, good, seed):
-    """Bits, bytes, a digit, a page or the end are others: what is wrong with them is told, or they mean nothing."""
+def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(tmp_path, good, seed):
+    """Bits, bytes, a digit, a page or the end are others: what is wrong with them is reported, or they mean nothing."""
     file, folder, table = good
     whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
     for each in range(1000, 1040) if seed is None else [seed]:
@@ -542,7 +544,7 @@ def test_a_damaged_store_is_refused_or_says_what_the_whole_one_says(tmp_path, go
     assert seed is not None or outcomes == {0, WRONG_INPUT}
 
 
-def test_a_digit_that_was_replaced_is_noticed_wherever_it_lies_in_a_row(tmp_path, good):
+def test_a_replaced_digit_is_detected_anywhere_in_a_row(tmp_path, good):
     """Every 7th digit of the rows, as they are stored."""
     path, whole = tmp_path / "sweep.sqlite", (good[1] / "sweep.sqlite").read_bytes()
     with closing(sqlite3.connect(good[1] / "sweep.sqlite")) as database:

@@ -93,7 +93,7 @@ def test_independent_seeds_are_all_different_and_the_same_every_time():
 
 
 @pytest.mark.slow
-def test_independent_seeds_are_those_of_yesterday():
+def test_independent_seeds_are_the_same_in_another_process():
     """Or a store could not be continued by another process."""
     plan = SweepPlan.of(BASE.model_copy(update={"sweep": Sweep(seeds="independent")}), GRID)
     script = "from tests.study.test_sweep import *;print(independent())"
@@ -134,7 +134,7 @@ def test_common_seeds_make_differences_precise():
 
 
 @pytest.mark.slow
-def test_a_precision_takes_as_many_runs_as_the_rule_says_of_the_values():
+def test_a_precision_takes_as_many_runs_as_the_stopping_rule_requires():
     target = ("active_time", 0.03)
     found = sweep(BASE, GRID, 100, until=target)
     for group in found.groups:
@@ -185,7 +185,7 @@ def test_the_number_of_runs_is_the_same_with_two_workers_and_after_an_interrupti
 
 @pytest.mark.slow
 def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
-    """Of 50 runs ten are lost: 10 are there in order, so that there should be 30 before anybody looks."""
+    """Of 50 runs ten are lost: 10 are there in order, so that there should be 30 before the first look."""
     path, grid = tmp_path / "s.sqlite", {"capture.radius": [0.2]}
     short = BASE.model_copy(update={"horizon": 0.1})
     sweep(short, grid, 50, store=path)
@@ -196,7 +196,7 @@ def test_runs_beyond_a_gap_are_not_looked_at(tmp_path):
 
 
 @pytest.mark.slow
-def test_runs_that_fail_are_runs_but_say_nothing_of_the_mean():
+def test_failed_runs_count_as_runs_but_not_towards_the_mean():
     """A third of the seeds fail: to have 30 values takes more than 40 runs."""
     scenario = BASE.model_copy(update={"protocol": Moody()})
     (group,) = sweep(scenario, {"capture.radius": [0.1]}, 200, until=("active_time", 10.0)).groups
@@ -228,7 +228,7 @@ def test_numbers_of_runs_and_seeds_may_be_numpys(tmp_path):
         sweep(BASE, GRID, 2.5)
 
 
-def test_what_is_not_given_is_that_of_the_scenario():
+def test_options_that_are_not_given_are_those_of_the_scenario():
     scenario = BASE.model_copy(update={"sweep": Sweep(reps=2, grid={"capture.radius": [0.1, 0.2]})})
     assert sweep_of_package(scenario) == sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2)
 
@@ -272,7 +272,7 @@ class Terminal(StringIO):
 @pytest.mark.parametrize(
     "do", [lambda: sweep(BASE, {"capture.radius": [0.1, 0.2]}, 2), lambda: run_many([(BASE, k) for k in range(4)])]
 )
-def test_a_terminal_is_told_how_many_runs_are_done(monkeypatch, do):
+def test_a_terminal_shows_how_many_runs_are_done(monkeypatch, do):
     monkeypatch.setattr(sys, "stderr", shown := Terminal())
     do()
     first, *_, last = shown.getvalue().strip().split("\r")
@@ -321,7 +321,7 @@ CHANGED = {
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize(("change", "grid", "options", "why"), CHANGED.values(), ids=CHANGED)
-def test_a_store_of_another_sweep_is_refused_and_says_what_differs(tmp_path, change, grid, options, why):
+def test_a_store_of_another_sweep_is_refused_with_the_differences(tmp_path, change, grid, options, why):
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 1, store=store)
     with pytest.raises(StoreError, match=why.replace("$", r"; remove it, or choose another folder \(-o\)$")):
@@ -358,7 +358,7 @@ def test_a_store_is_not_continued_with_other_code_of_a_rule(tmp_path, monkeypatc
         swept(22)
 
 
-def test_more_protocols_of_ones_own_may_be_added(tmp_path):
+def test_more_user_protocols_may_be_added(tmp_path):
     store = tmp_path / "s.sqlite"
     sweep(BASE, {"protocol": [Moody()]}, 2, store=store)
     found = sweep(BASE, {"protocol": [Moody(), chases]}, 2, store=store)
@@ -379,13 +379,13 @@ def chases(me):
     yield from ()
 
 
-def test_what_is_wrong_with_a_grid_is_told_before_a_store_is_made(tmp_path):
+def test_errors_in_a_grid_are_reported_before_a_store_is_created(tmp_path):
     with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid: horizn: unknown key"):
         sweep(BASE, {"horizn": [1.0]}, store=tmp_path / "s.sqlite")
     assert not (tmp_path / "s.sqlite").exists()
 
 
-def test_a_store_knows_the_scenario_of_each_configuration(tmp_path):
+def test_a_store_has_the_scenario_of_each_configuration(tmp_path):
     sweep(BASE, {"network.range": [3.0, inf]}, 1, store=tmp_path / "s.sqlite")
     with Store(tmp_path / "s.sqlite") as store:
         texts = [text for (text,) in store._database.execute("SELECT scenario FROM configurations ORDER BY place")]

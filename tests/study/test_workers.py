@@ -33,8 +33,8 @@ def command(*args):
     return CliRunner().invoke(main, [str(each) for each in args], catch_exceptions=False)
 
 
-def told_by_a_command(out, *options):
-    """Return all that a sweep tells: what it prints, exports and stores."""
+def output_of_a_sweep(out, *options):
+    """Return all output of a sweep: what it prints, exports and stores."""
     file = sweeps.write(out.parent / "in")
     made = command("sweep", file, "--allow-import", "-o", out, *options)
     assert made.exit_code == 0, made.output
@@ -43,11 +43,11 @@ def told_by_a_command(out, *options):
 
 
 @pytest.mark.slow
-def test_a_sweep_tells_the_same_wherever_it_is_done(tmp_path, cluster):
+def test_a_sweep_has_the_same_output_wherever_it_is_run(tmp_path, cluster):
     """Its rule is of a module beside the file that imports another; all that happens in it is random."""
-    here = told_by_a_command(tmp_path / "here", "-j", 1)
-    assert told_by_a_command(tmp_path / "processes", "-j", 2) == here
-    assert told_by_a_command(tmp_path / "cluster", "--cluster", cluster) == here
+    here = output_of_a_sweep(tmp_path / "here", "-j", 1)
+    assert output_of_a_sweep(tmp_path / "processes", "-j", 2) == here
+    assert output_of_a_sweep(tmp_path / "cluster", "--cluster", cluster) == here
     _, table, (configurations, runs) = here
     assert len(configurations) == 2
     assert len(runs) == len(table.splitlines()) - 1 == 40
@@ -70,7 +70,7 @@ def test_a_long_run_has_the_same_numbers_wherever_it_is_done(tmp_path, cluster):
 
 
 @pytest.mark.slow
-def test_a_sweep_has_the_same_rows_by_executors_of_one_s_own(tmp_path):
+def test_a_sweep_has_the_same_rows_with_user_executors(tmp_path):
     scenario = load(sweeps.write(tmp_path / "in", reps=10), allow_import=True)
     here = desim.sweep(scenario)
     with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2) as processes:
@@ -133,7 +133,7 @@ def test_a_script_may_define_a_rule_and_import_modules_that_lie_beside_it(tmp_pa
     assert told[0].count("'ok'") == len(told[0].splitlines()) == 15
 
 
-def test_what_lies_beside_a_file_travels_and_what_is_installed_does_not(tmp_path, monkeypatch):
+def test_modules_beside_a_file_are_sent_to_workers_and_installed_ones_are_not(tmp_path, monkeypatch):
     """In a process that has neither module, the call can be made; and the pickler is as it was."""
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "outer_module.py").write_text("import inner_module\n\ndef ten():\n    return inner_module.ten()\n")
@@ -151,7 +151,7 @@ def test_what_lies_beside_a_file_travels_and_what_is_installed_does_not(tmp_path
     assert len(packed(partial(desim.run, None, 1))) < 200
 
 
-def test_strangers_are_found_in_models_lists_and_partial_calls(tmp_path):
+def test_user_code_is_found_in_models_lists_and_partial_calls(tmp_path):
     scenario = load(sweeps.write(tmp_path), allow_import=True)
     coin = type(scenario.protocol)
 
@@ -177,7 +177,7 @@ def test_a_negative_number_of_workers_is_refused():
         workers_for(-1)
 
 
-def test_an_executor_works_with_as_many_as_it_says_or_as_there_are_cores(monkeypatch):
+def test_the_number_of_workers_is_that_of_the_executor_or_of_the_cores(monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 5)
     with ThreadPoolExecutor(3) as executor:
         assert workers_for(executor).count == 3
@@ -195,7 +195,7 @@ def test_here_a_ctrl_c_is_not_taken_for_a_failure():
 
 
 @pytest.mark.slow
-def test_a_worker_does_not_hear_a_ctrl_c():
+def test_a_worker_ignores_ctrl_c():
     with workers_for(2) as found:
         future = found.submit(partial(signal.getsignal, signal.SIGINT))
         blocked = found.submit(partial(signal.pthread_sigmask, signal.SIG_BLOCK, ()))
@@ -206,21 +206,21 @@ def test_a_worker_does_not_hear_a_ctrl_c():
 
 @pytest.fixture
 def silent_port():
-    """Yield a port that accepts and says nothing."""
+    """Yield a port that accepts and sends nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]
 
 
 @pytest.fixture
 def closed_port(silent_port):
-    """Return a port at which nobody listens."""
+    """Return a port without a listener."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         return server.getsockname()[1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silent_port", "closed_port"])
-def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, monkeypatch, name):
+def test_an_unresponsive_scheduler_is_reported_in_time(request, tmp_path, monkeypatch, name):
     monkeypatch.setattr(places, "PATIENCE", 1.0)
     address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
     begin = time.monotonic()
@@ -234,7 +234,7 @@ def test_a_scheduler_that_does_not_answer_is_told_of_in_time(request, tmp_path, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:1", "tcp://127.0.0.1:port", ""])
-def test_a_malformed_address_is_told_of(tmp_path, monkeypatch, address):
+def test_a_malformed_address_is_reported(tmp_path, monkeypatch, address):
     monkeypatch.setattr(places, "PATIENCE", 1.0)
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
     assert made.exit_code == 2
@@ -252,7 +252,7 @@ def dask(program, *options):
 
 
 @pytest.mark.slow
-def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_path, monkeypatch):
+def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tmp_path, monkeypatch):
     """What was done by then is kept."""
     monkeypatch.setattr(places, "PATIENCE", 2.0)
     file, out, note = sweeps.write(tmp_path / "in", pause=0.05), tmp_path / "out", tmp_path / "scheduler.json"
@@ -283,8 +283,8 @@ def test_a_cluster_without_workers_and_one_whose_scheduler_dies_are_told_of(tmp_
 
 
 @pytest.mark.slow
-def test_a_cluster_that_loses_its_workers_is_told_of(tmp_path, monkeypatch):
-    """A worker that leaves with exit code 0 has left of its own will, and nobody starts another."""
+def test_a_cluster_that_loses_its_workers_is_reported(tmp_path, monkeypatch):
+    """A worker that leaves with exit code 0 has left of its own will, and no other is started."""
     monkeypatch.setattr(places, "PATIENCE", 2.0)
     file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=40, bad=(6,), how="leave")
     note = tmp_path / "scheduler.json"
@@ -312,8 +312,8 @@ def interruptible():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_waits_until_workers_have_started_whichever_thread_hears_it():
-    """That of a progress bar, say, has not blocked it; an interrupt half-way leaves a worker that is told nothing."""
+def test_ctrl_c_waits_until_workers_have_started_whichever_thread_receives_it():
+    """That of a progress bar, say, has not blocked it; an interrupt half-way leaves a worker without tasks."""
     over = threading.Event()
     threading.Thread(target=over.wait, daemon=True).start()
     reached = []

@@ -15,7 +15,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 in_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="NO BROWSER, so the pages were NOT looked at: apt-get install chromium"
 )
-PATIENCE = 30.0
+TIMEOUT = 30.0
 """How long an answer may take, s."""
 
 
@@ -26,12 +26,12 @@ class Page:
         self._commands, self._answers, self._rest, self._number = commands, answers, b"", 0
         self._session = None
         self.errors, self.requests = [], []
-        target = self.tell("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.tell("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
-            self.tell(f"{domain}.enable")
+            self.send(f"{domain}.enable")
 
-    def tell(self, method, **params):
+    def send(self, method, **params):
         """Send a command and return its result."""
         self._number += 1
         command = {"id": self._number, "method": method, "params": params}
@@ -45,8 +45,8 @@ class Page:
                 return answer["result"]
 
     def _next(self):
-        """Return the next answer or event, having noted what an event tells."""
-        until = time.monotonic() + PATIENCE
+        """Return the next answer or event, having logged errors and requests."""
+        until = time.monotonic() + TIMEOUT
         while b"\0" not in self._rest:
             ready, _, _ = select.select([self._answers], [], [], max(until - time.monotonic(), 0.0))
             chunk = os.read(self._answers, 1 << 20) if ready else b""
@@ -67,32 +67,32 @@ class Page:
 
     def open(self, path, width=1200, height=850, theme="light"):
         """Open a file, in a window of a size (px)."""
-        self.tell(
+        self.send(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
-        self.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
         self.errors.clear()
         self.requests.clear()
-        self.tell("Page.navigate", url=path.resolve().as_uri())
+        self.send("Page.navigate", url=path.resolve().as_uri())
         self.until("document.readyState === 'complete'")
 
     def value(self, expression):
         """Return what an expression of JavaScript comes to, awaited if it is a promise."""
-        found = self.tell("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        found = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
     def until(self, condition):
         """Wait until a condition in JavaScript holds."""
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + TIMEOUT
         while not self.value(condition):
             assert time.monotonic() < until, f"never: {condition}"
             time.sleep(0.02)
 
     def press(self, key, text=""):
         """Press a key and let it go."""
-        self.tell("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
-        self.tell("Input.dispatchKeyEvent", type="keyUp", key=key)
+        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
+        self.send("Input.dispatchKeyEvent", type="keyUp", key=key)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ ACTIVE, INACTIVE = Assignment(1), Assignment(0)
 
 
 def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Result:
-    """Return the run: 0 and 1 are active at first, then 0 alone until it breaks down, nobody, and 2 alone.
+    """Return the run: 0 and 1 are active at first, then 0 alone until it breaks down, none, and 2 alone.
 
     Of its messages, that of 100 ms is lost to 2 as it leaves, that of 250 ms leaves late and is lost as it arrives,
     that of 650 ms is dropped before it leaves, that of 900 ms is in flight at the end, that of 950 ms still waits then.
@@ -60,9 +60,9 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     """Return a run with two evaders: 1 is captured by 0 at 400 ms, 2 by 0 as the run ends.
 
     1 is chased by 0 and 1, from 150 ms on by 0 alone; 2 by 2 alone, then 1 and 2, from 300 ms on 1 alone, from the
-    instant of the first capture on 0 and 1, from 700 ms on 0 alone. Of its messages that of 160 ms tells that 1 chases
-    2, that of 310 ms that 2 stays. Pursuer 0 runs from (0, 0) along x, 1 stays at (10, 0), 2 stays at (0, 10); evader 1
-    runs from (5, 5) along y to its capture, 2 from (8, 2) along x.
+    instant of the first capture on 0 and 1, from 700 ms on 0 alone. Of its messages that of 160 ms announces that 1
+    chases 2, that of 310 ms that 2 stays. Pursuer 0 runs from (0, 0) along x, 1 stays at (10, 0), 2 stays at (0, 10);
+    evader 1 runs from (5, 5) along y to its capture, 2 from (8, 2) along x.
     """
     events = [
         Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 2), ((8.0, 2.0),)),

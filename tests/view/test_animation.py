@@ -43,7 +43,7 @@ def moved(artist):
 
 
 def test_frames_of_runs_by_hand_are_golden():
-    """Everyone stands where it was, sampled every 100 ms, in the look of what it did; pursuer 0 runs 4 m in 400 ms.
+    """All positions, sampled every 100 ms, have the style of the action; pursuer 0 runs 4 m in 400 ms.
 
     A message moves evenly from (1, 0) at 100 ms to (10, 0) at 200 ms; one that waits or never leaves is not seen. A
     loss is in the frame after it, 0.02 of the picture's 11 m before its receiver: on the way from (1, 0) to (0, 10)
@@ -59,7 +59,7 @@ def test_frames_of_runs_by_hand_are_golden():
 
 
 def test_the_frames_of_two_evaders_are_in_the_colours_of_their_palette():
-    """What is drawn in a hue stays near it: the green of who chases evader 2 is in the picture."""
+    """What is drawn in a hue stays near it: the green of the chasers of evader 2 is in the picture."""
     image = frames(pair(), [800 * MS])[0]
     green = np.array([0, 158, 115])
     assert (np.abs(np.asarray(image.convert("RGB")).astype(int) - green).sum(axis=2) < 12).sum() > 50
@@ -110,7 +110,7 @@ def test_nothing_is_cut_off_at_the_edge():
 
 
 @pytest.mark.slow
-def test_a_film_made_twice_is_the_same_bytes_and_leaves_luck_and_style_alone(tmp_path):
+def test_a_film_made_twice_has_equal_bytes_and_leaves_global_generators_and_style_alone(tmp_path):
     luck, style = np.random.get_state()[1].tolist(), dict(mpl.rcParams)  # noqa: NPY002 - the global generator is meant
     for name, messages in (("one", True), ("two", True), ("three", False)):
         animate(history(messages=messages), tmp_path / f"{name}.gif", end=0.2, fps=10)
@@ -138,12 +138,12 @@ def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megab
         ({"speed": 1e-12}, "more than"),
     ],
 )
-def test_what_cannot_be_filmed_is_said(tmp_path, asked, says):
+def test_a_run_that_cannot_be_filmed_is_reported(tmp_path, asked, says):
     with pytest.raises(ValueError, match=says):
         animate(history(), tmp_path / "film.gif", **asked)
     assert not list(tmp_path.iterdir())
 
 
-def test_without_recorded_positions_it_is_said_how_to_record_them(tmp_path):
+def test_without_recorded_positions_the_error_explains_how_to_record_them(tmp_path):
     with pytest.raises(ValueError, match=r"record\.trajectory"):
         animate(history(samples=()), tmp_path / "film.gif")

@@ -31,7 +31,7 @@ def ran(request, run_of):
     return run_of(*request.param)
 
 
-def test_each_message_to_each_receiver_is_one_passage_in_order_of_leaving():
+def test_each_message_to_each_receiver_is_one_delivery_in_order_of_transmission():
     token = ("token", float("inf"))
     assert deliveries(history()) == [
         Delivery(0, 0, 1, 100 * MS, 100 * MS, 200 * MS, None, 24, ACTIVE),
@@ -45,7 +45,7 @@ def test_each_message_to_each_receiver_is_one_passage_in_order_of_leaving():
     ]
 
 
-def test_passages_are_as_many_as_were_sent_delivered_and_lost_for_each_reason(ran):
+def test_deliveries_match_the_counts_of_sent_delivered_and_lost_messages(ran):
     """What waits as the run ends is in flight: it has no body and no cause."""
     numbers, found, end = summary(ran), deliveries(ran), ran.trace.events[-1].t
     delivered = [each for each in found if each.cause is None and each.body is not None and each.until <= end]
@@ -56,12 +56,12 @@ def test_passages_are_as_many_as_were_sent_delivered_and_lost_for_each_reason(ra
     assert [each.left for each in found] == sorted(each.left for each in found)
 
 
-def test_without_recorded_messages_it_is_said_how_to_record_them():
+def test_without_recorded_messages_the_error_explains_how_to_record_them():
     with pytest.raises(ValueError, match=r"record\.messages = true"):
         deliveries(history(messages=False))
 
 
-def test_a_message_tells_of_an_action_or_of_none():
+def test_a_message_carries_an_action_or_none():
     assert (
         announced_action(ACTIVE),
         announced_action(INACTIVE),
@@ -71,11 +71,11 @@ def test_a_message_tells_of_an_action_or_of_none():
     assert [announced_action(each.body) for each in deliveries(pair())] == [2, 2, 0, 0]
 
 
-def test_spells_of_chasing_begin_with_the_run_and_end_by_decision_breakdown_or_end():
+def test_chase_intervals_begin_with_the_run_and_end_by_decision_breakdown_or_end():
     assert chasing(history()) == [[Chase(0, 400 * MS, 1)], [Chase(0, 150 * MS, 1)], [Chase(800 * MS, 1000 * MS, 1)]]
 
 
-def test_of_two_evaders_a_spell_ends_as_another_is_chased_or_the_own_one_is_captured():
+def test_a_chase_interval_ends_with_a_change_of_evader_or_a_capture():
     assert chasing(pair()) == [
         [Chase(0, 400 * MS, 1), Chase(400 * MS, 1000 * MS, 2)],
         [Chase(0, 150 * MS, 1), Chase(150 * MS, 700 * MS, 2)],
@@ -83,12 +83,12 @@ def test_of_two_evaders_a_spell_ends_as_another_is_chased_or_the_own_one_is_capt
     ]
 
 
-def test_who_takes_over_which_evader_is_told_in_order_of_time():
+def test_handovers_are_listed_per_evader_in_order_of_time():
     assert handover_events(pair()) == [(0, 2, 2), (150 * MS, 0, 1), (300 * MS, 1, 2), (700 * MS, 0, 2)]
     assert handover_events(history()) == [(150 * MS, 0, 1), (800 * MS, 2, 1)]
 
 
-def test_what_is_never_over_is_broken_until_the_end():
+def test_a_fault_without_an_end_lasts_until_the_end_of_the_run():
     assert outages(history()) == [(CRASH, Interval(400 * MS, 600 * MS)), (JAMMING, Interval(700 * MS, 1000 * MS))]
 
 
@@ -106,7 +106,7 @@ def test_of_faults_that_overlap_each_ends_at_its_own_time():
     assert found[:2] == [(other, Interval(350 * MS, 650 * MS)), (CRASH, Interval(400 * MS, 600 * MS))]
 
 
-def test_nobody_is_alone_for_no_time():
+def test_active_periods_alone_have_a_positive_length():
     """At 850 ms pursuer 1 starts and stops; at 900 ms 2 stops before 1 starts, and at 950 ms 2 starts after 1 stops."""
     at = [(850, 1, True), (850, 1, False), (900, 2, False), (900, 1, True), (950, 2, True), (950, 1, False)]
     found = active_periods(history(*(Decided(t * MS, pursuer, active) for t, pursuer, active in at)))
@@ -123,7 +123,7 @@ def test_nobody_is_alone_for_no_time():
     ]
 
 
-def test_stints_are_split_where_somebody_comes_to_be_alone():
+def test_active_periods_are_split_where_a_pursuer_becomes_the_only_active_one():
     assert active_periods(history()) == [
         (1, 0, 150 * MS, False, 1),
         (0, 0, 150 * MS, False, 1),
@@ -132,7 +132,7 @@ def test_stints_are_split_where_somebody_comes_to_be_alone():
     ]
 
 
-def test_who_is_alone_is_so_on_an_evader():
+def test_being_the_only_active_pursuer_is_per_evader():
     assert active_periods(pair()) == [
         (1, 0, 150 * MS, False, 1),
         (0, 0, 150 * MS, False, 1),
@@ -147,8 +147,8 @@ def test_who_is_alone_is_so_on_an_evader():
     ]
 
 
-def test_spells_and_stints_last_as_long_as_the_active_time(ran):
-    """Their sum is int n dt; those of who is alone are int 1{n = 1} dt, what is neither idle nor crowded."""
+def test_chase_intervals_and_active_periods_sum_to_the_active_time(ran):
+    """Their sum is int n dt; those of the only active one are int 1{n = 1} dt, what is neither idle nor crowded."""
     numbers = summary(ran)
     spells = sum(end - begin for own in chasing(ran) for begin, end, _ in own) / SECOND
     found = active_periods(ran)

@@ -1,4 +1,4 @@
-"""`desim draw`: the same picture from a folder, from a file and from Python, and plain words if there is none."""
+"""`desim draw`: the same picture from a folder, from a file and from Python, and a clear message if there is none."""
 
 import json
 import shutil
@@ -112,12 +112,12 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
         (("spacetime", "ran", "-o", "x.jpg"), "--out x.jpg: should end in .svg or .png or .pdf, "),
     ],
 )
-def test_what_cannot_be_drawn_is_said_in_a_line(folder, words, says):
+def test_a_run_that_cannot_be_drawn_is_reported_in_one_line(folder, words, says):
     assert says in call(*words, code=2)
 
 
 @pytest.mark.slow
-def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
+def test_a_folder_without_messages_gives_an_error_that_explains_how_to_record_them(file, tmp_path):
     write(run(load(file, ["record.messages=false"])), tmp_path / "quiet")
     assert "record.messages = true" in call("spacetime", tmp_path / "quiet", code=2)
     call("gif", tmp_path / "quiet", "--to", 0.1)
@@ -125,7 +125,7 @@ def test_a_folder_without_messages_says_how_to_record_them(file, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_picture_is_of_the_kind_that_its_name_says(folder, tmp_path):
+def test_the_format_of_a_figure_follows_its_suffix(folder, tmp_path):
     """And of a name without one, nothing is lost."""
     window = ("--from", 0.1, "--to", 0.2)
     assert call("spacetime", folder, *window, "-o", tmp_path / "a" / "x.pdf").count("\n") == 1

@@ -12,7 +12,7 @@ from tests.view.by_hand import MS, history, pair
 
 
 def drawn(result):
-    """Return the axes of a pursuit with the names of those who took over."""
+    """Return the axes of a pursuit with the labels of takeovers."""
     with styled((COLUMN, COLUMN), font=7) as figure:
         axes = figure.add_subplot()
         draw_pursuit(axes, result)
@@ -22,10 +22,10 @@ def drawn(result):
 
 
 def test_pursuits_by_hand_are_golden():
-    """Who chases alone is bold; a diamond, with a number, is where somebody comes to be alone.
+    """A single chaser is bold; a numbered diamond is where a pursuer becomes the only chaser.
 
     Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s. Of two evaders
-    each has a number, a mark and a hue, which who chases it has, too; it rests where it was captured.
+    each has a number, a mark and a hue, shared by its chasers; it rests where it was captured.
     """
     golden("paths.txt", {each.scenario.name: described(drawn(each).figure) for each in (history(), pair())})
 
@@ -53,7 +53,7 @@ def test_paths_are_straight_between_samples_and_end_where_they_are_asked_to():
     assert found.at(0, np.array([125 * MS, 250 * MS])).tolist() == [[1, 0], [2, 0]]
 
 
-def test_without_recorded_positions_it_is_said_how_to_record_them():
+def test_without_recorded_positions_the_error_explains_how_to_record_them():
     with pytest.raises(ValueError, match=r"record\.trajectory"):
         drawn(history(samples=()))
 
@@ -92,7 +92,7 @@ def test_a_name_at_the_edge_stays_inside():
         assert axes.bbox.y0 - 1 <= box.y0 < box.y1 <= axes.bbox.y1 + 1
 
 
-def test_a_name_avoids_what_it_is_told_to():
+def test_a_label_avoids_the_given_places():
     """Alone, it is to the upper right; with something there, elsewhere."""
 
     def offset(**avoid):

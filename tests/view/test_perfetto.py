@@ -148,7 +148,7 @@ def test_perfetto_loses_nothing_of_a_run(asked, run_of):
     ],
     ids=["no time", "no process", "never ends", "no scope", "overlaps", "no number", "no id"],
 )
-def test_what_perfetto_would_drop_is_found(harm):
+def test_events_that_perfetto_would_drop_are_detected(harm):
     document = json.loads(perfetto(history()))
     harm(next(event for event in document["traceEvents"] if event["ph"] == "i" and event["tid"] == 3))
     with pytest.raises((AssertionError, KeyError)):
@@ -174,7 +174,7 @@ def test_timelines_of_runs_by_hand_are_golden(tmp_path):
     golden("perfetto.txt", text + perfetto(pair()))
 
 
-def test_where_nobody_sends_a_message_there_are_no_processes_for_them():
+def test_without_messages_there_are_no_network_processes():
     scenario = Scenario(protocol=Centralised(), horizon=0.1, record=Recording(messages=True))
     assert {entry["pid"] for entry in trace_events(run(scenario))} == {PURSUERS}
 

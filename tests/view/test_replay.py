@@ -1,4 +1,4 @@
-"""The replay: what the page holds is what the trace tells, and a browser shows it."""
+"""The replay: the page has the data of the trace, and a browser shows it."""
 
 import json
 import os
@@ -83,7 +83,7 @@ FILES = {"relay": ("relay.toml", *SHORT), "soak": ("soak.toml", *SHORT), "faults
 OWN = {"crowded": CROWDED, "cold": COLD}
 
 
-STAYS, CHASES, UNHEARD = range(3)  # what is believed of somebody, where there is one evader
+STAYS, CHASES, UNHEARD = range(3)  # the believed action of a pursuer, with one evader
 
 
 @pytest.fixture(scope="module")
@@ -138,9 +138,9 @@ def in_flight(result, t):
 
 
 def wrong_now(result, t):
-    """Return how many ordered pairs there are of which one has last heard what the other does not do, at a time, ns.
+    """Return how many ordered pairs there are of which one has a wrong belief about the other at a time, ns.
 
-    Only for runs in which each tells of itself and nobody forgets.
+    Only for runs in which each announces its own action and none forgets.
     """
     size = len(started(result).active)
     does = np.array(started(result).active, int)
@@ -208,8 +208,8 @@ KINDS = dict.fromkeys(("t", "begin", "left", "end"), "<u4") | {"start": "<i4", "
 KINDS |= dict.fromkeys(("src", "dst", "count", "who", "evader", "reader", "source"), "<u2")
 
 
-def told(result):
-    """Return what a page says, and what it holds, column by column, as text."""
+def page_text(result):
+    """Return the text of a page, and its data, column by column."""
     lines = Elements(replay(result)).lines
     for part, value in _document(result).items():
         is_table = isinstance(value, dict) and part != "reach"
@@ -224,14 +224,14 @@ def told(result):
 def test_pages_of_runs_by_hand_are_golden():
     """A message sent at 950 ms waits as the run ends, and so is in flight to the end, 10^9 ns, and has not left.
 
-    Who chased the evader that is captured stays from then on, unless it decides something at the same instant.
+    A chaser of a captured evader stays from then on, unless it decides at the same instant.
     """
     cut = Partition(start=0.2, end=0.5, groups=((0,), (1, 2)))
     parted = history(FaultStarted(200 * MS, cut), FaultEnded(500 * MS, cut))
-    golden("replay.txt", {each.scenario.name: told(each) for each in (parted, pair())})
+    golden("replay.txt", {each.scenario.name: page_text(each) for each in (parted, pair())})
 
 
-def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick():
+def test_a_message_in_flight_at_the_end_stays_so_even_if_it_arrives_within_the_tick():
     """At ticks of 10 ns, 4,000,000,004 ns is the last tick, as is the end."""
     ticks = _Ticks.fit(4 * SECOND)
     assert column(ticks([4 * SECOND, 4 * SECOND + 4, 10**15]), "<u4").tolist() == [
@@ -243,15 +243,19 @@ def test_what_is_in_flight_at_the_end_is_so_also_if_it_arrives_within_the_tick()
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", ["soak", "cold", "faults", "many"])
-def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(name, result_of):
+def test_the_belief_error_of_the_page_equals_that_of_the_analysis(name, result_of):
     """The integral of the wrong pairs, by counting them between any two changes, is the belief error x N (N - 1) T."""
     result = result_of(name)
     document, size = _document(result), len(started(result).active)
-    told, own = document["beliefs"], document["decisions"]
+    beliefs, own = document["beliefs"], document["decisions"]
     changes = [(int(t), 0, k) for k, t in enumerate(column(own["t"], "<u4"))]
-    changes += [(int(t), 1, k) for k, t in enumerate(column(told["t"], "<u4"))]
+    changes += [(int(t), 1, k) for k, t in enumerate(column(beliefs["t"], "<u4"))]
     who, active = column(own["who"], "<u2"), column(own["active"], "u1")
-    reader, source, value = column(told["reader"], "<u2"), column(told["source"], "<u2"), column(told["value"], "u1")
+    reader, source, value = (
+        column(beliefs["reader"], "<u2"),
+        column(beliefs["source"], "<u2"),
+        column(beliefs["value"], "u1"),
+    )
     unheard = len(started(result).evaders) + 1
     does, heard = np.array(document["active"]), np.full((size, size), unheard)
     others, total, before = ~np.eye(size, dtype=bool), 0, 0
@@ -270,29 +274,29 @@ def test_the_beliefs_of_the_page_are_wrong_as_often_as_those_of_the_analysis(nam
     assert total > 0
 
 
-def test_who_has_heard_of_nobody_is_not_said_to_believe_that_nobody_chases(result_of):
+def test_a_pursuer_without_records_has_no_belief_that_teammates_are_inactive(result_of):
     """After a cold start all is unheard of at 0 s; after a warm one, nothing."""
     cold, warm = (_document(result_of(name))["beliefs"] for name in ("cold", "relay"))
-    at_first = [column(told["value"], "u1")[column(told["t"], "<u4") == 0] for told in (cold, warm)]
+    at_first = [column(beliefs["value"], "u1")[column(beliefs["t"], "<u4") == 0] for beliefs in (cold, warm)]
     assert at_first[0].tolist() == [UNHEARD] * (8 * 7)
     assert at_first[1].tolist() == [CHASES] * (20 * 19)
     assert STAYS in column(cold["value"], "u1")
 
 
-def test_who_forgot_has_heard_of_nobody():
-    """Robot 1 breaks down for 0.1 s and forgets: afterwards it has heard nothing, until the next heartbeats."""
+def test_a_pursuer_that_lost_its_memory_has_no_records():
+    """Robot 1 breaks down for 0.1 s and forgets: afterwards it has no records, until the next heartbeats."""
     crash = Crash(node=1, start=0.5, end=0.6, memory=False)
     scenario = COLD.model_copy(update={"fault": (crash,), "announce": Announcements(heartbeat=0.5), "horizon": 1.0})
-    told = _document(run(scenario))["beliefs"]
-    then = column(told["t"], "<u4") == 0.6 * SECOND
-    assert set(column(told["value"], "u1")[then]) == {UNHEARD}
-    assert set(column(told["reader"], "<u2")[then]) == {1}
-    assert len(column(told["source"], "<u2")[then]) == 7
+    beliefs = _document(run(scenario))["beliefs"]
+    then = column(beliefs["t"], "<u4") == 0.6 * SECOND
+    assert set(column(beliefs["value"], "u1")[then]) == {UNHEARD}
+    assert set(column(beliefs["reader"], "<u2")[then]) == {1}
+    assert len(column(beliefs["source"], "<u2")[then]) == 7
 
 
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("name", ["soak", "many"])
-def test_everyone_is_where_it_was_to_the_millimetre(name, result_of):
+def test_positions_are_exact_to_the_millimetre(name, result_of):
     result = result_of(name)
     path = _document(result)["path"]
     shifts = column(path["shifts"], f"<i{path['bits'] // 8}").reshape(
@@ -314,8 +318,8 @@ def test_steps_of_more_than_33_metres_are_kept():
 
 
 @pytest.mark.slow
-def test_of_very_many_evaders_the_last_is_told_too():
-    """Actions 0 .. 300, and 301 for nothing heard, are more than a byte has room for."""
+def test_actions_on_more_than_255_evaders_are_stored():
+    """Actions 0 .. 300, and 301 for no record, are more than a byte has room for."""
     team, evaders = Team(count=2, box=(9.0, 10.0)), Evader(count=300, box=(2.0, 3.0))
     protocol = SpatialAdaptivePlay(schedule=Poisson(rate=0.1))
     result = run(Scenario(team=team, evader=evaders, protocol=protocol, horizon=0.05, record=ALL), seed=2)
@@ -324,7 +328,7 @@ def test_of_very_many_evaders_the_last_is_told_too():
     assert max(started(result).active) > 255
 
 
-def test_how_far_pursuers_see_is_told_if_there_is_a_limit():
+def test_a_finite_sensing_radius_is_shown():
     assert _document(run(SEEING))["sight"] == 2.0
 
 
@@ -344,7 +348,7 @@ def test_a_column_has_no_number_that_it_does_not_hold():
         _column([1, 65536], "<u2")
 
 
-def test_the_graph_is_given_by_speaker_and_hearer_unless_everybody_is_linked():
+def test_the_graph_is_stored_by_sender_and_receiver_unless_it_is_complete():
     def arcs(graph):
         given = load(SCENARIOS / "relay.toml", [f"network.graph={graph}", "team.count=3", "horizon=0.1"])
         found = _document(run(given))["arcs"]
@@ -371,16 +375,18 @@ LOG = LogDistance(exponent=3.0, shadowing=6.0)
         (Links(range=15.0, reception=QuasiUnitDisk(certain=0.5, p=0.4), fading="message"), 7.5),
     ],
 )
-def test_all_hear_each_other_up_to_a_distance(links, radius):
-    """With luck anew for each message, up to where every second one is received."""
+def test_with_a_disk_all_pairs_are_linked_up_to_one_distance(links, radius):
+    """With independent fading per message, up to where every second one is received."""
     reach = _document(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reach"]
     chance = links.fading == "message"
     assert reach == {"known": True, "chance": chance, "radius": radius, "radii": None}
 
 
 @pytest.mark.parametrize("reach", [LOG, QuasiUnitDisk(certain=0.5, p=0.4)])
-def test_with_luck_once_per_pair_each_has_a_distance_up_to_which_the_network_lets_it_hear(reach):
-    """At each pair's distance its word is received, 1e-9 m beyond it is not; judged by the network's own topology."""
+def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
+    """At each pair's distance its messages are received, 1e-9 m beyond they are not; judged by the network's own
+    topology.
+    """
     links, size = Links(range=10.0, reception=reach), 12
     scenario = FORTY.model_copy(update={"network": links, "horizon": 0.1, "team": Team(count=size)})
     result = run(scenario, seed=5)
@@ -395,7 +401,7 @@ def test_with_luck_once_per_pair_each_has_a_distance_up_to_which_the_network_let
     assert len(set(radii.tolist())) > 1
 
 
-def test_a_reach_that_does_not_fall_with_distance_is_said_not_to_be_shown():
+def test_a_reception_that_does_not_fall_with_distance_is_reported_as_not_shown():
     links = Links(range=10.0, reception=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
     result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
     assert not _document(result)["reach"]["known"]
@@ -452,7 +458,7 @@ def test_a_hostile_name_is_text():
     assert not any("hurt" in script for script in found.scripts)
 
 
-def test_a_page_says_what_was_not_recorded():
+def test_a_page_lists_what_was_not_recorded():
     dull = COLD.model_copy(update={"horizon": 0.6, "record": Recording(trajectory=0.0)})
     text = replay(run(dull))
     assert "Positions were not recorded" in text
@@ -508,7 +514,7 @@ def test_a_scenario_file_is_run_with_all_that_can_be_looked_at(tmp_path):
     assert document["messages"]["begin"]
 
 
-def test_what_cannot_be_shown_is_said_on_stderr(tmp_path):
+def test_data_that_cannot_be_shown_are_reported_on_stderr(tmp_path):
     write(run(COLD.model_copy(update={"horizon": 0.1, "record": Recording()})), tmp_path)
     done = invoke(tmp_path)
     assert done.exit_code == 0
@@ -544,14 +550,14 @@ def test_a_folder_of_several_runs_names_them(tmp_path):
     assert "; the folder has the runs seed-0, seed-1, seed-2 ..." in done.stderr
 
 
-def test_what_has_happened_has_no_other_seed(tmp_path):
+def test_a_recorded_run_cannot_be_shown_with_another_seed(tmp_path):
     for option in (("-s", 3), ("--set", "horizon=1.0")):
         done = invoke(tmp_path, *option)
         assert done.exit_code == 2
         assert "is already recorded" in done.stderr
 
 
-def test_without_jinja_the_command_says_what_to_install(tmp_path, monkeypatch):
+def test_without_jinja_the_command_names_the_package_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     done = invoke(SCENARIOS / "relay.toml", "--set", "horizon=0.1", "-o", tmp_path / "x.html")
     assert done.exit_code == 2
@@ -627,7 +633,7 @@ def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown, resu
 
 @in_chromium
 @pytest.mark.slow
-def test_what_is_counted_is_seen(shown):
+def test_counted_messages_are_visible(shown):
     """Nothing green is on the plane while nothing flies; a dot has a radius of 2.8 px, 24 pixels, some at its rim."""
     one = Scenario(
         team=Team(positions=[(0.0, 0.0), (9.0, 9.0)], speeds=1.0, active_at_start=0.0),
@@ -652,7 +658,7 @@ def test_what_is_counted_is_seen(shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_the_page_counts_sent_and_lost_as_the_tally_does(shown, result_of):
+def test_the_page_has_the_message_counts_of_the_trace(shown, result_of):
     for name in ("faults", "crowded"):
         tally = messages(result_of(name))
         opened = shown(result_of(name))
@@ -662,8 +668,8 @@ def test_the_page_counts_sent_and_lost_as_the_tally_does(shown, result_of):
 
 @in_chromium
 @pytest.mark.slow
-def test_the_page_believes_what_the_trace_tells_forwards_and_backwards(shown, result_of):
-    """A tick is a nanosecond here, so that the very instants are judged at which word arrives."""
+def test_the_beliefs_of_the_page_match_the_trace_forwards_and_backwards(shown, result_of):
+    """A tick is a nanosecond here, so that the exact instants of arrival are tested."""
     result = result_of("cold")
     opened = shown(result)
     lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
@@ -681,7 +687,7 @@ def test_the_page_believes_what_the_trace_tells_forwards_and_backwards(shown, re
 
 @in_chromium
 @pytest.mark.slow
-def test_the_page_shows_who_chases_which_evader_and_which_are_captured_as_the_trace_tells(shown, result_of):
+def test_the_page_shows_chases_and_captures_per_evader_as_in_the_trace(shown, result_of):
     """Just after decisions, just before and after captures, the latest first; a tick is 10 ns."""
     result = result_of("many")
     opened, tick = shown(result), round(_document(result)["tick"] * SECOND)
@@ -703,7 +709,7 @@ def test_the_page_shows_who_chases_which_evader_and_which_are_captured_as_the_tr
 
 
 def profile(result, t):
-    """Return what everybody does at a time (ns), and the captured evaders with who captured them."""
+    """Return the actions at a time (ns), and the captured evaders with their capturers."""
     actions, captured = list(started(result).active), []
     for event in result.trace:
         if event.t > t:
@@ -718,7 +724,7 @@ def profile(result, t):
 
 @in_chromium
 @pytest.mark.slow
-def test_of_two_evaders_the_words_tell_which(shown):
+def test_with_two_evaders_the_texts_name_the_evader(shown):
     opened = shown(pair())
     text = "(t => (replay.seek(t), [caught, chasing, said, document.getElementById('event')].map(e => e.textContent)))"
     opened.value("replay.choose(0)")
@@ -802,7 +808,7 @@ TINTED = """(() => {
 
 @in_chromium
 @pytest.mark.slow
-def test_what_pursuers_see_is_a_disc_to_scale_that_can_be_taken_away(shown):
+def test_the_sensing_range_is_a_disc_to_scale_that_can_be_hidden(shown):
     """Of a radius of 2 m, 4 pi square metres less what lines and pursuers cover; twice seen is not darker."""
     opened = shown(run(SEEING))
     opened.until("(replay.draw(), replay.scale > 1)")
@@ -814,14 +820,14 @@ def test_what_pursuers_see_is_a_disc_to_scale_that_can_be_taken_away(shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_where_there_is_one_evader_that_is_seen_from_everywhere_no_word_is_of_others_or_of_sight(shown, result_of):
+def test_with_one_always_visible_evader_no_text_mentions_others_or_sensing(shown, result_of):
     opened = shown(result_of("relay"))
     said = opened.value("document.body.innerText + document.querySelector('#keys').textContent")
     assert not {"Captured", "sensing", "evader 2", "captures"} & set(re.findall(r"evader \d|\w+", said))
     assert opened.value("['sight', 'caught'].map(id => document.getElementById(id))") == [None, None]
 
 
-# Word takes no time, so that who receives a broadcast tells who hears its sender at that instant; the pursuers move and
+# Without latency the receivers of a broadcast are those linked to its sender at that instant; the pursuers move and
 # are sampled at every step. Edges are one-way from each node to the next three.
 AT_ONCE = Scenario(
     name="at once",
@@ -835,7 +841,7 @@ AT_ONCE = Scenario(
 ONE_WAY = Edges(directed=True, edges=tuple(Edge(src=k, dst=(k + step) % 8) for k in range(8) for step in (1, 2, 3)))
 JAM = Jamming(centre=(10.0, 10.0), radius=6.0, start=0.5, end=1.5)
 DOWN = Crash(node=3, start=0.4, end=1.2, scope="radio"), Crash(node=5, start=0.8)
-HEARING = {
+LINKED = {
     "ring": {"network": Links(graph=Ring())},
     "frozen luck": {"network": Links(range=8.0, reception=LOG)},
     "all": {
@@ -847,10 +853,10 @@ HEARING = {
 
 @in_chromium
 @pytest.mark.slow
-@pytest.mark.parametrize("name", HEARING)
-def test_the_page_links_whom_the_network_lets_hear(name, shown):
-    """Whoever speaks is heard, at that instant, by those who have its sender among whom they hear on the page."""
-    result = run(AT_ONCE.model_copy(update=HEARING[name]))
+@pytest.mark.parametrize("name", LINKED)
+def test_the_page_shows_the_links_of_the_network(name, shown):
+    """A broadcast is received, at that instant, by the pursuers that the page shows as linked from its sender."""
+    result = run(AT_ONCE.model_copy(update=LINKED[name]))
     lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
     spoke = result.trace.of(Broadcast)
     heard = [sorted(dst for dst in event.dst if (event.flight, dst) not in lost) for event in spoke]
@@ -863,7 +869,7 @@ def test_the_page_links_whom_the_network_lets_hear(name, shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_whose_radio_is_down_neither_hears_nor_is_heard(shown):
+def test_a_pursuer_with_a_broken_radio_has_no_links(shown):
     """3 is down from 0.4 s to 1.2 s, 5 from 0.8 s on."""
     opened = shown(run(AT_ONCE.model_copy(update={"fault": DOWN})))
     for t, deaf in ((0.39, set()), (0.4, {3}), (0.8, {3, 5}), (1.2, {5}), (2.0, {5})):
@@ -874,8 +880,8 @@ def test_whose_radio_is_down_neither_hears_nor_is_heard(shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_a_way_of_one_direction_is_told_from_one_of_two(shown):
-    """Pursuer 3 hears 0 to 2 and is heard by 4 to 6; the plane differs from that of links of both ways."""
+def test_one_way_and_two_way_links_are_drawn_differently(shown):
+    """Pursuer 3 receives from 0 to 2 and is received by 4 to 6; the plane differs from that of links of both ways."""
     planes = []
     for graph in (ONE_WAY, Edges(edges=ONE_WAY.edges)):
         change = {"network": Links(graph=graph), "announce": Announcements(trigger="never"), "horizon": 0.1}
@@ -888,7 +894,7 @@ def test_a_way_of_one_direction_is_told_from_one_of_two(shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_who_hears_whom_is_said_to_be_a_matter_of_chance(shown):
+def test_random_links_are_labelled_as_such(shown):
     opened = shown(run(AT_ONCE.model_copy(update={"network": Links(range=8.0, reception=LOG, fading="message")})))
     assert "reception probability 0.5 or more" in opened.value("document.querySelector('.key').textContent")
     assert "with probability 0.5 or more" in opened.value("(replay.choose(3), said.textContent)")
@@ -998,15 +1004,15 @@ def test_a_page_fits_its_window_and_the_light(width, theme, shown, result_of):
 @in_chromium
 @pytest.mark.slow
 def test_a_tap_chooses_a_pursuer(shown, result_of):
-    """The legend below the matrix says what it believes; a second tap lets it go."""
+    """The legend below the matrix shows its beliefs; a second tap lets it go."""
     opened = shown(result_of("faults"), width=390, height=844)
     opened.value("document.getElementById('matrix').scrollIntoView()")
     left, top, size = opened.value("(({ x, y, width }) => [x, y, width])(matrix.getBoundingClientRect())")
     x, y = left + 60, top + 18 + (size - 18) * 0.75
     for said in ("7 chases (1 m/s), receives from 9 teammates", "Point at a cell"):
         for kind in ("mousePressed", "mouseReleased"):
-            opened.tell("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-        opened.tell("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
+            opened.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        opened.send("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
         opened.until(f"document.getElementById('said').textContent.startsWith({said!r})")
 
 
@@ -1042,7 +1048,7 @@ def test_a_page_works_also_if_there_is_little_to_show(change, shown):
 
 @in_chromium
 @pytest.mark.slow
-def test_a_page_that_errs_or_asks_for_something_elsewhere_would_be_noticed(browser, tmp_path):
+def test_a_page_with_errors_or_external_requests_would_be_detected(browser, tmp_path):
     path = tmp_path / "bad.html"
     path.write_text(
         "<img src='http://127.0.0.1:9/x.png'>"

@@ -1,4 +1,4 @@
-"""The report: the page tells what the store has, and a browser shows it without asking for anything."""
+"""The report: the page has the data of the store, and a browser shows it without any requests."""
 
 import json
 import os
@@ -45,7 +45,7 @@ MADE = {
     **{"versions": {"python": "3.11", "jinja2": None}, "platform": {"system": "Linux"}, "code": "5eed"},
     **{"folder": None, "unrecorded": ["protocol.x"]},
 }
-"""What run.json says in place of what depends on the machine."""
+"""Values in run.json in place of those that depend on the machine."""
 
 
 def swept(folder, grid=ONE, reps=1, failing=(), made=MADE):
@@ -97,7 +97,7 @@ def full(tmp_path_factory):
 # What the page holds.
 
 
-def test_what_a_page_says_is_golden(full):
+def test_the_text_of_a_page_is_golden(full):
     """The mean of 0, 1, 2 s of the second configuration: 2 +- 4.303 / sqrt(3) = 2.484. Two of three failed alike.
 
     Of what is the same in all configurations, which comes from the scenario, and of the costs, some lines are left out.
@@ -147,8 +147,8 @@ def test_the_command_is_that_of_run_json(argv, expected):
     assert commands({"argv": argv}) == [expected]
 
 
-def test_all_commands_that_made_it_are_told_and_where_they_were_typed():
-    """Then nobody knows how many runs there should be, nor if they go on until something is known."""
+def test_all_commands_and_their_working_folders_are_listed():
+    """Then it is unknown how many runs there should be, and if they go on until something is known."""
     earlier = {"argv": ["desim", "sweep", "first.toml"], "cwd": "/a b"}
     made = {"what": "sweep", "runs": 99, "argv": ["desim", "sweep", "x y.toml"], "cwd": "/c"}
     told = ["cd '/a b'", "desim sweep first.toml", "desim sweep first.toml", "cd /c", "desim sweep 'x y.toml'"]
@@ -165,7 +165,7 @@ def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full)
     assert widths == [pytest.approx(each * 96 / 72, abs=1) for each in boxes]
 
 
-def test_of_many_different_failures_some_are_shown_and_a_store_without_run_json_says_so(tmp_path):
+def test_some_of_many_failures_are_shown_and_a_missing_run_json_is_reported(tmp_path):
     """One page of a sweep that failed everywhere should still open; its scenario is that of the store."""
     study = Study.read(swept(tmp_path, reps=25, failing=[f"ValueError: {k}" for k in range(25)], made=None))
     elements = Elements(report(study))
@@ -276,7 +276,7 @@ def test_a_folder_that_is_not_of_a_sweep_is_refused(prepare, said, folder):
     assert "Traceback" not in done.output
 
 
-def test_a_folder_with_parts_of_a_sweep_says_how_to_put_them_together(folder):
+def test_a_folder_with_parts_of_a_sweep_gives_an_error_that_explains_merging(folder):
     (folder / "sweep.sqlite").rename(folder / "sweep.1-of-1.sqlite")
     done = invoke(folder)
     assert done.exit_code == 2
@@ -293,7 +293,7 @@ def test_a_page_of_another_kind_is_refused(folder, tmp_path):
     assert (tmp_path / "v1.2.html").exists()
 
 
-def test_without_what_it_needs_the_command_says_what_to_install(folder, monkeypatch):
+def test_without_its_dependencies_the_command_names_the_packages_to_install(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     done = invoke(folder)
     assert done.exit_code == 2

@@ -72,7 +72,7 @@ def test_no_text_lies_over_another_or_outside_of_the_picture(crowded, width):
 
 
 def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
-    """As it says when the window could end, and how many fit."""
+    """The message names a possible end of the window, and how many fit."""
     with pytest.raises(ValueError, match="fewer pursuers") as refused:
         spacetime(crowded, 1.0, 4.0)
     until = float(re.search(r"end the window at ([\d.]+) s", str(refused.value))[1])
@@ -82,7 +82,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
 
 
 @pytest.mark.parametrize("width", [8.5, 17.0])
-def test_if_nothing_is_asked_for_there_is_something_to_see_and_not_too_much(crowded, width):
+def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
     figure = spacetime(crowded, width=width)
     (axes,) = figure.axes
     assert 0.4 * MOST * width < count(figure) <= MOST * width
@@ -116,7 +116,7 @@ def test_of_a_large_team_the_six_that_changed_action_most_are_shown(run_of):
         ({"pursuers": ()}, "at least one"),
     ],
 )
-def test_what_cannot_be_drawn_is_said(asked, says):
+def test_a_run_that_cannot_be_drawn_is_reported(asked, says):
     with pytest.raises(ValueError, match=says):
         spacetime(history(), **asked)
 
