@@ -159,6 +159,7 @@ def test_names_are_drawn_as_they_are():
 
 def test_unmeasured_values_are_not_drawn():
     _, (line,) = drawn({"x": [1.0, 2.0]}, "capture_time")
+    assert len(line.get_ydata()) == 2
     assert all(map(isnan, line.get_ydata()))
 
 
