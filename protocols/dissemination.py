@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal, Protocol
 from pydantic import Field
 
 from desim.config.model import Time, Value
+from desim.kernel.clock import Phase
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.announcements import Forwarded
 
@@ -75,14 +76,14 @@ class Flooding(Value):
         rng = me.stream("flooding")
         passed_on: dict[int, tuple[int, int]] = {}  # by source: sequence number and hops of the last copy
         while True:
-            yield me.arrival(PORT)
+            yield me.arrival(PORT, Phase.RELAY)
             for message in me.mail(PORT):
                 (record,), hops = message.body
                 me.merge_records([record])
                 if hops > 1 and record.src != me.id and (record.seq, hops) > passed_on.get(record.src, (0, 0)):
                     passed_on[record.src] = (record.seq, hops)
                     again = partial(me.send, None, Forwarded((record,), hops - 1), PORT)
-                    me.after(rng.uniform(0.0, self.jitter), again)
+                    me.after(rng.uniform(0.0, self.jitter), again, Phase.RELAY)
 
 
 class Gossip(Value):
@@ -101,6 +102,6 @@ class Gossip(Value):
     def __call__(self, me: Agent) -> Process:
         """Merge the records that arrive."""
         while True:
-            yield me.arrival(PORT)
+            yield me.arrival(PORT, Phase.RELAY)
             for message in me.mail(PORT):
                 me.merge_records(message.body.records)

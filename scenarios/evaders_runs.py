@@ -227,7 +227,7 @@ def observe(result: Result) -> Watched:
 
 def _is_seen(sample: Sampled, radius: float) -> bool:
     """Return whether any pursuer is within the radius (m) of the evader."""
-    gaps = np.array(sample.pursuers) - np.array(sample.evader)
+    gaps = np.array(sample.pursuers) - np.array(sample.evaders[0])
     return bool(np.hypot(gaps[:, 0], gaps[:, 1]).min() <= radius)
 
 

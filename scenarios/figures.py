@@ -90,13 +90,17 @@ def initial(result: Result) -> "Figure":
         axes.plot(*places[~fast].T, "o", color=plots.BLUE, ms=4, label=f"pursuer, {min(start.speeds):g} m/s")
         axes.plot(*places[fast].T, "^", color=plots.BLUE, ms=6, label=f"pursuer, {max(start.speeds):g} m/s")
         axes.plot(
-            *start.evader, "s", color=plots.VERMILION, ms=4, label=f"evader, {result.scenario.evaders[0].speed:g} m/s"
+            *start.evaders[0],
+            "s",
+            color=plots.VERMILION,
+            ms=4,
+            label=f"evader, {result.scenario.evaders[0].speed:g} m/s",
         )
         axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", xlim=(-1, 21), ylim=(-1, 21))
         axes.set(xticks=range(0, 21, 5), yticks=range(0, 21, 5))
         figure.legend(loc="outside lower center", ncols=3, handletextpad=0.2, columnspacing=1)
         figure.draw_without_rendering()
-        label_points(axes, places.tolist(), [str(k) for k in range(len(places))], avoid=[start.evader])
+        label_points(axes, places.tolist(), [str(k) for k in range(len(places))], avoid=[start.evaders[0]])
     return figure
 
 

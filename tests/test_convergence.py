@@ -85,7 +85,7 @@ def outcome(result):
     """Return the last profile of a run, the relay profile, and when the last change was, s."""
     start = result.trace.of(Started)[0]
     radius, horizon = result.scenario.capture.radius, result.scenario.horizon
-    phi = capture_time(start.evader, start.pursuers, start.speeds, result.scenario.evader.speed, radius)
+    phi = capture_time(start.evaders[0], start.pursuers, start.speeds, result.scenario.evader.speed, radius)
     profile, settled = list(start.active), 0.0
     for decision in result.trace.of(Decided):
         if profile[decision.pursuer] != decision.active:

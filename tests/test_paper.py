@@ -110,7 +110,7 @@ def compare(case, result, owners=None, draws=None):
     if captured is not None:
         assert end.t / 1e9 == pytest.approx(captured, abs=1e-9)
     assert active_in_every_slot(trace, delta) == profiles[: round(end.t / 1e9 / delta)]
-    ours = np.array([[*sample.pursuers, sample.evader] for sample in samples])
+    ours = np.array([[*sample.pursuers, sample.evaders[0]] for sample in samples])
     assert len(ours) == len(paths)
     assert ours == pytest.approx(paths, abs=1e-9)
 

@@ -146,7 +146,7 @@ def outcome(case, kind):
     """Return the profile after half of a game, or at its end if a rule may need that, and the times of capture."""
     result = run(case, None, lambda event: kind not in WHOLE_GAME and event.t > 15 * SECOND)
     start = result.trace.of(Started)[0]
-    phi = capture_time(start.evader, start.pursuers, start.speeds, result.scenario.evader.speed, 0.1)
+    phi = capture_time(start.evaders[0], start.pursuers, start.speeds, result.scenario.evader.speed, 0.1)
     profile = list(start.active)
     for event in result.trace:
         if isinstance(event, Decided | BrokeDown):

@@ -8,8 +8,7 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.clock import SECOND, Clock, seconds
-from desim.kernel.events import Trace
+from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash
 from desim.kernel.trace_file import events_of, line_of
 from desim.pursuit.announcements import Announcements
@@ -20,7 +19,7 @@ from desim.results.run_folder import EVENTS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 from desim.scenario.toml import load
-from desim.simulation.world import World
+from tests.worlds import world_of
 
 
 def chase(*targets):
@@ -132,9 +131,9 @@ def test_a_pursuer_of_a_captured_evader_stays_until_its_next_decision():
     (captured,) = result.trace.of(Captured)
     after = [sample for sample in result.trace.of(Sampled) if sample.t > captured.t]
     assert seconds(captured.t) == pytest.approx((2.0 - 0.1) / 0.5)
-    assert len({(sample.pursuers, sample.evader) for sample in after}) == 1
-    assert after[0].evader == (pytest.approx(2.0 + 0.5 * 3.8), 0.0)
-    assert len({sample.others for sample in after}) == len(after)
+    assert len({(sample.pursuers, sample.evaders[0]) for sample in after}) == 1
+    assert after[0].evaders[0] == (pytest.approx(2.0 + 0.5 * 3.8), 0.0)
+    assert len({sample.evaders[1] for sample in after}) == len(after)
     assert not [each for each in result.trace.of(Decided) if each.t > 0]
 
 
@@ -147,9 +146,8 @@ def test_each_evader_flees_its_nearest_pursuer_and_its_chasers():
     )
     result = desim.run(standing(team=team, evader=evaders, protocol=chase(2, 2), horizon=1.0))
     last = result.trace.of(Sampled)[-1]
-    assert last.evader == (2.0, 0.0)
-    # Both that chase it are to its left.
-    assert last.others == ((pytest.approx(102.5), 0.0),)
+    # Both that chase the second are to its left.
+    assert last.evaders == ((2.0, 0.0), (pytest.approx(102.5), 0.0))
 
 
 def test_captured_and_unknown_evaders_cannot_be_chased():
@@ -238,21 +236,21 @@ def test_a_chaser_is_dead_reckoned_up_to_the_capture_and_no_farther(exact):
         Evader(position=(2.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=0.0)),
         Evader(position=(60.0, 60.0), speed=0.9),
     )
-    clock = Clock()
     said = Announcements(payload="state")
-    world = World(clock, Scenario(team=team, evader=evaders, announce=said), 0, Trace())
-    world.begin()
-    world.set_action(0, 1), world.set_action(1, 1)
+    parts = world_of(Scenario(team=team, evader=evaders, announce=said))
+    clock, state = parts.env, parts.state
+    parts.world.begin()
+    parts.world.set_action(0, 1), parts.world.set_action(1, 1)
     clock.run(until=SECOND)
-    told = world.positions()
+    told = state.positions()
     clock.run(until=8 * SECOND)
-    assert world.evaders() == (2,)
+    assert state.at_large == (2,)
     for pursuer in (0, 1) if exact else (0,):
         for place, age in ((team.positions[pursuer], 8), ((told[pursuer].real, told[pursuer].imag), 7)):
-            reckoned = world.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
-            assert abs(reckoned - world.position(pursuer)) < 1e-9
+            reckoned = parts.view.reckoned(complex(*place), 2.0, age * SECOND, 1, exact=exact)
+            assert abs(reckoned - state.position(pursuer)) < 1e-9
         # A pursuer that announced it after the capture has not moved since.
-        assert world.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
+        assert parts.view.reckoned(3.0 + 4.0j, 2.0, SECOND, 1, exact=exact) == 3.0 + 4.0j
 
 
 def test_a_trace_with_several_evaders_reads_back():
@@ -261,11 +259,11 @@ def test_a_trace_with_several_evaders_reads_back():
     assert list(events_of(lines, EVENTS)) == result.trace.events
 
 
-def test_a_trace_with_one_evader_has_no_fields_for_several():
+def test_a_trace_with_one_evader_has_the_form_of_any_other():
     result = desim.run(Scenario(horizon=1.0))
     events = [json.loads(line) for line in map(line_of, result.trace)]
     assert {event["event"] for event in events} == {"Started", "Decided", "Sampled", "MessageCounts", "Ended"}
-    assert not any("others" in event for event in events)
+    assert {len(event["evaders"]) for event in events if event["event"] in {"Started", "Sampled"}} == {1}
     started, decided = (
         [event["active"] for event in events if event["event"] == kind] for kind in ("Started", "Decided")
     )
@@ -285,11 +283,11 @@ def test_alike_evaders_start_apart_and_the_first_is_where_one_would_be_and_do_no
     """From one place each wanders as chance has it."""
     one, three = (desim.run(Scenario(horizon=0.1, evader=Evader(count=count)), 4) for count in (1, 3))
     start, starts = one.trace.of(Started)[0], three.trace.of(Started)[0]
-    assert (start.evader, start.pursuers) == (starts.evader, starts.pursuers)
+    assert (start.evaders[0], start.pursuers) == (starts.evaders[0], starts.pursuers)
     assert len(set(starts.evaders)) == 3
     wander = Evader(count=3, position=(5.0, 5.0), strategy=Diffusion())
     last = desim.run(Scenario(horizon=0.5, team=Team(count=1), evader=wander)).trace.of(Sampled)[-1]
-    assert len({last.evader, *last.others}) == 3
+    assert len(set(last.evaders)) == 3
 
 
 def test_a_list_with_one_table_is_that_table(tmp_path):
@@ -303,7 +301,7 @@ def test_a_list_with_one_table_is_that_table(tmp_path):
 def test_a_start_at_random_chases_every_evader_alike():
     """Of 4,000 starts of one pursuer a third each, within 4 standard errors of 0.0075."""
     base = Scenario(team=Team(count=400, speeds=1.0), evader=Evader(count=3))
-    starts = [World(Clock(), base, seed, Trace()).profile() for seed in range(10)]
+    starts = [world_of(base, seed).state.profile for seed in range(10)]
     assert len(set(map(tuple, starts))) == 10
     first = np.concatenate(starts)
     shares = [(first == action).mean() for action in (1, 2, 3)]

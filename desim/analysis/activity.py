@@ -53,15 +53,18 @@ def decisions(result: Result) -> list[Decided]:
 
 @remembered
 def changes(result: Result) -> list[Change]:
-    """Return the changes of action in order; a capture is one `Released` for each pursuer of the evader."""
-    actions = list(started(result).active)
+    """Return the changes of action in order; a capture is one `Released` for each pursuer of the evader.
+
+    The pursuers of an evader that is captured at the end of the run chase it until then.
+    """
+    actions, end = list(started(result).active), ended(result).t
     changed: list[Change] = []
     for event in result.trace:
         if isinstance(event, Decided | BrokeDown):
             if action(event) != actions[event.pursuer]:
                 actions[event.pursuer] = action(event)
                 changed.append(event)
-        elif isinstance(event, Captured):
+        elif isinstance(event, Captured) and event.t < end:
             for pursuer in [i for i, chased in enumerate(actions) if chased == event.evader]:
                 actions[pursuer] = 0
                 changed.append(Released(event.t, pursuer))

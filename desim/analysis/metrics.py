@@ -29,10 +29,10 @@ from desim.analysis.hindsight import misassigned_time, network_regret, potential
 from desim.analysis.trace_index import (
     captures,
     ended,
-    has_several,
     messages,
     messages_recorded,
     positions_known,
+    started,
     trace_index,
 )
 from desim.kernel.clock import seconds
@@ -130,7 +130,7 @@ class Metric:
 
     def __call__(self, result: Result) -> Any:
         """Return the value for a run; None if it was not recorded or is not defined."""
-        there = (self.given is None or self.given(result)) and (not self.of_several or has_several(result))
+        there = (self.given is None or self.given(result)) and (not self.of_several or len(started(result).evaders) > 1)
         value = self.of(result) if there else None
         return None if isinstance(value, float) and isnan(value) else value
 

@@ -61,16 +61,8 @@ def ended(result: Result) -> Ended:
 
 @remembered
 def captures(result: Result) -> list[Captured]:
-    """Return the captures in order; with one evader, the capture at the end of the run if there was one."""
-    if has_several(result):
-        return result.trace.of(Captured)
-    end = ended(result)
-    return [] if end.capturer is None else [Captured(end.t, 1, end.capturer)]
-
-
-def has_several(result: Result) -> bool:
-    """Return whether there were several evaders."""
-    return len(started(result).evaders) > 1
+    """Return the captures in order."""
+    return result.trace.of(Captured)
 
 
 @remembered

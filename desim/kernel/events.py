@@ -36,9 +36,6 @@ class Event(Protocol):
     @property
     def _fields(self) -> tuple[str, ...]: ...
 
-    @property
-    def _field_defaults(self) -> dict[str, Any]: ...
-
 
 Cause = Literal["loss", "out_of_range", "partition", "jamming", "crash", "queue", "half_duplex"]
 """The cause of a loss; "queue": dropped from a full queue, "half_duplex": the receiver was transmitting."""

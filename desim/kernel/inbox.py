@@ -105,6 +105,29 @@ class Inbox:
             self._env.schedule(event, EventPriority(self._priority))
 
 
+class Inboxes:
+    """The inboxes of all nodes at all ports; those of a port are created when it is first used."""
+
+    def __init__(self, env: Clock, size: int):
+        self._env, self._size = env, size
+        self._ports: dict[str, list[Inbox]] = {}
+
+    def at(self, port: str) -> list[Inbox]:
+        """Return the inbox of each node at a port."""
+        if port not in self._ports:
+            self._ports[port] = [Inbox(self._env, node) for node in range(self._size)]
+        return self._ports[port]
+
+    def drain(self, node: int) -> None:
+        """Delete the waiting messages of a node at all ports."""
+        for boxes in self._ports.values():
+            boxes[node].drain()
+
+    def in_flight(self) -> int:
+        """Return the number of messages in flight."""
+        return sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
+
+
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
     """Put a message into the inboxes of its receivers; it wakes the processes that wait there at its arrival time.
 

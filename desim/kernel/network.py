@@ -5,52 +5,29 @@ A *record* is the state of a node: a newer record of a source supersedes an olde
 visible to reads from then on. A *message* is an event: `send` wakes a process that waits at the inbox of the receiver,
 and needs a SimPy event only if one waits. Both use the same links. A read in the decision phase of an instant, or
 later, returns exactly the records and messages that have arrived up to and including that instant.
-
-If messages can still be lost on arrival (faults, range check at delivery, half duplex), each arrival is a SimPy event.
 """
 
-from collections import Counter
-from collections.abc import Mapping
-from functools import cached_property, partial
-from itertools import compress, count
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cached_property
+from itertools import count
+from typing import TYPE_CHECKING, Any
 
-from desim.kernel.clock import SECOND, Clock, Instant, Phase
-from desim.kernel.events import LOST, Broadcast, Cause, Lost, MessageCounts, Queued, Sent, Trace
+from desim.kernel.clock import SECOND, Clock
+from desim.kernel.events import MessageCounts, Trace
 from desim.kernel.fault_state import FaultState
-from desim.kernel.inbox import Inbox, Message, deliver
+from desim.kernel.inbox import Inbox, Inboxes, Message
+from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
-from desim.kernel.medium import Unlimited
 from desim.kernel.message_size import as_sent, size_of
 from desim.kernel.positions import PositionSource
 from desim.kernel.propagation import LinkSampler
-from desim.kernel.records import Arrival, Predicate, Record, Records, Table, per_receiver
+from desim.kernel.records import Predicate, Record, Records, Table
 from desim.kernel.topology import Topology
-from desim.kernel.transmitter import Transmitter
 
 if TYPE_CHECKING:
     import networkx as nx
-    import simpy
 
 
 _new = tuple.__new__  # creates a named tuple in a third of the time
-
-
-class Transmission(NamedTuple):
-    """One transmission: a record or a message, with its receivers."""
-
-    number: int
-    src: int
-    created: int
-    """Time of the call of `publish` or `send`, ns."""
-    size: int
-    """Bytes."""
-    receivers: list[int]
-    content: Record | Message
-    port: str
-    """Port of the inbox, for a message."""
-    reachable: bool
-    """Whether the receiver of `send` was linked and within range; True for a broadcast."""
 
 
 class Network:
@@ -90,26 +67,21 @@ class Network:
             seed=seed,
             now=lambda: env.now / SECOND,
         )
-        size = self.topology.size
         self._sampler = LinkSampler(links, graph, seed, positions)
-        self._fault_state = fault_state
-        self._checks_departure, self._checks_arrival = links.range_check != "delivery", links.range_check != "send"
-        self._settles_on_arrival = self._checks_arrival or fault_state is not None or links.medium.half_duplex
-        self._medium = links.medium
-        self._transmitter: Transmitter[Transmission] | None = None
-        if not isinstance(links.medium, Unlimited):
-            self._transmitter = Transmitter(
-                env, links.medium, size, self._leave, self._wait, self._overflow, self._sampler.processing
-            )
-        self._may_lose = fault_state is not None or not self._sampler.lossless or self._transmitter is not None
-        self._records = Records(env, size, predicate)
-        self._ports: dict[str, list[Inbox]] = {}
-        self._trace = trace if trace is not None and trace.wants_messages else None
-        self._seq = [count(1) for _ in range(size)]
-        self._numbers = count()
-        self._crashes: dict[int, list[int]] = {}
-        self._sent = self._arriving = self._transmissions = self._bytes_sent = 0
-        self._lost: Counter[Cause] = Counter()
+        self._medium, self._fault_state = links.medium, fault_state
+        self._records, self._inboxes = Records(env, self.topology.size, predicate), Inboxes(env, self.topology.size)
+        self._link_layer = LinkLayer(
+            env,
+            links,
+            self.topology,
+            self._sampler,
+            self._records,
+            self._inboxes,
+            fault_state,
+            trace if trace is not None and trace.wants_messages else None,
+        )
+        self._transmit = self._link_layer.transmit
+        self._seq = [count(1) for _ in range(self.topology.size)]
 
     # Operations of nodes.
 
@@ -167,13 +139,11 @@ class Network:
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
-        return self._boxes(port)[node]
+        return self._inboxes.at(port)[node]
 
-    def _boxes(self, port: str) -> list[Inbox]:
-        """Return the inboxes of all nodes at a port."""
-        if port not in self._ports:
-            self._ports[port] = [Inbox(self._env, node) for node in range(self.topology.size)]
-        return self._ports[port]
+    def overhear(self, listener: Listener) -> None:
+        """Call a listener whenever a transmission starts, with its content and its last arrival time, ns, or `LOST`."""
+        self._link_layer.overhear(listener)
 
     def neighbours(self, node: int) -> list[int]:
         """Return the nodes that can receive from `node` now, ascending; see `Topology.neighbours`."""
@@ -216,17 +186,14 @@ class Network:
             ValueError: if the network was created without a `FaultState`.
         """
         self.fault_state.crash(node)
-        self._crashes.setdefault(node, []).append(self._env.now)
-        for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
-            self._lose(transmission, transmission.receivers, "crash")
+        self._link_layer.crash(node)
 
     def recover(self, node: int, *, memory: bool = True) -> None:
         """End one crash of a node; without memory its received records and waiting messages are deleted."""
         self.fault_state.recover(node)
         if not memory:
             self._records.forget(node)
-            for boxes in self._ports.values():
-                boxes[node].drain()
+            self._inboxes.drain(node)
 
     @property
     def fault_state(self) -> FaultState:
@@ -241,157 +208,4 @@ class Network:
 
     def message_counts(self) -> MessageCounts:
         """Return the counts of messages up to now; each sent message is delivered, lost or in flight."""
-        now, lost = self._env.now, self._lost.total()
-        in_flight = self._arriving + self._records.in_flight()
-        in_flight += sum(box.in_flight() for boxes in self._ports.values() for box in boxes)
-        busy = 0.0
-        if self._transmitter is not None:
-            in_flight += sum(len(transmission.receivers) for transmission in self._transmitter.waiting())
-            busy = self._transmitter.airtime() / (self._transmitter.channels * now) if now else 0.0
-        delivered = self._sent - lost - in_flight
-        by_cause = {cause: self._lost[cause] for cause in sorted(+self._lost)}  # + drops causes without losses
-        return MessageCounts(
-            now, self._sent, delivered, lost, in_flight, by_cause, self._transmissions, self._bytes_sent, busy
-        )
-
-    # The steps of a transmission.
-
-    def _transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
-        """Pass a new transmission to the transmitter of its node, unless the radio is down."""
-        if self._fault_state is not None and self._fault_state.down(src):
-            return
-        number, reachable, topology = next(self._numbers), True, self.topology
-        if dst is None:
-            receivers = topology.hearers(src, number) if self._checks_departure else topology.linked(src)
-        else:
-            receivers = [dst]
-            reachable = topology.are_linked(src, dst) and not self._is_out_of_range(src, dst, number)
-        if size is None:
-            size = size_of(content.body)
-        transmission = _new(Transmission, (number, src, self._env.now, size, receivers, content, port, reachable))
-        self._sent += len(receivers)
-        if self._transmitter is None:
-            self._leave(transmission, 0)
-        else:
-            self._transmitter.enqueue(transmission)
-
-    def _is_out_of_range(self, src: int, dst: int, number: int) -> bool:
-        """Return whether a range check at transmission fails for a receiver."""
-        return self._checks_departure and not self.topology.reaches(src, dst, number)
-
-    def _wait(self, transmission: Transmission) -> None:
-        if self._trace is not None:
-            dst = tuple(transmission.receivers)
-            self._trace.append_message(
-                Queued(self._env.now, transmission.number, transmission.src, dst, transmission.size)
-            )
-
-    def _overflow(self, transmission: Transmission) -> None:
-        self._lose(transmission, transmission.receivers, "queue")
-
-    def _leave(self, transmission: Transmission, airtime: int) -> None:
-        """Start a transmission with an airtime (ns): draw its losses and schedule its arrivals."""
-        now, receivers = self._env.now, transmission.receivers
-        self._transmissions += 1
-        self._bytes_sent += transmission.size
-        arrival = self._sampler.arrivals(transmission.src, receivers, now, airtime, transmission.size)
-        causes = self._losses(transmission) if self._may_lose or not transmission.reachable else {}
-        reached = receivers
-        if causes:
-            reached = [node for node in receivers if node not in causes]
-            if not isinstance(arrival, int):
-                arrival = [when for node, when in zip(receivers, arrival, strict=True) if node not in causes]
-        if self._sampler.keeps_order:
-            arrival = self._sampler.in_order(transmission.src, reached, arrival)
-        if self._trace is not None:
-            self._record(transmission, causes, arrival)
-        for node, cause in causes.items():
-            self._lose(transmission, [node], cause)
-        if self._settles_on_arrival:
-            self._schedule_arrivals(transmission, reached, arrival, airtime)
-        elif isinstance(transmission.content, Record):
-            self._records.schedule(transmission.content, reached, arrival)
-        else:
-            deliver(transmission.content, self._boxes(transmission.port), reached, arrival, transmission.number)
-
-    def _losses(self, transmission: Transmission) -> dict[int, Cause]:
-        """Return the receivers for which a transmission is lost at its start, with the causes."""
-        src, receivers, causes = transmission.src, transmission.receivers, dict[int, Cause]()
-        lost = self._sampler.losses(src, receivers, self._env.now, transmission.size)
-        if lost is not None:
-            causes |= dict.fromkeys(compress(receivers, lost), "loss")
-        if self._fault_state is not None:
-            causes |= {node: "partition" for node in receivers if self._fault_state.cut(src, node)}
-        if transmission.created < self._env.now:  # it waited, and its receivers may have moved out of range
-            causes |= {
-                node: "out_of_range" for node in receivers if self._is_out_of_range(src, node, transmission.number)
-            }
-        return causes if transmission.reachable else dict.fromkeys(receivers, "out_of_range")
-
-    def _schedule_arrivals(
-        self, transmission: Transmission, reached: list[int], arrival: Arrival, airtime: int
-    ) -> None:
-        """Schedule an event for each arrival time of a transmission, at which losses on arrival are decided."""
-        self._arriving += len(reached)
-        nodes_by_arrival: dict[int, list[int]] = {}
-        if isinstance(arrival, int):
-            nodes_by_arrival = {arrival: reached} if reached else {}
-        else:
-            for node, when in zip(reached, arrival, strict=True):
-                nodes_by_arrival.setdefault(when, []).append(node)
-        for when, nodes in nodes_by_arrival.items():
-            Instant(self._env, when, Phase.DELIVERY).callbacks.append(
-                partial(self._land, transmission, nodes, (self._env.now, self._env.now + airtime))
-            )
-
-    def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
-        """Deliver a transmission to nodes now, or lose it there; it was transmitted in `interval` (start, end), ns."""
-        self._arriving -= len(nodes)
-        for node in nodes:
-            cause = self._obstacle(transmission, node, interval)
-            if cause is not None:
-                self._lose(transmission, [node], cause)
-            elif isinstance(transmission.content, Record):
-                self._records.insert(node, transmission.content)
-            else:
-                deliver(
-                    transmission.content, self._boxes(transmission.port), [node], self._env.now, transmission.number
-                )
-
-    def _obstacle(self, transmission: Transmission, node: int, interval: tuple[int, int]) -> Cause | None:
-        """Return the cause for which a message that arrives now is lost, or None."""
-        faults, (begin, end) = self._fault_state, interval
-        if faults is not None:
-            if faults.down(node) or any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
-                return "crash"
-            if faults.cut(transmission.src, node):
-                return "partition"
-            if faults.jammed(node):
-                return "jamming"
-        if self._checks_arrival and not self.topology.reaches(transmission.src, node, transmission.number):
-            return "out_of_range"
-        left = self._env.now - self._sampler.processing
-        transmitting = self._transmitter is not None and self._transmitter.transmitted(node, left, end - begin)
-        return "half_duplex" if transmitting else None
-
-    def _lose(self, transmission: Transmission, nodes: list[int], cause: Cause) -> None:
-        self._lost[cause] += len(nodes)
-        if self._trace is not None:
-            for node in nodes:
-                self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
-
-    def _record(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Append a transmission to the trace, with its arrival times, or `LOST` where it is lost at transmission."""
-        assert self._trace is not None
-        number, src, created, size, receivers, content = transmission[:6]
-        now, fates = self._env.now, arrival
-        if causes:
-            arrivals = iter(per_receiver(arrival, len(receivers)))
-            fates = [LOST if node in causes else next(arrivals) for node in receivers]
-        if isinstance(content, Record):
-            fate = (fates,) * bool(receivers) if isinstance(fates, int) else tuple(fates)
-            event = Broadcast(now, number, src, content.seq, tuple(receivers), fate, created, size, content.body)
-            self._trace.append_message(event)
-        else:
-            for node, arrives in zip(receivers, per_receiver(fates, len(receivers)), strict=True):
-                self._trace.append_message(Sent(now, number, src, node, arrives, created, size, content.body))
+        return self._link_layer.message_counts()

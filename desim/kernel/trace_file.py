@@ -51,14 +51,10 @@ class TraceFile:
 
 
 def line_of(event: Event) -> str:
-    """Return an event as one line of JSON: its type, then its fields, with times in seconds and null for `LOST`.
-
-    A field with its default value is omitted.
-    """
+    """Return an event as one line of JSON: its type, then its fields, with times in seconds and null for `LOST`."""
     text, fields = _line_layout(type(event))
-    for value, (key, write, default) in zip(event, fields, strict=True):
-        if default is _REQUIRED or value != default:
-            text += key + write(value)
+    for value, (key, write) in zip(event, fields, strict=True):
+        text += key + write(value)
     return text + "}\n"
 
 
@@ -95,19 +91,17 @@ def events_of(
         yield event
 
 
-_REQUIRED = object()
-"""Marks a field without a default."""
 _json = json.JSONEncoder(default=repr).encode
 _number = float.__repr__
-Written = tuple[str, Callable[[Any], str], Any]
-"""The text before the value of a field, the function that writes the value, and the default."""
+Written = tuple[str, Callable[[Any], str]]
+"""The text before the value of a field, and the function that writes the value."""
 
 
 @cache
 def _line_layout(kind: Any) -> tuple[str, tuple[Written, ...]]:
     """Return the layout of the lines of an event type: the start of a line, and its fields."""
-    defaults, hints = kind._field_defaults, get_type_hints(kind, include_extras=True)
-    fields = ((f", {_json(name)}: ", _writer(hints[name]), defaults.get(name, _REQUIRED)) for name in kind._fields)
+    hints = get_type_hints(kind, include_extras=True)
+    fields = ((f", {_json(name)}: ", _writer(hints[name])) for name in kind._fields)
     return f'{{"event": {_json(kind.__name__)}', tuple(fields)
 
 
@@ -154,8 +148,7 @@ def _reader(kind: Any, limits: Limits) -> Callable[[Any], Event]:
     fields = [(name, _as_read(hint, limits)) for name, hint in get_type_hints(kind, include_extras=True).items()]
     make: Any = NamedTuple
     validate = TypeAdapter(make(kind.__name__, fields)).validator.validate_python
-    defaults = kind._field_defaults
-    return lambda values: kind._make(validate(defaults | values))
+    return lambda values: kind._make(validate(values))
 
 
 def _as_read(hint: Any, limits: Limits) -> Any:

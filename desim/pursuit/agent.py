@@ -5,11 +5,9 @@ The agent senses its own position and those of the evaders, and those of its tea
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Sequence
-from copy import copy
-from dataclasses import dataclass
 from itertools import count
 from math import inf
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import simpy
@@ -22,7 +20,7 @@ from desim.kernel.seeds import stream
 from desim.pursuit.announcements import PAYLOADS, Announcements, LocatedAssignment
 from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
 from desim.pursuit.utility import Mean, Scope, Utility
-from desim.pursuit.views import GlobalState, PursuerView
+from desim.pursuit.views import GlobalState, View
 
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
@@ -30,18 +28,6 @@ PAPER = Mean()
 """The utility of Lee & Bakolas."""
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
 """Hint in error messages about an infinite waiting time."""
-
-
-@dataclass(slots=True)
-class AnnouncementState:
-    """The announcement state of a pursuer, shared by all its processes."""
-
-    news: Any
-    """The value in its last announcement whose change makes the next one due; None if that is due in any case."""
-    payload: Any = None
-    """The body set by `Agent.set_payload`; None for the payload of `announce.payload`."""
-    restarts: int = 0
-    """Number of restarts without memory."""
 
 
 class Agent:
@@ -52,13 +38,15 @@ class Agent:
     Attributes:
         id: 0 .. team_size - 1.
         rng: random stream of its decisions.
-        global_state: the true state of the world, bypassing sensing and network; for omniscient benchmarks only.
+        restarts: number of restarts without memory after a crash.
+        global_state: the true state of the world and the actions of all pursuers, bypassing sensing and network; for
+            omniscient benchmarks only.
 
     Args:
         pursuer: its id.
         env: the clock of the simulation.
-        world: its view of the world, which it senses and acts on.
-        global_state: the true state of the world.
+        view: its view of the world.
+        global_state: see the attribute; it sets the actions of this pursuer, too.
         network: the network that carries its messages.
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
@@ -69,7 +57,7 @@ class Agent:
         self,
         pursuer: int,
         env: Clock,
-        world: PursuerView,
+        view: View,
         global_state: GlobalState,
         network: Network,
         seed: int,
@@ -79,33 +67,24 @@ class Agent:
         self.id = pursuer
         self.rng = stream(seed, "decisions", pursuer)
         self.global_state = global_state
-        self._env, self._world, self._network, self._seed = env, world, network, seed
-        self._announcements = announcements
-        self._turn = int(Phase.DECISION) + pursuer  # its priority among the events of one instant
-        self._clock = clock
-        self._announced = AnnouncementState((self.action,) if self._announcements.warm_start else None)
-        self._beliefs = Beliefs(pursuer, self._clock, world, network, self._announcements, self.announcement)
+        self.restarts = 0
+        self._env, self._view, self._network, self._seed = env, view, network, seed
+        self._state, self._announcements, self._clock = view.state, announcements, clock
+        # The body that replaces the payload of `announce.payload`, and the value in the last announcement whose change
+        # makes the next one due; None: it is due in any case.
+        self._payload: Any = None
+        self._announced: Any = (self.action,) if announcements.warm_start else None
+        self._beliefs = Beliefs(pursuer, clock, view, network, announcements, self.announcement)
         self._streams: dict[str, np.random.Generator] = {}
-
-    def in_phase(self, phase: Phase) -> Self:
-        """Return a copy of this agent for a process that is scheduled in another phase of each instant."""
-        other = copy(self)
-        other._turn = int(phase) + self.id
-        return other
 
     def recovered(self, *, restarted: bool) -> None:
         """Register a recovery from a crash. Its last announcement may not have been sent, so the next one is due."""
-        self._announced.news = None
+        self._announced = None
         if restarted:
-            self._announced.payload = None
-            self._announced.restarts += 1
+            self._payload = None
+            self.restarts += 1
 
     # Knowledge.
-
-    @property
-    def restarts(self) -> int:
-        """Number of restarts without memory after a crash."""
-        return self._announced.restarts
 
     @property
     def now(self) -> float:
@@ -115,60 +94,60 @@ class Agent:
     @property
     def team_size(self) -> int:
         """Number of pursuers, N."""
-        return self._world.size
+        return self._state.size
 
     @property
     def action(self) -> int:
         """The evader that it chases, 1 .. M, or 0 if it stays."""
-        return self._world.action(self.id)
+        return self._state.profile[self.id]
 
     def evaders(self) -> Sequence[int]:
         """Return the numbers of the evaders that have not been captured."""
-        return self._world.evaders()
+        return self._state.at_large
 
     def options(self) -> Sequence[int]:
         """Return the actions that it may choose: 0, and each evader that it may chase (`Scenario.prune`)."""
-        return self._world.options(self.id)
+        return self._view.options(self.id)
 
     def has_choice(self) -> bool:
         """Return whether it may choose any action but 0."""
-        return len(self._world.options(self.id)) > 1
+        return len(self._view.options(self.id)) > 1
 
     @property
     def evader_count(self) -> int:
         """Number of evaders at the start, M."""
-        return self._world.evader_count
+        return self._state.evader_count
 
     def capture_time(self, evader: int = 1) -> float:
         """Return its own capture time phi_i of an evader, s."""
-        (time,) = self._world.capture_times_of([self.id], evader)
+        (time,) = self._view.capture_times_of([self.id], evader)
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
         """Return the time r left to the horizon by its own clock, s, as it will be `ahead` s from now."""
-        return self._world.time_left(self._clock.stamp + nanoseconds(ahead))
+        return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
         """Return whether it may choose to chase an evader (`Scenario.prune`)."""
-        return self._world.may_chase(self.id, evader)
+        return self._view.may_chase(self.id, evader)
 
     def position(self) -> complex:
         """Return its own position, m."""
-        return self._world.position(self.id)
+        return self._state.position(self.id)
 
     @property
     def speed(self) -> float:
         """Its speed while it chases, m/s."""
-        return self._world.speed(self.id)
+        return self._state.speed(self.id)
 
     def evader(self, evader: int = 1) -> complex:
         """Return the position of an evader, m."""
-        return self._world.evader(evader)
+        return self._view.evader(evader)
 
     @property
     def radius(self) -> float:
         """The capture radius eps, m."""
-        return self._world.radius
+        return self._state.radius
 
     def latest_records(self) -> Table:
         """Return the newest announcement received from each teammate, with its time of arrival, however old."""
@@ -269,7 +248,7 @@ class Agent:
 
         Call it after each decision, then `announce`. A pursuer that may not chase this evader (`Scenario.prune`) stays.
         """
-        self._world.set_action(self.id, action)
+        self.global_state.set_action(self.id, action)
 
     def announce(self) -> None:
         """Announce its action after a revision, if `announce.trigger` asks for it.
@@ -277,12 +256,12 @@ class Agent:
         Call it after every `assign`: it sends only when due. Use `broadcast` to send in any case.
         """
         trigger = self._announcements.trigger
-        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced.news):
+        if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced):
             self.broadcast()
 
     def broadcast(self) -> None:
         """Announce its action through `announce.dissemination`, whether or not it has changed."""
-        self._announced.news = self._news()
+        self._announced = self._news()
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def set_payload(self, body: Any) -> None:
@@ -291,7 +270,7 @@ class Agent:
         Its attribute `active` is the action. With the trigger "change" or "both", `announce` sends it when
         its attribute `news` has changed.
         """
-        self._announced.payload = body
+        self._payload = body
 
     def set_initial_belief(self) -> None:
         """Give all teammates its current announcement as their initial belief, without a transmission."""
@@ -299,12 +278,13 @@ class Agent:
 
     def announcement(self) -> Any:
         """Return the body that it would announce now."""
-        payload = self._announced.payload
-        return PAYLOADS[self._announcements.payload].announced_by(self.id, self._world) if payload is None else payload
+        if self._payload is not None:
+            return self._payload
+        return PAYLOADS[self._announcements.payload].announced_by(self.id, self._view)
 
     def located(self) -> LocatedAssignment:
         """Return the body that it would announce now if the payload were "state"."""
-        return LocatedAssignment.announced_by(self.id, self._world)
+        return LocatedAssignment.announced_by(self.id, self._view)
 
     def record(self, body: Any) -> Record:
         """Return its next record with this body, for a dissemination that does not use `publish`."""
@@ -341,30 +321,32 @@ class Agent:
 
     # Events to wait for.
 
-    def at(self, time: float) -> simpy.Event:
+    # The phase of an event is its place among those of one instant; events of one phase happen in the order of ids.
+
+    def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time on its own clock, s, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
             ValueError: if the time is infinite or nan.
         """
         try:
-            return Instant(self._env, max(self._clock.when(time), self._env.now), self._turn)
+            return Instant(self._env, max(self._clock.when(time), self._env.now), int(phase) + self.id)
         except (OverflowError, ValueError) as error:
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
-    def sleep(self, duration: float) -> simpy.Event:
+    def sleep(self, duration: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event that happens after a duration, s, by its own clock.
 
         Raises:
             ValueError: if the duration is negative, infinite or nan.
         """
         try:
-            return Instant(self._env, self._env.now + self._clock.span(duration), self._turn)
+            return Instant(self._env, self._env.now + self._clock.span(duration), int(phase) + self.id)
         except (OverflowError, ValueError) as error:
             text = f"pursuer {self.id}: sleep({duration}): the duration should be finite and at least 0 s{RETURN_HINT}"
             raise ValueError(text) from error
 
-    def after(self, duration: float, act: Callable[[], object]) -> None:
+    def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
         """Call a function after a duration, s, by its own clock; a restart without memory cancels the call."""
         restarts_before = self.restarts
 
@@ -372,28 +354,31 @@ class Agent:
             if self.restarts == restarts_before:
                 act()
 
-        self.sleep(duration).callbacks.append(happen)
+        self.sleep(duration, phase).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
         """Return an event at the present instant, after all decisions of this instant."""
-        return Instant(self._env, self._env.now, int(Phase.HEARTBEAT) + self.id)
+        return self.sleep(0.0, Phase.HEARTBEAT)
 
-    def arrival(self, port: str = "") -> simpy.Event:
+    def arrival(self, port: str = "", phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event that happens as soon as the inbox of a port is not empty; `mail` returns its messages."""
-        return self._network.inbox(self.id, port).arrival(self._turn)
+        return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Call a function every period (s, by its own clock); the phase is random, drawn from the named stream."""
+        """Call a function every period (s, by its own clock), after the decisions of an instant.
+
+        The first call is after a random part of the period, drawn from the stream `name`.
+        """
         first = self.now + self.stream(name).uniform(0.0, period)
         for k in count():
-            yield self.at(first + k * period)
+            yield self.at(first + k * period, Phase.HEARTBEAT)
             act()
 
     # Internal.
 
     def _news(self) -> Any:
         """Return the value whose change makes an announcement due."""
-        return (self.action,) if self._announced.payload is None else self._announced.payload.news
+        return (self.action,) if self._payload is None else self._payload.news
 
 
 Behaviour = Callable[[Agent], Process]

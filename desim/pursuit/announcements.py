@@ -1,5 +1,6 @@
 """Announcements of pursuers: their payload, when they are sent, and how long they are believed."""
 
+from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
@@ -8,9 +9,10 @@ from pydantic import Discriminator, Field, Tag
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Period, Timeout, Value
 from desim.kernel.events import Broadcast, Sent
+from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
-from desim.pursuit.views import PursuerView
+from desim.pursuit.views import View
 
 
 class Assignment(NamedTuple):
@@ -20,9 +22,9 @@ class Assignment(NamedTuple):
     """The evader that it chases, 1 .. M, or 0."""
 
     @classmethod
-    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, view: View) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
-        return cls(world.action(pursuer))
+        return cls(view.state.profile[pursuer])
 
 
 class TimedAssignment(NamedTuple):
@@ -33,10 +35,11 @@ class TimedAssignment(NamedTuple):
     """Capture time of the evader that it chases or, if it stays, the least over the evaders not yet captured, s."""
 
     @classmethod
-    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, view: View) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
-        action = world.action(pursuer)
-        phi = [world.capture_times_of([pursuer], evader)[0] for evader in ([action] if action else world.evaders())]
+        action = view.state.profile[pursuer]
+        evaders = [action] if action else view.state.at_large
+        phi = [view.capture_times_of([pursuer], evader)[0] for evader in evaders]
         return cls(action, min(phi, default=inf))
 
 
@@ -52,10 +55,10 @@ class LocatedAssignment(NamedTuple):
     """m/s"""
 
     @classmethod
-    def announced_by(cls, pursuer: int, world: PursuerView) -> Self:
+    def announced_by(cls, pursuer: int, view: View) -> Self:
         """Return the announcement of a pursuer now, given its view of the world."""
-        place = world.position(pursuer)
-        return cls(world.action(pursuer), place.real, place.imag, world.speed(pursuer))
+        state, place = view.state, view.state.position(pursuer)
+        return cls(state.profile[pursuer], place.real, place.imag, state.speed(pursuer))
 
 
 PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
@@ -79,12 +82,51 @@ def announces_chase(body: Any) -> bool:
     return bool(getattr(body, "active", False))
 
 
+def relayed_records(body: Any) -> tuple[Record, ...] | None:
+    """Return the records that the body of a message relays; None if it relays none."""
+    records: tuple[Record, ...] | None = getattr(body, "records", None)
+    return records
+
+
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
     """Return the records in a transmission: all that it relays, or the one that it broadcasts."""
-    relayed: tuple[Record, ...] | None = getattr(event.body, "records", None)
+    relayed = relayed_records(event.body)
     if relayed is not None:
         return relayed
     return (Record(event.src, event.seq, event.created, event.body),) if isinstance(event, Broadcast) else ()
+
+
+class Eavesdropper:
+    """A listener of the network that knows when an announcement of a change of action is in flight.
+
+    A message is overheard when its transmission begins, not while it is queued. Orders of a server are not overheard; a
+    change of action that a server has ordered is overheard in the next report of the pursuer.
+
+    Args:
+        profile: the initial action of each pursuer.
+    """
+
+    def __init__(self, profile: Sequence[int]):
+        self._actions = dict(enumerate(profile))
+        self._changed: dict[int, int] = {}
+        self._until = 0
+
+    def __call__(self, content: Record | Message, last_arrival: int) -> None:
+        """Overhear a transmission as it starts; its last arrival is at a time in ns, or never (`LOST`)."""
+        records = (content,) if isinstance(content, Record) else relayed_records(content.body)
+        for record in records or ():
+            self._overhear(record, last_arrival)
+
+    def hands_over(self, now: int) -> bool:
+        """Return whether an announcement that differs from the previous one of its sender is in flight at `now`, ns."""
+        return now < self._until
+
+    def _overhear(self, record: Record, last_arrival: int) -> None:
+        action, newer = getattr(record.body, "active", None), record.seq > self._changed.get(record.src, 0)
+        if newer and action is not None and action != self._actions.get(record.src, 0):
+            self._actions[record.src], self._changed[record.src] = action, record.seq
+        if self._changed.get(record.src) == record.seq:
+            self._until = max(self._until, last_arrival)
 
 
 DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",))

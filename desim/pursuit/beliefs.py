@@ -15,7 +15,7 @@ from desim.kernel.network import Network
 from desim.kernel.records import Record, Table
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
 from desim.pursuit.state import Floats, Points
-from desim.pursuit.views import PursuerView
+from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
 """For each teammate [(t, action)], ascending: the action ordered from time t on (ns, clock of the believer)."""
@@ -51,7 +51,7 @@ class Beliefs:
     Args:
         pursuer: its id.
         clock: its own clock.
-        world: its view of the world.
+        view: its view of the world.
         network: the network that delivers announcements.
         announcements: the content of announcements, and how long they are believed.
         announcement: returns an announcement, from which the airtime is computed.
@@ -61,12 +61,12 @@ class Beliefs:
         self,
         pursuer: int,
         clock: NodeClock,
-        world: PursuerView,
+        view: View,
         network: Network,
         announcements: Announcements,
         announcement: Callable[[], Any],
     ):
-        self._id, self._clock, self._world, self._network = pursuer, clock, world, network
+        self._id, self._clock, self._view, self._network = pursuer, clock, view, network
         self._announcements, self._announcement = announcements, announcement
         self.senses_others = announcements.payload == "action"
 
@@ -88,9 +88,9 @@ class Beliefs:
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self.senses_others:
-            own, *times = self._world.capture_times_of([self._id, *chasing], evader)
+            own, *times = self._view.capture_times_of([self._id, *chasing], evader)
             return own, chasing, times
-        (own,) = self._world.capture_times_of([self._id], evader)
+        (own,) = self._view.capture_times_of([self._id], evader)
         return own, chasing, [self._time(matching[j][1], evader) for j in chasing]
 
     def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
@@ -103,29 +103,24 @@ class Beliefs:
 
         Positions are sensed, or extrapolated from trusted announcements.
         """
-        world = self._world
+        view, state = self._view, self._view.state
         if self.senses_others:
-            return TeamEstimate(self._everyone, world.positions(), self._speeds, np.array(world.capture_times(evader)))
+            return TeamEstimate(self._everyone, state.positions(), state.speeds, np.array(view.capture_times(evader)))
         records = self.trusted()
         ids = sorted({*records, self._id})
-        places = [self._position(records[j]) if j in records else world.position(j) for j in ids]
+        places = [self._position(records[j]) if j in records else state.position(j) for j in ids]
         phi = [
             self._time(records[j], evader)
             if j in records and isinstance(records[j].body, TimedAssignment)
-            else world.capture_time_from(j, place, evader)
+            else view.capture_time_from(j, place, evader)
             for j, place in zip(ids, places, strict=True)
         ]
-        return TeamEstimate(ids, np.array(places), self._speeds[ids], np.array(phi))
+        return TeamEstimate(ids, np.array(places), state.speeds[ids], np.array(phi))
 
     @cached_property
     def _everyone(self) -> list[int]:
         """The ids of the team."""
-        return list(range(self._world.size))
-
-    @cached_property
-    def _speeds(self) -> Floats:
-        """The (N,) speeds of the team while chasing, m/s."""
-        return np.array([self._world.speed(pursuer) for pursuer in range(self._world.size)])
+        return list(range(self._view.state.size))
 
     @cached_property
     def _timeout(self) -> float:
@@ -144,10 +139,10 @@ class Beliefs:
         """Return the capture time of a teammate for an evader, computed from its record, s; nan if unknown."""
         body = record.body
         if isinstance(body, TimedAssignment):
-            return body.capture_time if body.active == evader or self._world.evader_count == 1 else nan
+            return body.capture_time if body.active == evader or self._view.state.evader_count == 1 else nan
         if not isinstance(body, LocatedAssignment):
-            return self._world.capture_times_of([record.src], evader)[0] if self.senses_others else nan
-        return self._world.capture_time_from(record.src, self._position(record, orders), evader)
+            return self._view.capture_times_of([record.src], evader)[0] if self.senses_others else nan
+        return self._view.capture_time_from(record.src, self._position(record, orders), evader)
 
     def _position(self, record: Record, orders: Orders = UNORDERED) -> complex:
         """Return the position of a teammate, m: extrapolated from its record, or sensed; nan if neither is possible.
@@ -156,7 +151,7 @@ class Beliefs:
         """
         body = record.body
         if not isinstance(body, LocatedAssignment):
-            return self._world.position(record.src) if self.senses_others else complex(nan, nan)
+            return self._view.state.position(record.src) if self.senses_others else complex(nan, nan)
         place = complex(body.x, body.y)
         ordered = orders.get(record.src, ())
         if not body.active and not any(action for _, action in ordered):
@@ -168,5 +163,5 @@ class Beliefs:
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):
             if action and begun < now:
                 ended = max(now - end, 0)
-                place = self._world.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)
+                place = self._view.reckoned(place, body.speed, now - begun, action, exact=exact, ended=ended)
         return place

@@ -1,4 +1,4 @@
-"""An evader in a run: its body, its controller, its delayed perception and its eavesdropping on the radio."""
+"""An evader in a run: its body, its controller and its delayed perception."""
 
 from collections import deque
 from collections.abc import Collection, Iterable
@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.kernel.events import Broadcast, Event, Sent
-from desim.kernel.records import Record
-from desim.pursuit.announcements import records_in
 from desim.pursuit.capture import RadialTime
 from desim.pursuit.dead_reckoning import EvaderTrack
 from desim.pursuit.evasion import PureEvasion, Strategy, away
-from desim.pursuit.events import Started
 from desim.pursuit.geometry import first_contact, within
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.observation import EvaderObservation
@@ -83,39 +79,6 @@ class EvaderController:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
         self._heading, self._since = complex(heading), state.t
         return heading
-
-
-class Eavesdropper:
-    """A watcher of events that overhears the radio and knows when an announcement of a change of action is in flight.
-
-    A message is overheard when its transmission begins, not while it is queued. Orders of a server are not overheard; a
-    change of action that a server has ordered is overheard in the next report of the pursuer.
-    """
-
-    def __init__(self) -> None:
-        self._actions: dict[int, int] = {}
-        self._changed: dict[int, int] = {}
-        self._until = 0
-
-    def __call__(self, event: Event) -> None:
-        """Process an event of the run."""
-        if isinstance(event, Started):
-            self._actions = dict(enumerate(event.active))
-        elif isinstance(event, Broadcast | Sent):
-            for record in records_in(event):
-                self._hear(record, event)
-
-    def hands_over(self, now: int) -> bool:
-        """Return whether an announcement that differs from the previous one of its sender is in flight at `now`, ns."""
-        return now < self._until
-
-    def _hear(self, record: Record, event: Broadcast | Sent) -> None:
-        """Process a transmitted record."""
-        action, newer = getattr(record.body, "active", None), record.seq > self._changed.get(record.src, 0)
-        if newer and action is not None and action != self._actions.get(record.src, 0):
-            self._actions[record.src], self._changed[record.src] = action, record.seq
-        if self._changed.get(record.src) == record.seq:
-            self._until = max([self._until, *(arrival for _, arrival in event.fates())])
 
 
 class DelayedState:

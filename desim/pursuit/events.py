@@ -10,18 +10,20 @@ Evader = Annotated[int, "evader"]
 """The number of an evader, 1 .. M."""
 Action = Annotated[int, "action"]
 """The evader that a pursuer chases, 1 .. M, or 0 if it stays."""
-# Tuples with one entry for each pursuer, and the positions of the evaders 2 .. M.
+# Tuples with one entry for each pursuer, or for each evader.
 Points = Annotated[tuple[Point, ...], "pursuers"]
 Speeds = Annotated[tuple[float, ...], "pursuers"]
 Actions = Annotated[tuple[Action, ...], "pursuers"]
-Others = Annotated[tuple[Point, ...], "others"]
+Evaders = Annotated[tuple[Point, ...], "evaders"]
+FORMAT = 2
+"""The format of traces; another number means that the fields of some event have changed."""
 
 
 class Started(NamedTuple):
     """The pursuit began."""
 
     t: Nanoseconds
-    evader: Point
+    evaders: Evaders
     """m"""
     pursuers: Points
     """m"""
@@ -29,13 +31,7 @@ class Started(NamedTuple):
     """m/s"""
     active: Actions
     """The action of each pursuer, as in `Decided`."""
-    others: Others = ()
-    """Positions of the evaders 2 .. M, m."""
-
-    @property
-    def evaders(self) -> tuple[Point, ...]:
-        """(M,) positions of the evaders, m."""
-        return self.evader, *self.others
+    format: Annotated[int, "format"] = FORMAT
 
 
 class Decided(NamedTuple):
@@ -58,21 +54,14 @@ class Sampled(NamedTuple):
     """A sample of all positions."""
 
     t: Nanoseconds
-    evader: Point
-    """m"""
+    evaders: Evaders
+    """m; a captured evader stays where it was captured."""
     pursuers: Points
     """m"""
-    others: Others = ()
-    """Positions of the evaders 2 .. M, m; a captured evader stays where it was captured."""
-
-    @property
-    def evaders(self) -> tuple[Point, ...]:
-        """(M,) positions of the evaders, m."""
-        return self.evader, *self.others
 
 
 class Captured(NamedTuple):
-    """One of several evaders was captured; its pursuers stay until they decide again."""
+    """An evader was captured; its pursuers stay until they decide again."""
 
     t: Nanoseconds
     evader: Evader
@@ -86,4 +75,4 @@ class Ended(NamedTuple):
     t: Nanoseconds
     reason: Literal["captured", "horizon", "stopped"]
     capturer: NodeId | None
-    """The pursuer that captured the evader, or the last of several; None if the pursuit did not end with a capture."""
+    """The pursuer of the last capture; None if the pursuit did not end with a capture."""

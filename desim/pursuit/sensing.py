@@ -7,28 +7,27 @@ which evaders are captured.
 """
 
 from cmath import rect
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from math import inf, pi, sqrt
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from desim.config.model import Flag, Limit, Period, Timeout, Value
-from desim.kernel.clock import NodeClock, seconds
+from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
-from desim.pursuit.dead_reckoning import nearer
-from desim.pursuit.views import GlobalState
+from desim.pursuit.views import NOWHERE, EvaderEstimate, Prune, View
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from desim.pursuit.state import Points
+    from desim.pursuit.world_state import Actions, WorldState
 
 PORT = "sightings"
 """The port of sighting reports."""
 NEVER = -1
 """Time of the last sighting of an evader that was never seen, ns."""
-NOWHERE = complex(np.nan, np.nan)
-"""Position of an evader without any sighting, m."""
 
 
 class Sensing(Value):
@@ -85,17 +84,6 @@ class Sighting(NamedTuple):
         return complex(self.velocity_x, self.velocity_y)
 
 
-class EvaderEstimate(NamedTuple):
-    """The estimated position of an evader."""
-
-    position: complex
-    """m"""
-    velocity: complex = 0j
-    """m/s"""
-    uncertainty: float = 0.0
-    """Upper bound of the distance of the evader from `position`, m; 0 if the estimate gives none."""
-
-
 class TeamSensor:
     """The sensors of the whole team, sampled once every motion step for all pursuers and evaders together.
 
@@ -103,29 +91,32 @@ class TeamSensor:
         views: (N,) the sensed view of each pursuer.
     """
 
-    def __init__(self, sensing: Sensing, world: GlobalState, network: Network, clocks: Iterable[NodeClock]):
-        self.sensing, self._world = sensing, world
-        shape = world.evader_count, world.size
+    def __init__(
+        self, sensing: Sensing, state: "WorldState", prune: Prune, network: Network, clocks: Iterable[NodeClock]
+    ):
+        self.sensing, self._state = sensing, state
+        shape = state.evader_count, state.size
         self._seen: NDArray[np.int64] = np.full(shape, NEVER, dtype=np.int64)
         self._positions: Points = np.full(shape, NOWHERE)
         self._velocities: Points = np.zeros(shape, dtype=complex)
-        self.views = [SensedView(pursuer, self, world, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.views = [SensedView(state, prune, pursuer, self, network, clock) for pursuer, clock in enumerate(clocks)]
+        self.look(state.now)
 
     def look(self, now: int) -> None:
         """Record the evaders in the sensing range of each pursuer that is not down, at an instant, ns."""
-        able = ~self._world.broken()
-        for evader in self._world.evaders():
-            seeing = able & (self._world.distances(evader) <= self.sensing.radius)
+        state, able = self._state, ~self._state.broken
+        for evader in state.at_large:
+            seeing = able & (state.distances(evader) <= self.sensing.radius)
             row = evader - 1
             self._seen[row, seeing] = now
-            self._positions[row, seeing] = self._world.evader(evader)
-            self._velocities[row, seeing] = self._world.velocity(evader)
+            self._positions[row, seeing] = state.body(evader).position
+            self._velocities[row, seeing] = state.velocity(evader)
 
-    def blind(self, actions: NDArray[np.int64]) -> list[int]:
+    def blind(self, actions: "Actions") -> list[int]:
         """Return the pursuers whose evader is out of sensing range now, given the (N,) actions."""
-        unseen = np.zeros(self._world.size, dtype=bool)
-        for evader in self._world.evaders():
-            unseen |= (actions == evader) & (self._world.distances(evader) > self.sensing.radius)
+        unseen = np.zeros(self._state.size, dtype=bool)
+        for evader in self._state.at_large:
+            unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
         found: list[int] = np.flatnonzero(unseen).tolist()
         return found
 
@@ -139,41 +130,47 @@ class TeamSensor:
         self._seen[:, pursuer] = NEVER
 
 
-class SensedView:
-    """The world as sensed by one pursuer: the `PursuerView` of its agent.
+class SensedView(View):
+    """The view of one pursuer with limited sensing.
 
     An evader is seen, tracked (its newest sighting is at most `track_timeout` old), lost (the sighting is older), or
     unknown (there is no sighting).
 
     Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
         pursuer: its id.
         sensor: the sensors of the team, with its own sightings.
-        world: the true state of the world.
         network: the network that delivers reports.
         clock: its own clock.
     """
 
-    def __init__(self, pursuer: int, sensor: TeamSensor, world: GlobalState, network: Network, clock: NodeClock):
-        self._id, self._sensor, self._sensing = pursuer, sensor, sensor.sensing
-        self._world, self._network, self._clock = world, network, clock
-        self.size, self.evader_count, self.radius = world.size, world.evader_count, world.radius
-        self.speed, self.position, self.positions = world.speed, world.position, world.positions
-        self.action, self.set_action = world.action, world.set_action
-        self.evaders, self.time_left = world.evaders, world.time_left
-        self._reported: dict[int, Sighting] = {}
+    unlimited: ClassVar[bool] = False
 
-    # Sightings and estimates of an evader.
+    def __init__(
+        self,
+        state: "WorldState",
+        prune: Prune,
+        pursuer: int,
+        sensor: TeamSensor,
+        network: Network,
+        clock: NodeClock,
+    ):
+        super().__init__(state, prune)
+        self._id, self._sensor, self._sensing = pursuer, sensor, sensor.sensing
+        self._network, self._clock = network, clock
+        self._reported: dict[int, Sighting] = {}
 
     def sees(self, evader: int) -> bool:
         """Return whether an evader is within its sensing radius now."""
-        return bool(self._world.distances(evader)[self._id] <= self._sensing.radius)
+        return bool(self.state.distances(evader)[self._id] <= self._sensing.radius)
 
     def newest(self, evader: int) -> Sighting | None:
         """Return the newest sighting of an evader, its own or a reported one; None if there is none."""
         self._read_reports()
         reported = self._reported.get(evader)
         if self.sees(evader):
-            return _sighting(evader, self._clock.now, self._world.evader(evader), self._world.velocity(evader))
+            return _sighting(evader, self._clock.now, self.state.body(evader).position, self.state.velocity(evader))
         when, place, velocity = self._sensor.last(self._id, evader)
         if when == NEVER:
             return reported
@@ -183,21 +180,21 @@ class SensedView:
     def estimate(self, evader: int) -> EvaderEstimate | None:
         """Return the estimate of an evader; None if it is unknown, or lost and not searched for (`on_lost`)."""
         if self.sees(evader):
-            return EvaderEstimate(self._world.evader(evader), self._world.velocity(evader))
+            return super().estimate(evader)
         sighting, sensing = self.newest(evader), self._sensing
         if sighting is None:
             return None
         age = max(self._clock.now - sighting.seen, 0.0)
         worst = sensing.estimate == "worst_case"
-        uncertainty = self._world.evader_speed(evader) * age if worst else 0.0
+        uncertainty = self.state.body(evader).speed * age if worst else 0.0
         velocity = sighting.velocity if sensing.estimate == "constant_velocity" else 0j
         if age <= sensing.track_timeout:
             return EvaderEstimate(sighting.position + velocity * age, velocity, uncertainty)
         if sensing.on_lost == "stay":
             return None
-        apart = 2.0 * max(sensing.radius, self._world.radius)
-        arm = rect(1.0, 2.0 * pi * self._id / self.size)  # pursuers of equal speed search in different directions
-        off = arm * spiral(self.speed(self._id) * (age - sensing.track_timeout), apart)
+        apart = 2.0 * max(sensing.radius, self.state.radius)
+        arm = rect(1.0, 2.0 * pi * self._id / self.state.size)  # pursuers of equal speed search in different directions
+        off = arm * spiral(self.state.speed(self._id) * (age - sensing.track_timeout), apart)
         return EvaderEstimate(
             sighting.position + velocity * sensing.track_timeout + off, 0j, uncertainty + abs(off) if worst else 0.0
         )
@@ -205,7 +202,7 @@ class SensedView:
     def report(self) -> None:
         """Send the neighbours the sightings that have not expired: its own and, with `relay`, reported ones."""
         oldest = self._clock.now - self._sensing.track_timeout
-        newest = [each for each in map(self.newest, self._world.evaders()) if each is not None and each.seen >= oldest]
+        newest = [each for each in map(self.newest, self.state.at_large) if each is not None and each.seen >= oldest]
         reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
         if reports:
             self._network.send(self._id, None, reports, port=PORT)
@@ -224,57 +221,6 @@ class SensedView:
                 known = self._reported.get(sighting.evader)
                 if known is None or sighting.seen > known.seen:
                     self._reported[sighting.evader] = sighting
-
-    # The view of its agent.
-
-    def evader(self, evader: int) -> complex:
-        """Return the estimated position of an evader, m; nan if unknown."""
-        estimate = self.estimate(evader)
-        return NOWHERE if estimate is None else estimate.position
-
-    def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader at its estimated position, s; inf if unknown."""
-        if self.sees(evader) or evader not in self._world.evaders():
-            return self._world.capture_times(evader)
-        estimate = self.estimate(evader)
-        if estimate is None:
-            return (inf,) * self.size
-        return self._world.capture_times_at(estimate.position, estimate.uncertainty, evader)
-
-    def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
-        """Return the capture times of some pursuers, s; see `capture_times`."""
-        times = self.capture_times(evader)
-        return [times[pursuer] for pursuer in pursuers]
-
-    def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the capture time of a pursuer from a hypothetical position (m), s."""
-        estimate = self.estimate(evader)
-        if estimate is None:
-            return inf
-        return self._world.capture_time_over(pursuer, abs(estimate.position - position) + estimate.uncertainty, evader)
-
-    def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer may choose to chase an evader, which requires an estimate of its position."""
-        return self.estimate(evader) is not None and self._world.may_chase(pursuer, evader, self)
-
-    def options(self, pursuer: int) -> tuple[int, ...]:
-        """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
-        return (0, *(evader for evader in self.evaders() if self.may_chase(pursuer, evader)))
-
-    def reckoned(
-        self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
-    ) -> complex:
-        """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
-
-        It is extrapolated straight towards the estimated position of the evader, because no pursuer has observed the
-        whole path of the evader.
-        """
-        if evader not in self._world.evaders():
-            return self._world.reckoned(position, speed, age, evader, exact=False, ended=ended)
-        estimate = self.estimate(evader)
-        if estimate is None or self._world.static:
-            return position
-        return nearer(position, estimate.position, speed * seconds(age - ended))
 
 
 def spiral(length: float, apart: float) -> complex:

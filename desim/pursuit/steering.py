@@ -1,46 +1,30 @@
 """Steering: the velocities of all players, at each motion step and when an action changes within one."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
 
 from desim.kernel.clock import seconds
 from desim.pursuit.evader import SINGLY, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
-from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.state import Floats, Points
-
-if TYPE_CHECKING:
-    from desim.pursuit.sensing import TeamSensor
-
-Actions = NDArray[np.int64]
-"""(N,) the evader that each pursuer chases, 1 .. M, or 0."""
+from desim.pursuit.sensing import TeamSensor
+from desim.pursuit.state import Points
+from desim.pursuit.world_state import Actions, WorldState
 
 
 class Steering:
     """Sets the velocities of the pursuers by a guidance law, and those of the evaders by their strategies.
 
     Args:
-        players: the kinematics of the N pursuers, then the evaders.
-        targets: the evaders.
+        state: the true state of the world.
         law: the guidance law.
-        speeds: (N,) speeds of the pursuers, m/s.
+        sensor: the sensors of the team; None if sensing is unlimited.
         evader_first: whether pursuers aim at the evader's position at the end of the step, or at its beginning.
-
-    Attributes:
-        sensor: the sensor of the team; None if sensing is unlimited.
     """
 
-    def __init__(
-        self, players: Kinematics, targets: Sequence[EvaderBody], law: Guidance, speeds: Floats, *, evader_first: bool
-    ):
-        self._players, self._targets, self._law = players, targets, law
-        self._speeds, self._speed = speeds, speeds.tolist()
-        self._evader_first = evader_first
-        self._stillness: Points = np.zeros(len(speeds) + len(targets), dtype=complex)
-        self.sensor: TeamSensor | None = None
+    def __init__(self, state: WorldState, law: Guidance, sensor: TeamSensor | None, *, evader_first: bool):
+        self._players, self._targets, self._law = state.players, state.bodies, law
+        self._speeds, self._speed = state.speeds, state.speeds.tolist()
+        self._evader_first, self._sensor = evader_first, sensor
+        self._stillness: Points = np.zeros(state.size + state.evader_count, dtype=complex)
 
     def set_actions(self, actions: Actions) -> None:
         """Set the actions of all pursuers from now on."""
@@ -75,7 +59,7 @@ class Steering:
             for pursuer, target in self._chases:
                 here, (_, place, aim, evader_velocity) = where(pursuer), target.path.last
                 velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
-        for pursuer in self.sensor.blind(self._actions) if self.sensor is not None else ():
+        for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, duration)
         players.go(velocities)
 
@@ -90,7 +74,7 @@ class Steering:
         velocities, evader = self._players.velocities.copy(), self._actions.item(pursuer)
         if not evader:
             velocities[pursuer] = 0j
-        elif self.sensor is not None and not self.sensor.views[pursuer].sees(evader):
+        elif self._sensor is not None and not self._sensor.views[pursuer].sees(evader):
             velocities[pursuer] = self._blind_velocity(pursuer, seconds(until - now))
         else:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
@@ -114,8 +98,8 @@ class Steering:
 
         Its speed is limited so that it does not overshoot the estimated position of the evader in `duration` s.
         """
-        assert self.sensor is not None
-        estimate = self.sensor.views[pursuer].estimate(self._actions.item(pursuer))
+        assert self._sensor is not None
+        estimate = self._sensor.views[pursuer].estimate(self._actions.item(pursuer))
         if estimate is None:
             return 0j
         gap = estimate.position - self._players.position(pursuer)

@@ -1,130 +1,168 @@
-"""The interfaces of the world to its agents: what a pursuer senses and acts on, and the true state."""
+"""Views of the world: what a pursuer knows of the evaders. All that a view returns follows from what it sees."""
 
-from collections.abc import Collection, Sequence
-from typing import Protocol
+from cmath import isnan
+from collections.abc import Callable, Collection, Sequence
+from math import inf
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.pursuit.state import Floats, Points
+from desim.kernel.clock import seconds
+from desim.pursuit.dead_reckoning import nearer
+from desim.pursuit.state import lengths
+from desim.pursuit.world_state import WorldState
+
+Prune = Literal["none", "inf", "infeasible"]
+"""Which pursuers may not chase an evader; see `Scenario.prune`."""
+NOWHERE = complex(np.nan, np.nan)
+"""Position of an evader of which nothing is known, m."""
 
 
-class PursuerView(Protocol):
-    """The part of the world that agents sense and act on."""
+class EvaderEstimate(NamedTuple):
+    """The estimated position of an evader."""
 
-    @property
-    def size(self) -> int:
-        """Number of pursuers, N."""
-        ...
+    position: complex
+    """m"""
+    velocity: complex = 0j
+    """m/s"""
+    uncertainty: float = 0.0
+    """Upper bound of the distance of the evader from `position`, m; 0 if the estimate gives none."""
 
-    @property
-    def evader_count(self) -> int:
-        """Number of evaders at the start, M."""
-        ...
 
-    def evaders(self) -> Sequence[int]:
-        """Return the numbers of the evaders that have not been captured, of 1 .. M."""
-        ...
+class View:
+    """What a pursuer knows of the evaders; this view sees all of them at any distance.
 
-    def action(self, pursuer: int) -> int:
-        """Return the evader that a pursuer chases, or 0."""
-        ...
+    A view with limited sensing redefines `sees`, `estimate` and `unlimited`; the rest follows. The positions, speeds
+    and actions of pursuers are in `state`.
+
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+    """
+
+    unlimited: ClassVar[bool] = True
+    """Whether it always sees all evaders."""
+
+    def __init__(self, state: WorldState, prune: Prune):
+        self.state, self._prune = state, prune
+        self._options: dict[int, tuple[int, ...]] = {}
+        self._options_at: Sequence[int] | None = None  # the evaders at large to which these options belong
+
+    def sees(self, evader: int) -> bool:
+        """Return whether it sees an evader now."""
+        return True
+
+    def estimate(self, evader: int) -> EvaderEstimate | None:
+        """Return the estimate of an evader; None if it is unknown."""
+        return EvaderEstimate(self.state.body(evader).position, self.state.velocity(evader))
+
+    def evader(self, evader: int) -> complex:
+        """Return the estimated position of an evader, m; nan if unknown."""
+        estimate = self.estimate(evader)
+        return NOWHERE if estimate is None else estimate.position
 
     def capture_times(self, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader now, s; inf if the evader has been captured."""
-        ...
+        """Return the capture time of each pursuer for an evader at its estimated position, s.
+
+        It is inf if the evader has been captured or is unknown.
+        """
+        state, body = self.state, self.state.body(evader)
+        if self.unlimited or body.captured is not None or self.sees(evader):
+            return body.capture_times(state.now)
+        estimate = self.estimate(evader)
+        if estimate is None:
+            return (inf,) * state.size
+        return body.capture_times_over(lengths(estimate.position - state.positions()) + estimate.uncertainty)
 
     def capture_times_of(self, pursuers: Collection[int], evader: int) -> list[float]:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
-        ...
+        state = self.state
+        if self.unlimited or self.sees(evader):
+            if state.now == state.step_end:  # all positions will be needed at this instant
+                state.players.positions()
+            return state.body(evader).capture_times_of(pursuers, state.now)
+        times = self.capture_times(evader)
+        return [times[pursuer] for pursuer in pursuers]
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the capture time of a pursuer from a hypothetical position (m), s."""
-        ...
+        """Return the capture time of a pursuer from a hypothetical position (m), s; inf if the evader is unknown."""
+        estimate = self.estimate(evader)
+        if estimate is None:
+            return inf
+        distance = abs(estimate.position - position) + estimate.uncertainty
+        return self.state.body(evader).capture_time_over(pursuer, distance)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer may choose to chase an evader."""
-        ...
+        """Return whether a pursuer may choose to chase an evader: it is at large and known, and not pruned."""
+        body = self.state.body(evader)
+        if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
+            return False
+        if self._prune == "infeasible":
+            (time,) = self.capture_times_of([pursuer], evader)
+            return time < self.state.time_left(self.state.now)
+        return self._prune == "none" or not body.slow[pursuer]
 
     def options(self, pursuer: int) -> Sequence[int]:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
-        ...
-
-    def position(self, pursuer: int) -> complex:
-        """Return the position of a pursuer, m."""
-        ...
-
-    def positions(self) -> Points:
-        """Return the (N,) positions of the pursuers, m."""
-        ...
-
-    def evader(self, evader: int) -> complex:
-        """Return the position of an evader, m."""
-        ...
-
-    @property
-    def radius(self) -> float:
-        """The capture radius, m."""
-        ...
+        at_large = self.state.at_large
+        if not self.unlimited or self._prune == "infeasible":
+            return (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
+        if self._options_at is not at_large:  # options change with captures only
+            self._options, self._options_at = {}, at_large
+        known = self._options.get(pursuer)
+        if known is None:
+            known = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
+            self._options[pursuer] = known
+        return known
 
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
         """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
 
-        The chase ended `ended` ns ago.
+        Args:
+            position: its position at that time, m.
+            speed: its speed, m/s.
+            age: time since it was at that position, ns.
+            evader: the evader that it chased.
+            exact: whether to retrace its pursuit of the evader's path, which takes a view that always saw it; if not,
+                it is extrapolated straight towards the present position of the evader.
+            ended: time since the chase ended, at most `age`, ns; the end must not move back in later calls with the
+                same start.
         """
-        ...
-
-    def speed(self, pursuer: int) -> float:
-        """Return the speed of a pursuer while it chases, m/s."""
-        ...
-
-    def time_left(self, now: int) -> float:
-        """Return the time from an instant (ns) to the horizon, r, s."""
-        ...
-
-    def set_action(self, pursuer: int, action: int) -> None:
-        """Let a pursuer chase an evader, or stay (0), from this instant on."""
-        ...
+        state, body = self.state, self.state.body(evader)
+        if state.static or age == ended:
+            return position
+        now, captured = state.now, body.captured
+        end = now - ended if captured is None else min(now - ended, max(captured, now - age))
+        if exact and self.unlimited:
+            return body.path.position(position, speed, now - age, end)
+        there = body.position if captured is not None else self.evader(evader)
+        return position if isnan(there) else nearer(position, there, speed * seconds(end - now + age))
 
 
-class GlobalState(PursuerView, Protocol):
-    """The true state of the world, for sensor models and omniscient benchmarks."""
+class GlobalState(View):
+    """The true state of the world and the actions of all pursuers, for omniscient benchmarks.
 
-    @property
-    def static(self) -> bool:
-        """Whether all players stand still for the whole run."""
-        ...
+    Args:
+        state: the true state of the world.
+        prune: which pursuers may not chase an evader.
+        set_action: lets a pursuer chase an evader, or stay (0), from this instant on.
+    """
 
-    def profile(self) -> Sequence[int]:
+    def __init__(self, state: WorldState, prune: Prune, set_action: Callable[[int, int], None]):
+        super().__init__(state, prune)
+        self.set_action = set_action
+
+    def action(self, pursuer: int) -> int:
+        """Return the evader that a pursuer chases, or 0."""
+        return self.state.profile[pursuer]
+
+    def profile(self) -> list[int]:
         """Return the action of each pursuer."""
-        ...
+        return self.state.profile.copy()
 
     def broken(self) -> NDArray[np.bool_]:
         """Return the (N,) mask of the pursuers that are down and follow no action."""
-        ...
-
-    def distances(self, evader: int) -> Floats:
-        """Return the (N,) distances of the pursuers to an evader now, m."""
-        ...
-
-    def velocity(self, evader: int) -> complex:
-        """Return the velocity of an evader now, m/s."""
-        ...
-
-    def evader_speed(self, evader: int) -> float:
-        """Return the speed of an evader, m/s."""
-        ...
-
-    def capture_times_at(self, position: complex, uncertainty: float, evader: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer for an evader at a position (m), each distance increased (m), s."""
-        ...
-
-    def capture_time_over(self, pursuer: int, distance: float, evader: int) -> float:
-        """Return the capture time of a pursuer at a distance (m), s."""
-        ...
-
-    def may_chase(self, pursuer: int, evader: int, view: PursuerView | None = None) -> bool:
-        """Return whether a pursuer may choose to chase an evader, by the capture times of a view if given."""
-        ...
+        return self.state.broken

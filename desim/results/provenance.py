@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 Document = dict[str, Any]
 """The content of a run.json, as JSON values."""
 FILE = "run.json"
+FORMAT = 2
+"""The format of a run.json; another number means that a key has changed."""
 RUN = "run"
 """The value of `what` in documents that `desim run` writes and can repeat."""
 SHAPE: Mapping[str, tuple[type, ...]] = {
+    "format": (int,),
     "what": (str,),
     "seed": (int,),
     "runs": (int,),
@@ -74,6 +77,7 @@ def document(
         more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
     return {
+        "format": FORMAT,
         "what": what,
         "seed": seed,
         "runs": runs,
@@ -120,11 +124,21 @@ def read(path: Path) -> Document:
         raise ProvenanceError(f"{path}: not JSON: {error}") from error
     if not isinstance(made, dict):
         raise ProvenanceError(f"{path}: is not a {FILE}: should be a table")
+    if "what" in made and made.get("format") != FORMAT:
+        raise ProvenanceError(f"{path}: {other_format(made.get('format'), FORMAT)}")
     if missing := [key for key in SHAPE if key not in made]:
         raise ProvenanceError(f"{path}: is not a {FILE}: missing keys {', '.join(missing)}")
     if faults := list(_faults(made)):
         raise ProvenanceError("\n".join(f"{path}: {each}" for each in faults))
     return made
+
+
+def other_format(found: object, expected: int) -> str:
+    """Return the error message for a file of another format; a file without a number is older than the first."""
+    return (
+        f"has {'no format number' if found is None else f'format {found!r}'}, and this version of desim reads format "
+        f"{expected}: use the version that wrote it, or run the scenario again (scenario.toml beside it)"
+    )
 
 
 def home(path: Path, made: Document) -> Path:

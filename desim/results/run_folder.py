@@ -16,7 +16,7 @@ from desim.kernel.events import MESSAGES, Broadcast, Event, Lost, MessageCounts,
 from desim.kernel.faults import Fault, FaultEnded, FaultStarted, nodes_of
 from desim.kernel.records import Record
 from desim.kernel.trace_file import Limits, TraceFile, events_of
-from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
+from desim.pursuit.events import FORMAT, BrokeDown, Captured, Decided, Ended, Sampled, Started
 from desim.results import provenance
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import dump, validate
@@ -147,17 +147,32 @@ def events(folder: str | Path) -> Iterator[Event]:
     """Yield the events of the run in a folder one by one; use it instead of `read` for a trace larger than the memory.
 
     Raises:
-        ValueError: if a line of the trace is not a valid event.
+        ValueError: if a line of the trace is not a valid event, or if the trace has another format.
         OSError: if the trace cannot be read.
     """
     file = Path(folder) / TRACE
     with regular_or_missing(file).open(encoding="utf-8") as lines:
         try:
             first = list(islice(lines, 1))
+            _check_format(first)
             for start in events_of(first, (Started,)):
                 yield from events_of(chain(first, lines), EVENTS, _limits(start))
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
+
+
+def _check_format(first: Sequence[str]) -> None:
+    """Check the format of a trace, given its first line; what is not the start of a run is left to `events_of`.
+
+    Raises:
+        ValueError: if it is another.
+    """
+    try:
+        start = json.loads("".join(first))
+    except (ValueError, RecursionError):
+        return
+    if isinstance(start, dict) and start.get("event") == Started.__name__ and start.get("format") != FORMAT:
+        raise ValueError(provenance.other_format(start.get("format"), FORMAT))
 
 
 def _limits(start: Any) -> Limits:
@@ -168,7 +183,7 @@ def _limits(start: Any) -> Limits:
         "pursuers": Field(min_length=size, max_length=size),
         "evader": Field(ge=1, le=evaders),
         "action": Field(ge=0, le=evaders),
-        "others": Field(min_length=evaders - 1, max_length=evaders - 1),
+        "evaders": Field(min_length=evaders, max_length=evaders),
         "body": BeforeValidator(lambda body: _checked_body(body, size, evaders)),
     }
 

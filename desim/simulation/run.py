@@ -17,18 +17,18 @@ from desim.kernel.network import Network
 from desim.kernel.positions import Nodes
 from desim.pursuit.agent import Agent, Behaviour, Process
 from desim.pursuit.announcements import announces_chase
-from desim.pursuit.evader import Eavesdropper
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import Floats, coordinates
+from desim.pursuit.views import GlobalState, View
+from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import Scenario
+from desim.simulation.run_end import RunEnd
 from desim.simulation.watchdog import TimedOut, stuck
-from desim.simulation.world import World
+from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from desim.pursuit.views import PursuerView
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,14 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     """
     seed = scenario.seed if seed is None else seed
     env = Clock()
-    radio = Eavesdropper() if any(evader.listens for evader in scenario.evaders) else None
-    watchers = watchers if radio is None else (radio, *watchers)
-    trace = Trace(watchers, messages=scenario.record.messages is True, stop=lambda: world.stop())
-    world = World(env, scenario, seed, trace, radio)
-    faults = draw_faults(scenario.fault, world.size, scenario.horizon, seed)
-
-    positions = _PursuerPositions(world, 0.0 if scenario.motion.static else max(scenario.team.all_speeds()))
+    end = RunEnd(env)
+    trace = Trace(watchers, messages=scenario.record.messages is True, stop=end.stop)
+    state = initial_state(env, scenario, seed)
+    faults = draw_faults(scenario.fault, state.size, scenario.horizon, seed)
+    positions = _PursuerPositions(state)
     network = Network(
         env,
-        scenario.network.graph(world.size),
+        scenario.network.graph(state.size),
         scenario.network,
         seed=seed,
         positions=positions,
@@ -99,12 +97,23 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         fault_state=FaultState(positions) if faults else None,
         predicate=announces_chase,
     )
-    team = _Team(env, scenario, world, network, seed)
+    clocks = [NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, state.size, seed)]
+    sensor = _sensor(scenario, state, network, clocks)
+    views = [View(state, scenario.prune)] * state.size if sensor is None else sensor.views
+    world = World(env, scenario, state, views, trace, end, sensor)
+    if world.eavesdropper is not None:
+        network.overhear(world.eavesdropper)
+    global_state = GlobalState(state, scenario.prune, world.set_action)
+    agents = [
+        Agent(pursuer, env, view, global_state, network, seed, scenario.announce, clock)
+        for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
+    ]
+    team = _Team(env, scenario, world, agents, sensor)
     inject(faults, env, network, trace, crashed=team.crashed, recovered=team.recovered)
     team.begin()
     world.begin()
     try:
-        env.run(until=world.over)
+        env.run(until=end.over)
     except TimedOut as error:
         raise stuck(env, error, team.processes) from error
     except SystemExit as error:
@@ -113,41 +122,47 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
         raise RuntimeError(" ".join([f"{who} called exit({error.code!r})", *notes])) from error
     world.sample()
     trace.append(network.message_counts())
-    assert world.end is not None
-    trace.append(world.end)
+    assert end.event is not None
+    trace.append(end.event)
     return Result(scenario, seed, trace)
 
 
 class _PursuerPositions:
     """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
-    def __init__(self, world: World, fastest: float):
-        self._world, self.fastest = world, fastest
+    def __init__(self, state: WorldState):
+        self._state = state
+        self.fastest = 0.0 if state.static else float(state.speeds.max())
 
     def __call__(self) -> Floats:
-        return coordinates(self._world.positions())
+        return coordinates(self._state.positions())
 
     def of(self, nodes: Nodes) -> Floats:
-        return coordinates(self._world.players.positions_of(nodes))
+        return coordinates(self._state.players.positions_of(nodes))
+
+
+def _sensor(
+    scenario: Scenario, state: WorldState, network: Network, clocks: "Sequence[NodeClock]"
+) -> TeamSensor | None:
+    """Return the sensors of a team with limited sensing; None if its sensing is unlimited."""
+    if not scenario.sensing.limited or getattr(scenario.protocol, "omniscient", False):
+        return None
+    return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
 
 
 class _Team:
     """The agents of a run and their processes."""
 
-    def __init__(self, env: Clock, scenario: Scenario, world: World, network: Network, seed: int):
+    def __init__(
+        self,
+        env: Clock,
+        scenario: Scenario,
+        world: World,
+        agents: "Sequence[Agent]",
+        sensor: TeamSensor | None,
+    ):
         self._env, self._scenario, self._world = env, scenario, world
-        clocks = [
-            NodeClock(env, offset, 1.0 + drift) for offset, drift in clock_errors(scenario.fault, world.size, seed)
-        ]
-        blind = scenario.sensing.limited and not getattr(scenario.protocol, "omniscient", False)
-        self._sensor = TeamSensor(scenario.sensing, world, network, clocks) if blind else None
-        if self._sensor is not None:
-            world.attach_sensing(self._sensor)
-        views: Sequence[PursuerView] = [world] * world.size if self._sensor is None else self._sensor.views
-        self._agents = [
-            Agent(pursuer, env, view, world, network, seed, scenario.announce, clock)
-            for pursuer, (view, clock) in enumerate(zip(views, clocks, strict=True))
-        ]
+        self._agents, self._sensor = agents, sensor
         self._embodied = getattr(scenario.protocol, "embodied", True)
         self.processes: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
         self._open_crashes: dict[int, list[Crash]] = defaultdict(list)
@@ -157,18 +172,17 @@ class _Team:
     def begin(self) -> None:
         """Set the initial beliefs and start all processes."""
         env, announce, protocol = self._env, self._scenario.announce, self._scenario.protocol
-        for pursuer in range(self._world.size):
+        for pursuer in range(len(self._agents)):
             agent = self._agents[pursuer]
             if announce.warm_start:
                 agent.set_initial_belief()
-            relay = RestartableProcess(env, agent.in_phase(Phase.RELAY), announce.dissemination)
-            self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol)
-            beating = agent.in_phase(Phase.HEARTBEAT)
+            relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
+            self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
             if self._scenario.speaks and announce.beats:
-                env.process(beating.repeat(beating.broadcast, announce.heartbeat, "heartbeat"))
+                env.process(agent.repeat(agent.broadcast, announce.heartbeat, "heartbeat"))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period
-                env.process(beating.repeat(view.report, period, "sightings"))
+                env.process(agent.repeat(view.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
         """Stop a pursuer if its robot, not only its radio, breaks down."""
@@ -206,13 +220,13 @@ class RestartableProcess(simpy.Process):
     same event; after a recovery without memory it starts a new behaviour.
     """
 
-    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour):
+    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
         self.behaviour: Process | None = None
-        super().__init__(env, self._behave(agent, protocol))
+        super().__init__(env, self._behave(agent, protocol, phase))
 
-    def _behave(self, agent: Agent, protocol: Behaviour) -> Process:
+    def _behave(self, agent: Agent, protocol: Behaviour, phase: Phase) -> Process:
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
-        awaited: simpy.Event | None = agent.at(agent.now)
+        awaited: simpy.Event | None = agent.at(agent.now, phase)
         missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
         while awaited is not None:
             try:
@@ -225,7 +239,7 @@ class RestartableProcess(simpy.Process):
                     self.behaviour.close()
                     self.behaviour = missed = None
                 if self.behaviour is None or awaited.processed:
-                    awaited = agent.at(agent.now)  # resume in its turn, after the arrivals of this instant
+                    awaited = agent.at(agent.now, phase)  # resume in its turn, after the arrivals of this instant
                 continue
             if missed is not None:
                 value, missed = missed.value, None

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from desim.analysis.activity import action, changes, chases, decisions, moves
-from desim.analysis.trace_index import ended, has_several, messages_recorded, started
+from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import to_json
 from desim.config.trust import without_symlink
 from desim.kernel.clock import SECOND
@@ -78,7 +78,7 @@ def _names(size: int, has_messages: bool) -> Iterator[Entry]:
 
 def _slices(result: Result) -> Iterator[Entry]:
     """Yield the slices: chases and faults."""
-    several = has_several(result)
+    several = len(started(result).evaders) > 1
     for pursuer, own in enumerate(chasing(result)):
         for begin, end, evader in own:
             name = f"chases {evader}" if several else "active"
@@ -92,7 +92,7 @@ def _slices(result: Result) -> Iterator[Entry]:
 
 def _instants(result: Result) -> Iterator[Entry]:
     """Yield the instants: decisions, handovers, captures, and the end of the run."""
-    changed, several = {id(change) for change in changes(result)}, has_several(result)
+    changed, several = {id(change) for change in changes(result)}, len(started(result).evaders) > 1
     for each in decisions(result):
         starts = f"switches to {action(each)}" if several else "starts"
         name = (starts if chases(each) else "stops") if id(each) in changed else "keeps action"

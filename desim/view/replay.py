@@ -21,7 +21,6 @@ from desim.analysis.trace_index import (
     Floats,
     captures,
     ended,
-    has_several,
     lacks_messages,
     messages,
     positions_known,
@@ -91,8 +90,7 @@ def _about(result: Result) -> str:
         "horizon": f"not captured within {seconds(end.t):g} s",
         "stopped": f"stopped after {seconds(end.t):.2f} s",
     }
-    if has_several(result):
-        count = len(started(result).evaders)
+    if (count := len(started(result).evaders)) > 1:
         players, which = f"{players}, {count} evaders", f"captured {len(captures(result))} of {count}"
         outcome |= {
             "captured": f", the last by {end.capturer} after {seconds(end.t):.2f} s",

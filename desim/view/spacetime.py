@@ -14,7 +14,7 @@ import numpy as np
 
 from desim.analysis.activity import changes, chases, decisions, moves
 from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
-from desim.analysis.trace_index import ended, has_several, started
+from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
@@ -157,7 +157,7 @@ def _mean_latency(own: Sequence[Delivery]) -> float:
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
     """Draw a thin line for each pursuer, thick while it is active; label it with its evader if there are several."""
-    chases_of, several = chasing(result), has_several(result)
+    chases_of, several = chasing(result), len(started(result).evaders) > 1
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
     inside = [
@@ -199,14 +199,14 @@ def _hue(evader: int, several: bool) -> str:
 
 
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw the captures if there are several evaders: the time, the evader and the capturing pursuer."""
+    """Draw the captures: the time, the capturing pursuer and, if there are several, the evader."""
+    several = len(started(result).evaders) > 1
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
             axes.axvline(t / SECOND, color="black", lw=0.8, ls=(0, (4, 2)), zorder=1)
             place = (t / SECOND, -0.8)
-            axes.annotate(
-                f"{evader} captured", place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7
-            )
+            text = f"{evader} captured" if several else "captured"
+            axes.annotate(text, place, (-2, -2), textcoords="offset points", va="top", ha="right", fontsize=7)
             if capturer in rows:
                 axes.plot(
                     t / SECOND,

@@ -52,7 +52,7 @@ def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
     """Return a result with this start, these events and this end, s."""
     trace, places = Trace(), tuple((float(i), 0.0) for i in range(len(profile)))
     tally = MessageCounts(ns(end), sent, 0, 0, 0, {}, 0, 0, 0.0)
-    start = Started(0, (9.0, 0.0), places, (1.0,) * len(profile), profile, ((9.0, 9.0),) * (evaders - 1))
+    start = Started(0, ((9.0, 0.0), *((9.0, 9.0),) * (evaders - 1)), places, (1.0,) * len(profile), profile)
     trace.events += [start, *events, tally, Ended(ns(end), "horizon", None)]
     return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
 
@@ -424,7 +424,7 @@ def reporting(seed, p, updates=2000):
     clock, trace = Clock(), Trace()
     links = Links(latency=Constant(value=DELAY), loss=Bernoulli(p=p))
     network = Network(clock, nx.complete_graph(2), links, seed=seed, trace=trace)
-    trace.append(Started(0, (0.0, 0.0), ((0.0, 0.0),) * 2, (1.0, 1.0), (True, True)))
+    trace.append(Started(0, ((0.0, 0.0),), ((0.0, 0.0),) * 2, (1.0, 1.0), (True, True)))
     end = ns(DELAY) + updates * ns(PERIOD)
     for k in range(updates):
         report = Instant(clock, k * ns(PERIOD), Phase.DECISION)

@@ -52,9 +52,9 @@ def by_hand(phi, active, decisions, end, frozen=True, samples=(), more=(), speed
     def places(times):
         return tuple((each + 0.5, 0.0) for each in times)
 
-    start = Started(0, (0.0, 0.0), places(phi), speeds or (2.0,) * len(phi), active)
+    start = Started(0, ((0.0, 0.0),), places(phi), speeds or (2.0,) * len(phi), active)
     events = [Decided(nanoseconds(t), i, a) for t, i, a in decisions] + list(more)
-    events += [Sampled(nanoseconds(t), (0.0, 0.0), places(times)) for t, times in samples]
+    events += [Sampled(nanoseconds(t), ((0.0, 0.0),), places(times)) for t, times in samples]
     trace = Trace()
     trace.events = [start, *sorted(events, key=lambda each: each.t)]
     trace.events += [

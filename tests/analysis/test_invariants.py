@@ -33,11 +33,11 @@ S = SECOND
 
 def started(*active, pursuers=((0.0, 0.0), (4.0, 0.0)), evader=(2.0, 0.0), others=()):
     """Two pursuers of 1 and 2 m/s."""
-    return Started(0, evader, pursuers, (1.0, 2.0), active, others)
+    return Started(0, (evader, *others), pursuers, (1.0, 2.0), active)
 
 
 def sampled(t, *pursuers, evader=(2.0, 0.0), others=()):
-    return Sampled(round(t * S), evader, pursuers, others)
+    return Sampled(round(t * S), (evader, *others), pursuers)
 
 
 def show(watcher, *events):
@@ -169,7 +169,7 @@ WRONG = {
 def game_of(events):
     """Return the scenario of a history: there may be another evader, of 0.25 m/s."""
     other = Evader(position=(3.0, 0.0), speed=0.25)
-    several = {"evader": (GAME.evader, other)} if events[0].others else {}
+    several = {"evader": (GAME.evader, other)} if len(events[0].evaders) > 1 else {}
     return GAME.model_copy(update=several)
 
 

@@ -47,7 +47,7 @@ def by_hand(active, decisions, end, reason="captured", capturer=0, tally=(0, 0, 
     """Return a result with this start, these (time, pursuer, action) and this end; times in s."""
     trace = Trace()
     places = tuple((float(i), 0.0) for i in range(len(active)))
-    trace.append(Started(0, (9.0, 0.0), places, (2.0,) * len(active), active))
+    trace.append(Started(0, ((9.0, 0.0),), places, (2.0,) * len(active), active))
     for time, pursuer, action in decisions:
         trace.append(Decided(nanoseconds(time), pursuer, action))
     trace.append(MessageCounts(nanoseconds(end), *tally))

@@ -13,7 +13,7 @@ import pytest
 from desim.analysis.plots import save, styled, trajectory
 from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
-from desim.pursuit.events import Ended, Sampled, Started
+from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from tests.drawn import described
@@ -26,11 +26,13 @@ START = ((0.0, 0.0), (5.0, 5.0), (9.0, 0.0), (7.0, 7.0))
 def chase(reason="captured", capturer=1, name="chase", samples=3) -> Result:
     """Return a result in which pursuers 1 and 3 ran along x for 2 s, the others stayed, and the evader ran along y."""
     trace = Trace()
-    trace.append(Started(0, (1.0, 2.0), START, (1.0,) * 4, (True,) * 4))
+    trace.append(Started(0, ((1.0, 2.0),), START, (1.0,) * 4, (True,) * 4))
     for k in range(samples):
         (a, b, c, d) = START
         pursuers = (a, (b[0] + k, b[1]), c, (d[0] + k, d[1]))
-        trace.append(Sampled(k * SECOND, (1.0, 2.0 + k), pursuers))
+        trace.append(Sampled(k * SECOND, ((1.0, 2.0 + k),), pursuers))
+    if capturer is not None:
+        trace.append(Captured(2 * SECOND, 1, capturer))
     trace.append(Ended(2 * SECOND, reason, capturer))
     return Result(Scenario(name=name), 3, trace)
 

@@ -43,10 +43,12 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, Jamming, Partition
 from desim.kernel.latency import Constant
+from desim.kernel.link_layer import LinkLayer
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
+from tests.kernel.layers import network_over
 from tests.kernel.test_network import Uniform
 
 WAYS = ("publish", "send", "send to all")
@@ -383,7 +385,7 @@ def test_delivery_by_events_is_observationally_equal_to_delivery_without_events(
 def test_the_comparison_detects_a_delivery_one_nanosecond_late():
     """The control of the property above, for records and for mail."""
 
-    class Late(Network):
+    class Late(LinkLayer):
         def _land(self, flight, nodes, airtime, event):
             later = Instant(self._env, self._env.now + 1, Phase.DELIVERY)
             later.callbacks.append(lambda _: super(Late, self)._land(flight, nodes, airtime, event))
@@ -392,4 +394,4 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]
         history = (nx.complete_graph(2), Links(), acts, 0)
         assert observe(Network, *history) == observe(Network, *history, fault_state=FaultState())
-        assert observe(Network, *history) != observe(Late, *history, fault_state=FaultState())
+        assert observe(Network, *history) != observe(network_over(Late), *history, fault_state=FaultState())

@@ -17,10 +17,12 @@ from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition, RandomFaults, draw_faults
 from desim.kernel.invariants import Conservation, OneToken
 from desim.kernel.latency import Constant, Uniform
+from desim.kernel.link_layer import LinkLayer
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate, Unlimited
 from desim.kernel.network import Network
+from tests.kernel.layers import network_over
 
 pytestmark = pytest.mark.own_trace
 
@@ -257,37 +259,37 @@ def test_a_network_conserves_messages_whatever_its_links_and_faults(seed, faults
     live(seed, links=links, faults=faults, fifo=order == "fifo")
 
 
-class SilentLoss(Network):
+class SilentLoss(LinkLayer):
     """It loses an arriving message and does not record it."""
 
     def _land(self, transmission, nodes, airtime, event):
         super()._land(transmission, nodes[1:], airtime, event)
 
 
-class SendsWhenDown(Network):
+class SendsWhenDown(LinkLayer):
     """A node that is down may transmit."""
 
-    def _transmit(self, src, *rest, **options):
+    def transmit(self, src, *rest, **options):
         fault_state, self._fault_state = self._fault_state, None
-        super()._transmit(src, *rest, **options)
+        super().transmit(src, *rest, **options)
         self._fault_state = fault_state
 
 
-class Unbreakable(Network):
+class Unbreakable(LinkLayer):
     """Nothing keeps a message from arriving."""
 
     def _obstacle(self, transmission, node, airtime):
         return None
 
 
-class Leaky(Network):
+class Leaky(LinkLayer):
     """It counts a loss and does not record it."""
 
     def _lose(self, transmission, nodes, cause):
         self._lost[cause] += len(nodes)
 
 
-class WrongCauses(Network):
+class WrongCauses(LinkLayer):
     """It takes every loss for one by chance, in its count."""
 
     def message_counts(self):
@@ -295,7 +297,7 @@ class WrongCauses(Network):
         return true._replace(lost_by={"loss": true.lost})
 
 
-class Doubling(Network):
+class Doubling(LinkLayer):
     """It lets a loss happen twice."""
 
     def _lose(self, transmission, nodes, cause):
@@ -308,7 +310,7 @@ CRASHES = (RandomFaults(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
 
 
 @pytest.mark.parametrize(
-    ("network", "faults", "words"),
+    ("layer", "faults", "words"),
     [
         (SilentLoss, ALL_SORTS, "sent, delivered, lost, in flight"),
         (SendsWhenDown, CRASHES, "sends nothing"),
@@ -319,10 +321,10 @@ CRASHES = (RandomFaults(rate=20.0, mean_duration=0.1, kinds=("crash",)),)
     ],
 )
 @pytest.mark.parametrize("seed", range(3))
-def test_a_broken_network_is_detected(network, faults, words, seed):
+def test_a_broken_network_is_detected(layer, faults, words, seed):
     live(seed, Network, SLOW, faults)
     with pytest.raises(AssertionError, match=words):
-        live(seed, network, SLOW, faults)
+        live(seed, network_over(layer), SLOW, faults)
 
 
 def test_the_watcher_sees_messages_that_are_not_kept():

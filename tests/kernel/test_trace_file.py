@@ -158,12 +158,7 @@ def straightforward(event):
             return value.plain()
         return tabled(value) if name == "body" else value
 
-    defaults = event._field_defaults
-    fields = {
-        name: plain(name, value)
-        for name, value in event._asdict().items()
-        if name not in defaults or value != defaults[name]
-    }
+    fields = {name: plain(name, value) for name, value in event._asdict().items()}
     return json.dumps({"event": type(event).__name__} | fields, default=repr) + "\n"
 
 

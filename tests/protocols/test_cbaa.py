@@ -70,7 +70,7 @@ def frozen(protocol, seed=0, until=inf, **changes):
 def times(result):
     """Return every pursuer's phi as the run begins, s."""
     start, scenario = result.trace.of(Started)[0], result.scenario
-    phi = capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
+    phi = capture_time(start.evaders[0], start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
     return phi.tolist()
 
 

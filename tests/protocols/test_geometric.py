@@ -80,7 +80,7 @@ def test_the_owner_of_the_voronoi_cell_of_the_evader_chases_from_every_slot_on(s
     for sample in samples:
         chasing = found.get(sample.t, chasing)
         if sample.t < end:  # captured there, before any decision
-            owner = int(cKDTree(sample.pursuers).query(sample.evader)[1])
+            owner = int(cKDTree(sample.pursuers).query(sample.evaders[0])[1])
             assert chasing == tuple(j == owner for j in range(12))
             seen.add(owner)
     assert len(samples) > 20
@@ -225,7 +225,7 @@ def test_after_a_turn_the_intercept_is_right_once_the_filter_has_settled():
             continue
         q = 1.0 if k <= 20 else np.exp(-(k - 20) * slot / 0.5)
         w = 0.9 * ((1 - q) + 1j * q)
-        gaps = complex(*sample.evader) - np.array([complex(*p) for p in sample.pursuers])
+        gaps = complex(*sample.evaders[0]) - np.array([complex(*p) for p in sample.pursuers])
         assert chasing.index(True) == int(np.argmin([meets(gap, w, 1.0, radius) for gap in gaps]))
     assert changed[0] == 0
     assert 20 < changed[1] < 60  # some slots after the turn
@@ -345,7 +345,7 @@ def test_with_hysteresis_the_owner_is_within_the_band_and_changes_hands_only_bey
         found, owner = profiles(result), None
         samples = [sample for sample in result.trace.of(Sampled) if sample.t % 50_000_000 == 0][:-1]
         for sample in samples:
-            distances = np.hypot(*(np.array(sample.pursuers) - sample.evader).T)
+            distances = np.hypot(*(np.array(sample.pursuers) - sample.evaders[0]).T)
             now = found[sample.t].index(True) if sample.t in found else owner
             assert distances[now] * (1 - h) <= distances.min() * (1 + 1e-9)
             if now != owner and owner is not None:
@@ -417,7 +417,9 @@ def test_random_static_games_end_in_the_relay_profile(payload):
         )
         result = run(scenario, seed)
         start = result.trace.of(Started)[0]
-        phi = capture_time(start.evader, start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius)
+        phi = capture_time(
+            start.evaders[0], start.pursuers, start.speeds, scenario.evader.speed, scenario.capture.radius
+        )
         final = [start.active, *profiles(result).values()][-1]
         assert final == relay_profile(phi.tolist(), 30.0)
 

@@ -48,7 +48,7 @@ def test_the_relay_profile_is_reached_on_a_complete_graph_in_spite_of_latency_an
     for seed in range(5):
         result = run(frozen(network, p0=p0), seed, lambda event: event.t > 15e9)
         start = result.trace.of(Started)[0]
-        phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
+        phi = capture_time(start.evaders[0], start.pursuers, start.speeds, 0.9, 0.1).tolist()
         assert final_profile(result) == relay_profile(phi, 30.0)
 
 

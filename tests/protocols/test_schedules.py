@@ -123,7 +123,7 @@ def rounds(seed, latency, p0=0.5, count=7):
     result = run(scenario, seed, lambda event: event.t > 1.25e9)
     start = result.trace.of(Started)[0]
     made = [d.active for d in result.trace.of(Decided)][: 12 * count]
-    phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
+    phi = capture_time(start.evaders[0], start.pursuers, start.speeds, 0.9, 0.1).tolist()
     return start.active, [tuple(made[k * count : (k + 1) * count]) for k in range(12)], phi
 
 

@@ -336,7 +336,7 @@ def test_random_static_games_end_in_the_relay_profile():
         )
         result = run(scenario, seed)
         (start,) = result.trace.of(Started)
-        phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1)
+        phi = capture_time(start.evaders[0], start.pursuers, start.speeds, 0.9, 0.1)
         assert profile(result) == relay_profile(phi.tolist(), 20.0)
 
 

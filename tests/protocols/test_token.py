@@ -128,7 +128,7 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
         play = SpatialAdaptivePlay(schedule=TokenRing(), tau=ConstantTau(value=1e-12))
         result = run(frozen(play, count=8, latency=latency, horizon=25.0), seed, lambda event: event.t > until)
         start = result.trace.of(Started)[0]
-        phi = capture_time(start.evader, start.pursuers, start.speeds, 0.9, 0.1).tolist()
+        phi = capture_time(start.evaders[0], start.pursuers, start.speeds, 0.9, 0.1).tolist()
         profile = list(start.active)
         for d in decided(result):
             others = [phi[j] for j in range(8) if profile[j] and j != d.pursuer]

@@ -158,17 +158,15 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
         me.assign(active)
 
     def look(me):
-        world = me._world
+        view, state = me._view, me._view.state
         for j, (_, record) in me.latest_records().items():
-            gap = abs(world.state(1).evader - world.position(j))
-            chased_since = record.body.active and world.action(j) and turned[j] <= record.sent
+            gap = abs(state.body(1).position - state.position(j))
+            chased_since = record.body.active and state.profile[j] and turned[j] <= record.sent
             if chased_since and gap > 3.0 * step + 0.5:
                 age = nanoseconds(me.now) - record.sent
-                place = world.reckoned(
-                    complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact"
-                )
+                place = view.reckoned(complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact")
                 inside = turned[j] % h != 0 and turned[j] // h == record.sent // h
-                rows.append((abs(place - world.position(j)), seconds(age), gap, inside))
+                rows.append((abs(place - state.position(j)), seconds(age), gap, inside))
 
     acts = []
     for pursuer in range(5):
@@ -212,7 +210,7 @@ def test_straight_line_reckoning_subtracts_the_path_length_from_the_distance(ord
     def look(me):
         for _, record in me.latest_records().values():
             _, x, y, speed = record.body
-            ahead = abs(me._world.state(1).evader - complex(x, y)) - speed * (me.now - seconds(record.sent))
+            ahead = abs(me._view.evader(1) - complex(x, y)) - speed * (me.now - seconds(record.sent))
             seen.append((me.believed_chasers()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
 
     acts = [

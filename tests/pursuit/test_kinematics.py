@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from desim import Scenario, run
 from desim.kernel.clock import SECOND, Clock
-from desim.kernel.events import Trace
 from desim.kernel.links import Links
 from desim.pursuit import evader, steering
 from desim.pursuit.evasion import Still
@@ -19,9 +18,9 @@ from desim.pursuit.guidance import ConstantBearing, PurePursuit
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.state import lengths
 from desim.scenario.scenario import Evader, Motion, Team
-from desim.simulation.world import World
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
+from tests.worlds import world_of
 
 numbers = st.floats(-10.0, 10.0)
 plane = st.builds(complex, numbers, numbers)
@@ -74,14 +73,14 @@ def test_players_of_a_static_game_stay_and_positions_are_read_only():
 def test_times_of_capture_of_some_are_those_of_all(known, count):
     """One of the pursuers is too slow; the evader runs, so that no position is unchanged."""
     speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
-    world = World(env := Clock(), Scenario(team=Team(count=20, speeds=speeds), horizon=3.0), 4, Trace())
-    world.begin()
-    env.run(until=1_234_567_891)
+    parts = world_of(Scenario(team=Team(count=20, speeds=speeds), horizon=3.0), 4)
+    parts.world.begin()
+    parts.env.run(until=1_234_567_891)
     some = list(range(count))
     if known:
-        world.capture_times(1)
-    few = world.capture_times_of(some, 1)
-    assert few == list(world.capture_times(1)[:count])
+        parts.view.capture_times(1)
+    few = parts.view.capture_times_of(some, 1)
+    assert few == list(parts.view.capture_times(1)[:count])
     assert few[0] == inf
     assert all(0.0 < each < inf for each in few[1:])
 
@@ -107,11 +106,11 @@ def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, eva
 
 def test_a_clock_that_runs_past_the_horizon_comes_to_its_end():
     """No motion step begins at the horizon, so time goes on."""
-    world = World(env := Clock(), Scenario(horizon=1.0, team=Team(count=3)), 0, Trace())
-    world.begin()
-    env.run(until=2 * SECOND)
-    assert world.end is not None
-    assert world.end.t == SECOND
+    parts = world_of(Scenario(horizon=1.0, team=Team(count=3)))
+    parts.world.begin()
+    parts.env.run(until=2 * SECOND)
+    assert parts.end.event is not None
+    assert parts.end.event.t == SECOND
 
 
 @pytest.mark.slow

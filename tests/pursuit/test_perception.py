@@ -269,7 +269,7 @@ def flight_distance(*changes, dissemination=None, **keys):
         "announce": Announcements(trigger="never", **said),
     }
     result = run(Scenario(horizon=5.0, protocol=behaviour, **(settings | keys)))
-    return pytest.approx(result.trace.of(Sampled)[-1].evader[0], abs=1e-9)
+    return pytest.approx(result.trace.of(Sampled)[-1].evaders[0][0], abs=1e-9)
 
 
 def test_a_listener_moves_exactly_while_an_announcement_of_a_change_is_in_flight():

@@ -8,8 +8,8 @@ import pytest
 
 import desim
 from desim import Scenario
-from desim.kernel.clock import SECOND, Clock, NodeClock
-from desim.kernel.events import Sent, Trace
+from desim.kernel.clock import SECOND, NodeClock
+from desim.kernel.events import Sent
 from desim.kernel.faults import Crash, Partition
 from desim.kernel.graphs import Edges
 from desim.kernel.latency import Constant
@@ -20,8 +20,8 @@ from desim.pursuit.evasion import ConstantHeading, Diffusion, Still
 from desim.pursuit.events import Decided, Ended, Sampled, Started
 from desim.pursuit.sensing import NOWHERE, PORT, EvaderEstimate, Sensing, Sighting, TeamSensor, spiral
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
-from desim.simulation.world import World
 from protocols.centralised import Centralised
+from tests.worlds import world_of
 
 OF_THE_PURSUIT = (Started, Decided, Sampled, Ended)
 
@@ -287,13 +287,16 @@ class Rig:
         team = Team(positions=((0.0, 0.0), (50.0, 0.0)), speeds=1.0, active_at_start=0.0)
         leaves = Evader(position=(2.0, 0.0), speed=0.9, strategy=ConstantHeading(angle=0.0))
         base = scenario(sensing, **({"team": team, "evader": leaves} | keys))
-        self.clock = Clock()
-        self.world = World(self.clock, base, 0, Trace())
-        self.network = Network(self.clock, nx.complete_graph(2), Links())
-        sensor = TeamSensor(sensing, self.world, self.network, [NodeClock(self.clock, *clock), NodeClock(self.clock)])
-        self.world.attach_sensing(sensor)
+
+        def sensor_of(env, state):
+            self.network = Network(env, nx.complete_graph(2), Links())
+            sensor = TeamSensor(sensing, state, base.prune, self.network, [NodeClock(env, *clock), NodeClock(env)])
+            self.one, self.other = sensor.views
+            return sensor
+
+        parts = world_of(base, 0, sensor_of)
+        self.clock, self.state, self.world = parts.env, parts.state, parts.world
         self.world.begin()
-        self.one, self.other = sensor.views
 
     def until(self, time):
         """Let time go on until just before an instant, s."""
@@ -412,7 +415,7 @@ def caught():
 
 
 def test_a_captured_evader_cannot_be_captured_again(caught):
-    assert caught.world.evaders() == (2,)
+    assert caught.state.at_large == (2,)
     assert caught.one.sees(1)
     assert not caught.other.sees(1)
     for sight in (caught.one, caught.other):
@@ -435,7 +438,7 @@ def test_an_action_within_a_step_leads_to_the_believed_position_of_the_evader():
     rig = Rig(Sensing(radius=3.0, estimate="hold"), evader=HIDDEN).until(0.005)
     rig.broadcast(sighting(10.0, 0.0))
     rig.world.set_action(0, 1)
-    assert rig.until(0.008).world.position(0) == pytest.approx(0.003)
+    assert rig.until(0.008).state.position(0) == pytest.approx(0.003)
 
 
 @pytest.mark.parametrize(("order", "aim"), [("evader_first", 10.0 + 0.09j), ("simultaneous", 10.0 + 0j)])
@@ -444,7 +447,7 @@ def test_a_pursuer_heads_for_the_believed_position_at_the_end_of_the_step(order,
     rig = Rig(Sensing(radius=3.0), evader=HIDDEN, motion=Motion(step=0.1, order=order))
     rig.broadcast(sighting(10.0, 0.0, velocity=0.9j))
     rig.world.set_action(0, 1)
-    assert rig.until(0.05).world.position(0) == pytest.approx(0.05 * aim / abs(aim), abs=1e-12)
+    assert rig.until(0.05).state.position(0) == pytest.approx(0.05 * aim / abs(aim), abs=1e-12)
 
 
 @pytest.mark.parametrize(("x", "able"), [(0.5, True), (5.0, False)])
@@ -455,7 +458,7 @@ def test_lateness_is_evaluated_with_the_believed_position_of_the_evader(x, able)
     rig.broadcast(sighting(x, 0.0))
     assert rig.one.may_chase(0, 1) == able
     rig.world.set_action(0, 1)
-    assert rig.world.action(0) == able
+    assert rig.state.profile[0] == able
 
 
 def test_a_pursuer_does_not_overshoot_the_believed_position_of_the_evader():

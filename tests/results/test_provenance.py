@@ -25,6 +25,7 @@ SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SCENARIO = Scenario(name="caf\u00e9", seed=1, horizon=0.2, team=Team(count=3))
 KEYS = [
+    "format",
     "what",
     "seed",
     "runs",
@@ -89,7 +90,7 @@ def test_a_record_is_strict_json_in_a_created_folder_and_reads_back_unchanged(tm
     write(tmp_path / "x" / "y", made, "other.json")
     text = (tmp_path / "x" / "y" / "other.json").read_text(encoding="utf-8")
     assert strict_json(text) == made
-    assert text.startswith('{\n  "what": "sweep",\n')
+    assert text.startswith('{\n  "format": 2,\n  "what": "sweep",\n')
     assert text.endswith("}\n")
     assert read(tmp_path / "x" / "y" / "other.json") == made
 
@@ -212,6 +213,14 @@ def test_binary_too_deep_or_too_long_files_are_no_json(kept, content):
 def test_json_that_is_no_table_is_refused(kept, content):
     path = kept(content)
     assert faults(path) == [f"{path}: is not a run.json: should be a table"]
+
+
+@pytest.mark.parametrize(("number", "found"), [(None, "no format number"), (1, "format 1"), ("2", "format '2'")])
+def test_a_document_of_another_format_is_refused_with_what_to_do(kept, number, found):
+    made = document("run", SCENARIO, seed=5) | {"format": number}
+    path = kept({key: value for key, value in made.items() if value is not None})
+    (fault,) = faults(path)
+    assert fault.startswith(f"{path}: has {found}, and this version of desim reads format 2: use the version")
 
 
 def test_json_that_is_something_else_is_refused_with_all_that_is_missing(kept):

@@ -211,6 +211,16 @@ def test_a_trace_is_not_read_under_what_is_written_of_other_runs(result, change,
         read(tmp_path)
 
 
+def test_a_trace_of_another_format_is_refused_with_what_to_do(result, tmp_path):
+    write(result, tmp_path)
+    first, *rest = (tmp_path / "trace.jsonl").read_text().splitlines(keepends=True)
+    for change, found in (({"format": 99}, "format 99"), ({"format": None}, "no format number")):
+        fields = {key: value for key, value in (json.loads(first) | change).items() if value is not None}
+        (tmp_path / "trace.jsonl").write_text(json.dumps(fields) + "\n" + "".join(rest))
+        with pytest.raises(ValueError, match=f"trace.jsonl: has {found}, .* reads format 2: .* run the scenario again"):
+            read(tmp_path)
+
+
 SCENARIOS = {
     "pursuers": {"team": Team(count=4)},
     "speeds": {"team": Team(count=3, speeds=2.0)},
@@ -288,7 +298,7 @@ MISFITS = {
     "action": (with_field("Decided", active=99), "active: Input should be less than or equal to"),
     "places": (with_field("Sampled", pursuers=[["x", "y"]]), "pursuers.0.0: Input should be a valid number"),
     "too few places": (with_field("Sampled", pursuers=[[0.0, 1.0]]), "pursuers: Tuple should have at least"),
-    "evaders": (with_field("Sampled", others=[[0.0, 1.0]] * 9), "others: Tuple should have at most"),
+    "evaders": (with_field("Sampled", evaders=[[0.0, 1.0]] * 9), "evaders: Tuple should have at most"),
     "said": (with_field("Broadcast", body={"active": 99}), "body: Value error, active should be 0 to"),
     "relayed": (with_field("Broadcast", body={"records": [7]}), "body: Value error, records should be tables of src"),
     "records": (

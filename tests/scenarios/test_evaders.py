@@ -102,9 +102,9 @@ def test_an_evader_is_lost_if_once_sighted_it_stays_unseen_for_long():
 
     def observed(*distances):
         trace = Trace(messages=True)
-        trace.append(Started(0, (0.0, 0.0), ((3.0, 0.0), (90.0, 0.0)), (1.0, 1.0), (0, 0)))
+        trace.append(Started(0, ((0.0, 0.0),), ((3.0, 0.0), (90.0, 0.0)), (1.0, 1.0), (0, 0)))
         for k, x in enumerate(distances):
-            trace.append(Sampled(k * 50_000_000, (0.0, 0.0), ((x, 0.0), (90.0, 0.0))))
+            trace.append(Sampled(k * 50_000_000, ((0.0, 0.0),), ((x, 0.0), (90.0, 0.0))))
         sighting = Sighting(1, 0.1, 0.0, 0.0, 0.0, 0.0)
         for dst in (1, 2):
             trace.append(Sent(10**9, 7, 0, dst, 10**9, 10**9, 64, (sighting,)))

@@ -89,7 +89,7 @@ def test_the_initial_configuration_shows_every_player_at_its_place_with_its_numb
     slow, fast, evader = (line.get_xydata().tolist() for line in axes.lines)
     assert slow == [list(place) for place in start.pursuers[:-1]]
     assert fast == [list(start.pursuers[-1])]
-    assert evader == [list(start.evader)]
+    assert evader == [list(start.evaders[0])]
     assert [(text.get_text(), tuple(text.xy)) for text in axes.texts] == [
         (str(k), place) for k, place in enumerate(start.pursuers)
     ]

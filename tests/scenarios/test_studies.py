@@ -260,6 +260,6 @@ def test_the_games_of_the_range_study_are_those_of_the_runs():
     assert [sorted(each) for each in hearing] == [
         [j for j in np.flatnonzero(row <= 6.0) if apart[i, j]] for i, row in enumerate(apart)
     ]
-    gaps = np.linalg.norm(places - np.array(start.evader), axis=1)
+    gaps = np.linalg.norm(places - np.array(start.evaders[0]), axis=1)
     assert phi == pytest.approx((gaps - 0.1) / (1.2 - 0.9))
     assert len(graph) == range_runs.N

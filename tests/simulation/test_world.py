@@ -45,7 +45,7 @@ def still(*plan, **changes):
 
 def positions(result):
     """Return {time in s: [evader, pursuers ...]}."""
-    return {event.t / 1e9: [event.evader, *event.pursuers] for event in result.trace.of(Sampled)}
+    return {event.t / 1e9: [*event.evaders, *event.pursuers] for event in result.trace.of(Sampled)}
 
 
 def test_an_action_within_a_step_takes_effect_at_its_instant():
@@ -283,7 +283,7 @@ def test_dead_reckoning_is_exact_under_any_law_of_guidance(law, order, begin):
                 me.broadcast()
             else:
                 known = me.team_estimate()
-                errors.append(abs(known.positions[known.ids.index(0)] - me._world.position(0)))
+                errors.append(abs(known.positions[known.ids.index(0)] - me._view.state.position(0)))
 
     def turning(state, rng):
         return complex(np.exp(1j * rng.uniform(-1.0, 2.0)))
@@ -313,7 +313,7 @@ def test_the_evader_track_is_kept_only_for_exact_dead_reckoning(payload, reckoni
 
     def protocol(me):
         yield me.at(2.4)
-        remembered.append(len(me._world._targets[0].path._segments))
+        remembered.append(len(me._view.state.body(1).path._segments))
 
     run(still(protocol=protocol, announce=Announcements(payload=payload, reckoning=reckoning)))
     assert remembered == [steps, steps]

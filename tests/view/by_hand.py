@@ -34,7 +34,7 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         Queued(950 * MS, 4, 0, (1,), 24),
     ]
     own = [
-        Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 0)),
+        Started(0, ((5.0, 5.0),), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 0)),
         Decided(150 * MS, 1, 0),
         Decided(160 * MS, 1, 0),
         FaultStarted(400 * MS, CRASH),
@@ -44,10 +44,11 @@ def history(*more, samples=(0, 500, 1000), name="by hand", messages=True) -> Res
         Decided(800 * MS, 2, 1),
     ]
     sampled = [
-        Sampled(t * MS, (5.0, 5.0 + t / 1000), ((4.0 * min(t / 400, 1.0), 0.0), (10.0, 0.0), (0.0, 10.0)))
+        Sampled(t * MS, ((5.0, 5.0 + t / 1000),), ((4.0 * min(t / 400, 1.0), 0.0), (10.0, 0.0), (0.0, 10.0)))
         for t in samples
     ]
     end = [
+        Captured(1000 * MS, 1, 2),
         MessageCounts(1000 * MS, 8, 1, 4, 3, {"crash": 1, "loss": 1, "queue": 2}, 3, 80, 0.0),
         Ended(1000 * MS, "captured", 2),
     ]
@@ -65,7 +66,7 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     evader 1 runs from (5, 5) along y to its capture, 2 from (8, 2) along x.
     """
     events = [
-        Started(0, (5.0, 5.0), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 2), ((8.0, 2.0),)),
+        Started(0, ((5.0, 5.0), (8.0, 2.0)), ((0.0, 0.0), (10.0, 0.0), (0.0, 10.0)), (1.0, 1.0, 2.0), (1, 1, 2)),
         Decided(150 * MS, 1, 2),
         Broadcast(160 * MS, 0, 1, 1, (0, 2), (200 * MS,), 160 * MS, 24, Assignment(2)),
         Decided(200 * MS, 0, 1),
@@ -78,9 +79,8 @@ def pair(samples=range(0, 1001, 100)) -> Result:
     events += [
         Sampled(
             t * MS,
-            (5.0, 5.0 + min(t, 400) / 1000),
+            ((5.0, 5.0 + min(t, 400) / 1000), (8.0 + t / 1000, 2.0)),
             ((t / 250, 0.0), (10.0, 0.0), (0.0, 10.0)),
-            ((8.0 + t / 1000, 2.0),),
         )
         for t in samples
     ]

@@ -1,0 +1,113 @@
+"""The true state of a pursuit: positions, velocities and actions of all players.
+
+Views read it; the world changes it.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.kernel.clock import SECOND, Clock
+from desim.pursuit.evader import EvaderBody
+from desim.pursuit.kinematics import Kinematics
+from desim.pursuit.state import Floats, Points
+
+Actions = NDArray[np.int64]
+"""(N,) the evader that each pursuer chases, 1 .. M, or 0."""
+
+
+class WorldState:
+    """The true state of all players now.
+
+    Args:
+        env: the clock of the simulation.
+        players: kinematics of the N pursuers, then the M evaders.
+        bodies: the evaders, in order.
+        speeds: (N,) speeds of the pursuers while they chase, m/s.
+        actions: initial actions.
+        radius: capture radius, m.
+        horizon: end of the run, ns.
+        static: whether all players stand still for the whole run.
+
+    Attributes:
+        size: number of pursuers, N.
+        evader_count: number of evaders at the start, M.
+        at_large: numbers of the evaders that have not been captured, ascending.
+        actions: see `Actions`; read-only.
+        profile: the same as a list.
+        broken: (N,) mask of the pursuers that are down and follow no action.
+        step_end: end of the present motion step, ns.
+    """
+
+    def __init__(
+        self,
+        env: Clock,
+        players: Kinematics,
+        bodies: Sequence[EvaderBody],
+        speeds: Floats,
+        actions: Actions,
+        *,
+        radius: float,
+        horizon: int,
+        static: bool,
+    ):
+        self._env = env
+        self.players, self.bodies, self.speeds = players, bodies, speeds
+        self.radius, self.horizon, self.static = radius, horizon, static
+        self.size, self.evader_count = len(speeds), len(bodies)
+        self.at_large: Sequence[int] = range(1, len(bodies) + 1)
+        self.broken: NDArray[np.bool_] = np.zeros(self.size, dtype=bool)
+        self.step_end = 0
+        self.set_actions(actions)
+
+    @property
+    def now(self) -> int:
+        """The present, ns."""
+        return self._env.now
+
+    def body(self, evader: int) -> EvaderBody:
+        """Return an evader, 1 .. M."""
+        return self.bodies[evader - 1]
+
+    def position(self, pursuer: int) -> complex:
+        """Return the position of a pursuer, m."""
+        return self.players.position(pursuer)
+
+    def positions(self) -> Points:
+        """Return the (N,) positions of the pursuers, m."""
+        return self.players.positions()[: self.size]
+
+    def speed(self, pursuer: int) -> float:
+        """Return the speed of a pursuer while it chases, m/s."""
+        return self.speeds.item(pursuer)
+
+    def velocity(self, evader: int) -> complex:
+        """Return the velocity of an evader, m/s."""
+        return self.players.velocities.item(self.body(evader).player)
+
+    def distances(self, evader: int) -> Floats:
+        """Return the (N,) distances of the pursuers to an evader, m."""
+        return self.body(evader).state(self.now).distances
+
+    def time_left(self, now: int) -> float:
+        """Return the time r from an instant (ns) to the horizon, s; constant if the game is static."""
+        return (self.horizon if self.static else self.horizon - now) / SECOND
+
+    def set_actions(self, actions: Actions) -> None:
+        """Set the actions of all pursuers from now on."""
+        self.actions = actions
+        self.profile: list[int] = actions.tolist()
+        for body in self.bodies:
+            body.set_chasers(np.equal(actions, body.number))
+
+    def capture(self, body: EvaderBody) -> None:
+        """Capture an evader: it and its pursuers stand still, and they stay until their actions are set."""
+        body.captured = self.now
+        self.at_large = tuple(each for each in self.at_large if each != body.number)
+        chasing = self.actions == body.number
+        velocities = self.players.velocities.copy()
+        velocities[body.player] = 0.0
+        velocities[: self.size][chasing] = 0.0
+        self.set_actions(np.where(chasing, 0, self.actions))
+        self.players.go(velocities)

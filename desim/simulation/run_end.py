@@ -1,0 +1,33 @@
+"""The end of a run: by a capture, at the horizon, or by a watcher."""
+
+from typing import Literal
+
+from desim.kernel.clock import Clock, Instant, Phase
+from desim.pursuit.events import Ended
+
+
+class RunEnd:
+    """The end of one run.
+
+    Args:
+        env: the clock of the simulation.
+
+    Attributes:
+        over: SimPy event that happens when the run ends.
+        event: outcome of the run; None while it is running.
+    """
+
+    def __init__(self, env: Clock):
+        self._env = env
+        self.over = env.event()
+        self.event: Ended | None = None
+
+    def finish(self, reason: Literal["captured", "horizon", "stopped"], capturer: int | None = None) -> None:
+        """End the run at this instant; later calls have no effect."""
+        if self.event is None:
+            self.event = Ended(self._env.now, reason, capturer)
+            self.over.succeed()
+
+    def stop(self) -> None:
+        """End the run after all other events of this instant."""
+        Instant(self._env, self._env.now, Phase.SAMPLE + 1).callbacks.append(lambda _: self.finish("stopped"))
