@@ -20,7 +20,6 @@ from math import inf
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.config.model import Timeout
-from desim.kernel.clock import seconds
 from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
 from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bids_of, chosen, claim_fields, current, unread
@@ -71,7 +70,7 @@ class CBBA(Auction):
                     bid = up_to_date[task](bid)
                     verdict = decision(me.id, k, *mine, stamps, *bid, theirs)
                     bids[task] = {"update": bid, "reset": NO_BID, "leave": mine}[verdict]
-                heard = [*theirs[:k], seconds(record.sent), *theirs[k + 1 :]]
+                heard = [*theirs[:k], record.sent, *theirs[k + 1 :]]
                 since = [me.now if new > old else t for new, old, t in zip(heard, stamps, since, strict=True)]
                 stamps = list(map(max, heard, stamps))
             late = [bid.winner != NO_WINNER and me.now - since[bid.winner] > self.winner_timeout for bid in bids]

@@ -96,7 +96,7 @@ class Gossip(Value):
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Send the announcement with all known records to the neighbours."""
-        known = [record for _, record in me.latest_records().values()]
+        known = me.latest_records().values()
         me.send(None, Forwarded((me.record(announcement), *known)), PORT)
 
     def __call__(self, me: Agent) -> Process:

@@ -293,7 +293,7 @@ class TokenNode:
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()
         token = self._probed(token._replace(visits=visited(token, me.id)))
-        known = (record for _, record in me.latest_records().values())
+        known = me.latest_records().values()
         token = token._replace(records=(me.record(me.announcement()), *known))
         self._take(token)
         if token.hop % me.team_size == 0 and neglects(token):

@@ -186,7 +186,7 @@ class _Clocks:
 
     def _corrected(self, record: Record) -> Record:
         offset, drift = self._errors[record.src]
-        return record._replace(sent=round((record.sent - offset * SECOND) / (1.0 + drift)))
+        return record._replace(stamp=round((record.stamp - offset * SECOND) / (1.0 + drift)))
 
 
 def _columns(records: list[Record]) -> _Announcements:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import simpy
 from simpy.events import EventPriority
 
-from desim.kernel.clock import Clock, Instant, Phase
+from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.records import Arrival
 
 
@@ -15,9 +15,14 @@ class Message(NamedTuple):
     """A message from one node to others."""
 
     src: int
-    sent: int
-    """Time at which the message was sent, ns."""
+    stamp: int
+    """True time at which the message was sent, ns."""
     body: Any
+
+    @property
+    def sent(self) -> float:
+        """True time at which the message was sent, s."""
+        return self.stamp / SECOND
 
 
 Letter = tuple[int, int, Message]

@@ -85,11 +85,11 @@ class Network:
 
     # Operations of nodes.
 
-    def set_initial_belief(self, src: int, body: Any, sent: int | None = None) -> None:
-        """Give all nodes an initial record of `src` without a message; `sent` as in `publish`."""
-        self._records.set_initial_belief(Record(src, 0, self._env.now if sent is None else sent, as_sent(body)))
+    def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
+        """Give all nodes an initial record of `src` without a message; `stamp` as in `publish`."""
+        self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
 
-    def publish(self, src: int, body: Any, size: int | None = None, sent: int | None = None) -> None:
+    def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
         """Broadcast the state of `src` to its neighbours as a record; use `send` to wake the receivers.
 
         The cost is O(1) if the record reaches all nodes at the same time, else O(neighbours).
@@ -99,9 +99,9 @@ class Network:
             body: its state. All receivers share one object and must not change it; later changes by the sender have no
                 effect, see `desim.kernel.message_size.as_sent`.
             size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
-            sent: the time stamp, by the clock of `src`, ns; the true time if None.
+            stamp: the time stamp, by the clock of `src`, ns; the true time if None.
         """
-        self._transmit(src, None, self.next_record(src, body, sent), size)
+        self._transmit(src, None, self.next_record(src, body, stamp), size)
 
     def send(self, src: int, dst: int | None, body: Any, *, port: str = "", size: int | None = None) -> None:
         """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
@@ -120,9 +120,9 @@ class Network:
             raise ValueError(f"node {src} should not send messages to itself")
         self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
-    def next_record(self, src: int, body: Any, sent: int | None = None) -> Record:
+    def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return the next record of a node, for a protocol that disseminates it without `publish`."""
-        return _new(Record, (src, next(self._seq[src]), self._env.now if sent is None else sent, as_sent(body)))
+        return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record that a node received by other means than `publish`, unless it has a newer one."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, repeat
 from typing import Any, NamedTuple
 
-from desim.kernel.clock import Clock
+from desim.kernel.clock import SECOND, Clock
 
 
 class Record(NamedTuple):
@@ -17,9 +17,14 @@ class Record(NamedTuple):
     src: int
     seq: int
     """Sequence number, from 1 on; 0: an initial belief, which all nodes are given at the start without a message."""
-    sent: int
+    stamp: int
     """Time stamp of the publication, by the clock of the source, ns."""
     body: Any
+
+    @property
+    def sent(self) -> float:
+        """Time of the publication by the clock of the source, s."""
+        return self.stamp / SECOND
 
 
 TimedRecord = tuple[int, Record]

@@ -144,7 +144,7 @@ class Agent(Knowledge):
         Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
         The body is shared as in `send`.
         """
-        self._network.publish(self.id, body, sent=self._clock.stamp)
+        self._network.publish(self.id, body, stamp=self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
         """Merge records received inside a message into its own table; the newest record of each source is kept."""

@@ -12,7 +12,7 @@ import numpy as np
 from desim.config.model import MAX_TIME
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
-from desim.kernel.records import Record, Table
+from desim.kernel.records import Record
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
 from desim.pursuit.state import Floats, Points
 from desim.pursuit.views import View
@@ -30,6 +30,8 @@ class Belief(NamedTuple):
     """The evader that it chases, or 0."""
     capture_time: float
     """s; nan if unknown."""
+    age: float = 0.0
+    """Time since the announcement was sent, s, by the clocks of both; below 0 if that of the teammate is ahead."""
 
 
 class TeamEstimate(NamedTuple):
@@ -70,9 +72,9 @@ class Beliefs:
         self._announcements, self._announcement = announcements, announcement
         self.senses_others = announcements.payload == "action"
 
-    def latest_records(self) -> Table:
-        """Return the newest announcement received from each teammate, with its time of arrival, however old."""
-        return self._network.latest_records(self._id)
+    def latest_records(self) -> dict[int, Record]:
+        """Return the newest announcement received from each teammate, however old."""
+        return {j: record for j, (_, record) in self._network.latest_records(self._id).items()}
 
     def trusted(self, period: float | None = None) -> dict[int, Record]:
         """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago.
@@ -81,7 +83,8 @@ class Beliefs:
             period: time between two announcements of a teammate, s, if it is not the heartbeat.
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
-        return {j: record for j, (arrival, record) in self.latest_records().items() if arrival >= oldest}
+        received = self._network.latest_records(self._id)
+        return {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
         """Return its own capture time of an evader, s, the trusted teammates believed to chase it, and their times."""
@@ -95,8 +98,11 @@ class Beliefs:
 
     def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
-        records = self.trusted(period).items()
-        return {j: Belief(record.body.active, self._time(record, evader, orders)) for j, record in records}
+        now = self._clock.now
+        return {
+            j: Belief(record.body.active, self._time(record, evader, orders), now - record.sent)
+            for j, record in self.trusted(period).items()
+        }
 
     def team_estimate(self, evader: int) -> TeamEstimate:
         """Return the estimated positions and speeds of the team, and the capture times of an evader.
@@ -157,7 +163,7 @@ class Beliefs:
         if not body.active and not any(action for _, action in ordered):
             return place
         now = self._clock.stamp
-        since = min(record.sent, now)
+        since = min(record.stamp, now)
         segments = [(since, body.active), *((max(begun, since), action) for begun, action in ordered)]
         exact = self._announcements.reckoning == "exact"
         for (begun, action), (end, _) in pairwise([*segments, (now, 0)]):

@@ -69,7 +69,7 @@ class EvaderController:
             self._speed,
             self._radius,
             self._heading,
-            0.0 if self._since is None else seconds(state.t - self._since),
+            0.0 if self._since is None else seconds(state.stamp - self._since),
             handover,
         )
         if self._sensing_range < inf:
@@ -77,7 +77,7 @@ class EvaderController:
         heading = self._strategy(observation, self._rng)
         if not abs(heading) <= 1.0 + 1e-9:
             raise ValueError(f"a heading should have length at most 1, got {heading} from {self._strategy!r}")
-        self._heading, self._since = complex(heading), state.t
+        self._heading, self._since = complex(heading), state.stamp
         return heading
 
 
@@ -94,15 +94,15 @@ class DelayedState:
 
     def __call__(self, state: State) -> State:
         """Append a state, not earlier than the last, and return the perceived state."""
-        seen, then = self._seen, state.t - self._delay
+        seen, then = self._seen, state.stamp - self._delay
         seen.append(state)
-        while len(seen) > 1 and seen[1].t <= then:
+        while len(seen) > 1 and seen[1].stamp <= then:
             seen.popleft()
         pursuers = seen[0].pursuers
-        if seen[0].t < then:
-            share = (then - seen[0].t) / (seen[1].t - seen[0].t)
+        if seen[0].stamp < then:
+            share = (then - seen[0].stamp) / (seen[1].stamp - seen[0].stamp)
             pursuers = pursuers + share * (seen[1].pursuers - pursuers)
-        return State(state.t, pursuers, state.evader, seen[0].active)
+        return State(state.stamp, pursuers, state.evader, seen[0].active)
 
 
 SINGLY = 16

@@ -109,7 +109,7 @@ class Zigzag(Fleeing):
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
         """Return the heading of pure evasion, turned by the amplitude."""
-        halves = 2 * state.t // round(self.period * 1e9)  # ns
+        halves = 2 * state.stamp // round(self.period * 1e9)  # ns
         return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from desim.kernel.clock import NodeClock, nanoseconds
 from desim.kernel.network import Network
-from desim.kernel.records import Record, Table
+from desim.kernel.records import Record
 from desim.pursuit.beliefs import UNORDERED, Belief, Beliefs, Orders, TeamEstimate
 from desim.pursuit.utility import Mean, Scope, Utility
 from desim.pursuit.views import View
@@ -96,8 +96,8 @@ class Knowledge:
         """The capture radius eps, m."""
         return self._state.radius
 
-    def latest_records(self) -> Table:
-        """Return the newest announcement received from each teammate, with its time of arrival, however old."""
+    def latest_records(self) -> dict[int, Record]:
+        """Return the newest announcement received from each teammate, however old."""
         return self._beliefs.latest_records()
 
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:

@@ -45,7 +45,7 @@ class EvaderObservation(State):
         if who.all():
             return self
         return EvaderObservation(
-            State(self.t, self.pursuers[who], self.evader, self.active[who]),
+            State(self.stamp, self.pursuers[who], self.evader, self.active[who]),
             self.speeds[who],
             self.speed,
             self.radius,

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.kernel.clock import SECOND
+
 Points = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 
@@ -17,7 +19,7 @@ class State:
     """The positions of the pursuers and one evader, and the pursuers that chase it; its arrays are read-only.
 
     Attributes:
-        t: the instant, ns.
+        stamp: the instant, ns.
         pursuers: (N,) positions, m.
         evader: position of the evader, m.
         active: (N,) whether each pursuer chases the evader.
@@ -26,14 +28,19 @@ class State:
         nearest: index of the pursuer nearest to the evader, active or not; ties go to the lowest, -1 without pursuers.
     """
 
-    def __init__(self, t: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
-        self.t = t
+    def __init__(self, stamp: int, pursuers: Points, evader: complex, active: NDArray[np.bool_]):
+        self.stamp = stamp
         self.pursuers = pursuers
         self.evader = evader
         self.active = active
         self.offsets: Points = evader - pursuers
         self.distances = lengths(self.offsets)
         self.nearest = int(self.distances.argmin()) if len(pursuers) else -1
+
+    @property
+    def t(self) -> float:
+        """The instant, s."""
+        return self.stamp / SECOND
 
 
 def lengths(vectors: Points) -> Floats:

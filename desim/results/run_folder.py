@@ -202,8 +202,8 @@ def _checked_body(body: Any, size: int, evaders: int) -> Any:
         for each in records if isinstance(records, list) else [None]:
             if not isinstance(each, dict) or tuple(each) != Record._fields:
                 raise ValueError(f"records should be tables of {', '.join(Record._fields)}")
-            if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "sent"))):
-                raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and sent of at least 0")
+            if not (_is_number(each["src"], size) and all(_is_number(each[key], 1 << 62) for key in ("seq", "stamp"))):
+                raise ValueError(f"a record should have a src of 0 to {size - 1}, and seq and stamp of at least 0")
             _checked_body(each["body"], size, evaders)
     return body
 

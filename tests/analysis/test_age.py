@@ -373,7 +373,7 @@ def simulated(result):
                 known = newest[node].get(what.src)
                 if what.src != node and (known is None or known.seq < what.seq):
                     if known is not None:
-                        peaks[node, what.src].append(t - known.sent)
+                        peaks[node, what.src].append(t - known.stamp)
                     newest[node][what.src] = what
                     if what.body is not None:
                         believed[node][what.src] = what.body.active
@@ -383,11 +383,11 @@ def simulated(result):
                 active[node] = isinstance(what, Decided) and what.active
                 if isinstance(what, Decided):
                     for source, record in newest[node].items():
-                        found[node, source].append(t - record.sent)
+                        found[node, source].append(t - record.stamp)
         if tick < 40:
             for reader in range(size):
                 for source, record in newest[reader].items():
-                    areas[reader, source].append(t + TICK / 2 - record.sent)
+                    areas[reader, source].append(t + TICK / 2 - record.stamp)
             pairs = [(i, j) for i in range(size) for j in range(size) if i != j]
             wrong.append(np.mean([believed[i][j] != active[j] for i, j in pairs]) if pairs else nan)
             alone = [active[i] and all(believed[i][j] != active[i] for j in range(size) if j != i) for i in range(size)]
@@ -476,7 +476,7 @@ class BeliefLog:
             yield me.sleep(me.rng.exponential(0.05))
             me.assign(me.rng.random() < 0.5)
             heard = me.latest_records().items()
-            self.pages.append({j: (record.sent, record.body.active) for j, (_, record) in heard})
+            self.pages.append({j: (record.stamp, record.body.active) for j, record in heard})
             me.announce()
 
 

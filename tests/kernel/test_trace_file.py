@@ -232,7 +232,7 @@ def test_a_file_keeps_nothing_in_memory(tmp_path):
 def test_the_fields_of_a_body_keep_their_names_at_every_depth():
     sent = Sent(0, 0, 0, 1, 5, 0, 24, ForwardedPayloads((Record(3, 1, 7, Payload(True, (1.0, 2.0))),)))
     (record,) = next(events_of([line_of(sent)], KINDS)).body.records
-    assert (record.src, record.seq, record.sent) == (3, 1, 7)
+    assert (record.src, record.seq, record.stamp) == (3, 1, 7)
     assert (record.body.active, record.body.place) == (True, (1.0, 2.0))
 
 

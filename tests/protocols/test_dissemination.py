@@ -57,7 +57,9 @@ def announcing_at(*times, by=0, heard=None):
                 me.broadcast()
         yield me.at(max(9.5, me.now))
         if heard is not None:
-            heard[me.id] = {j: (seconds(arrival), record.seq) for j, (arrival, record) in me.latest_records().items()}
+            heard[me.id] = {
+                j: (seconds(arrival), record.seq) for j, (arrival, record) in me._network.latest_records(me.id).items()
+            }
 
     return protocol
 
@@ -137,10 +139,10 @@ def test_a_forwarded_record_keeps_the_time_and_sequence_number_of_its_source():
             yield me.at(1.0)
             me.broadcast()
         yield me.at(5.0)
-        seen.extend(me.latest_records().values())
+        seen.extend(me._network.latest_records(me.id).values())
 
     play(protocol, nx.path_graph(3), Flooding(jitter=0.0), fault=(ClockSkew(node=1, offset=2.0, drift=0.5),))
-    assert [(arrival, record.src, record.seq, record.sent) for arrival, record in seen] == [
+    assert [(arrival, record.src, record.seq, record.stamp) for arrival, record in seen] == [
         (1_250_000_000, 0, 1, 1_000_000_000),
         (1_500_000_000, 0, 1, 1_000_000_000),
     ]
@@ -241,7 +243,7 @@ def test_gossip_carries_records_one_hop_farther_with_every_announcement():
         yield me.at(me.id + 1.0)
         me.broadcast()
         yield me.at(9.5)
-        heard[me.id] = {j: seconds(arrival) for j, (arrival, _) in me.latest_records().items()}
+        heard[me.id] = {j: seconds(arrival) for j, (arrival, _) in me._network.latest_records(me.id).items()}
 
     result = play(protocol, nx.path_graph(5), Gossip())
     for j, known in heard.items():
@@ -263,7 +265,8 @@ def test_gossip_merges_by_the_newest():
         for t in (3.2, 3.3, 6.5, 7.5) if me.id == 2 else ():
             yield me.at(t)
             seen[t] = [
-                (seconds(arrival), record.seq, record.body.active) for arrival, record in me.latest_records().values()
+                (seconds(arrival), record.seq, record.body.active)
+                for arrival, record in me._network.latest_records(me.id).values()
             ]
 
     play(protocol, graph, Gossip(), network=Links(graph=Edges.of(graph), latency=Constant(value=L)))
@@ -280,7 +283,7 @@ def test_gossip_does_not_send_receivers_records_about_themselves():
             yield me.at(t)
             me.broadcast()
         yield me.at(9.5)
-        heard[me.id] = set(me.latest_records())
+        heard[me.id] = set(me._network.latest_records(me.id))
 
     result = play(protocol, nx.complete_graph(3), Gossip())
     assert heard == {j: {0, 1, 2} - {j} for j in range(3)}
@@ -306,8 +309,8 @@ def test_flooding_under_loss_uses_every_path():
                 yield me.at(float(t))
                 if me.id == 0:
                     me.broadcast()
-                if me.id == 3 and 0 in me.latest_records():
-                    reached.append(me.latest_records()[0][1].seq)
+                if me.id == 3 and 0 in me._network.latest_records(me.id):
+                    reached.append(me._network.latest_records(me.id)[0][1].seq)
 
         graph = nx.empty_graph(4)
         graph.add_edges_from(edges)

@@ -203,7 +203,7 @@ def test_after_a_turn_the_intercept_is_right_once_the_filter_has_settled():
     places, radius, slot = np.array([0.4 + 2.9j, 3.2 + 0.9j]), 0.1, 0.05
 
     def run_up_then_right(state, rng):
-        return 1j if state.t < SECOND else 1.0
+        return 1j if state.t < 1.0 else 1.0
 
     result = run(
         scattered(

@@ -447,10 +447,12 @@ def test_beliefs_cover_all_known_teammates_and_believed_chasers_only_the_active_
             seen[t] = me.beliefs(), me.believed_chasers(), me.believed_active(), trusted, len(me.latest_records())
 
     act(protocol)
-    both = {1: Belief(False, pytest.approx(1.9)), 2: Belief(True, pytest.approx(3.9))}, {2: pytest.approx(3.9)}, [2]
-    records = {j: (j, Assignment(active=j == 2), 500_000_000) for j in (1, 2)}
+    records = {j: (j, Assignment(active=j == 2), 0.5) for j in (1, 2)}
     assert seen[0.25] == ({}, {}, [], {}, 0)
-    assert seen[0.6] == seen[1.5] == (*both, records, 2)
+    for t, age in ((0.6, 0.1), (1.5, 1.0)):
+        phi, age = {1: pytest.approx(1.9), 2: pytest.approx(3.9)}, pytest.approx(age)
+        beliefs = {j: Belief(j == 2, phi[j], age) for j in (1, 2)}
+        assert seen[t] == (beliefs, {2: phi[2]}, [2], records, 2)
     assert seen[1.500000001] == ({}, {}, [], {}, 2)
 
 

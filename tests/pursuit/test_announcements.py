@@ -159,13 +159,13 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
 
     def look(me):
         view, state = me._view, me._view.state
-        for j, (_, record) in me.latest_records().items():
+        for j, record in me.latest_records().items():
             gap = abs(state.body(1).position - state.position(j))
-            chased_since = record.body.active and state.profile[j] and turned[j] <= record.sent
+            chased_since = record.body.active and state.profile[j] and turned[j] <= record.stamp
             if chased_since and gap > 3.0 * step + 0.5:
-                age = nanoseconds(me.now) - record.sent
+                age = nanoseconds(me.now) - record.stamp
                 place = view.reckoned(complex(*record.body[1:3]), record.body.speed, age, 1, exact=reckoning == "exact")
-                inside = turned[j] % h != 0 and turned[j] // h == record.sent // h
+                inside = turned[j] % h != 0 and turned[j] // h == record.stamp // h
                 rows.append((abs(place - state.position(j)), seconds(age), gap, inside))
 
     acts = []
@@ -208,9 +208,9 @@ def test_straight_line_reckoning_subtracts_the_path_length_from_the_distance(ord
     seen = []
 
     def look(me):
-        for _, record in me.latest_records().values():
+        for record in me.latest_records().values():
             _, x, y, speed = record.body
-            ahead = abs(me._view.evader(1) - complex(x, y)) - speed * (me.now - seconds(record.sent))
+            ahead = abs(me._view.evader(1) - complex(x, y)) - speed * (me.now - seconds(record.stamp))
             seen.append((me.believed_chasers()[record.src], (max(ahead, 0.0) - 0.1), speed - 0.9))
 
     acts = [
@@ -316,7 +316,7 @@ def last_trusted(announce, latency=0.25, **changes):
             chase(me)
         if me.id == 2:
             yield me.at(1.35)
-            arrival = seconds(me.latest_records()[0][0])
+            arrival = seconds(me._network.latest_records(me.id)[0][0])
             while me.believed_chasers() and me.now < 9.0:
                 yield me.sleep(0.001)
             seen["until"] = me.now - 0.001 - arrival if me.now < 9.0 else None
@@ -383,7 +383,7 @@ def test_after_a_warm_start_every_pursuer_knows_the_initial_actions(payload, act
     team = Team(positions=[(2.0, 0.0), (3.0, 0.0), (5.0, 0.0)], speeds=1.0, active_at_start=float(active))
 
     def latest_records(me):
-        return {j: record.body.active for j, (_, record) in me.latest_records().items()}
+        return {j: record.body.active for j, record in me.latest_records().items()}
 
     for warm, others, gain in ((True, {0: 1.9, 1: 2.9}, (2.4 - 4.9) / 3), (False, {}, 5.1)):
         seen, known = {}, others if active else {}

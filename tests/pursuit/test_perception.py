@@ -176,7 +176,7 @@ def test_a_late_evader_flees_from_where_a_pursuer_was():
         Evader(reaction_delay=reaction_delay).controller(np.random.default_rng(), np.ones(2), 0.1)
         for reaction_delay in (0.0, 1.0)
     )
-    turns = [next(each.t for each in passing if who.heading(each).real < 0.0) / 1e9 for who in (prompt, late)]
+    turns = [next(each.t for each in passing if who.heading(each).real < 0.0) for who in (prompt, late)]
     assert turns == pytest.approx([2.1, 3.1])
 
 

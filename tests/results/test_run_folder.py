@@ -302,7 +302,7 @@ MISFITS = {
     "said": (with_field("Broadcast", body={"active": 99}), "body: Value error, active should be 0 to"),
     "relayed": (with_field("Broadcast", body={"records": [7]}), "body: Value error, records should be tables of src"),
     "records": (
-        with_field("Broadcast", body={"records": [{"src": 99, "seq": 1, "sent": 0, "body": None}]}),
+        with_field("Broadcast", body={"records": [{"src": 99, "seq": 1, "stamp": 0, "body": None}]}),
         "body: Value error, a record should have a src of 0 to",
     ),
     "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
