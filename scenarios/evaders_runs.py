@@ -221,7 +221,7 @@ def observe(result: Result) -> Watched:
         not since,
         longest * period > sensing.track_timeout,
         len(reports),
-        len({event.flight for event in reports}),
+        len({event.transmission for event in reports}),
     )
 
 

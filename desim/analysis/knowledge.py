@@ -152,22 +152,22 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
     """Return the records sent, and their receptions up to the end of the run, ns."""
     records: list[Record] = []
     fates: list[tuple[int, int]] = []
-    carried: list[tuple[int, int, int, int, int]] = []  # receivers, flight, place, first record, records
+    carried: list[tuple[int, int, int, int, int]] = []  # receivers, transmission, place, first record, records
     lost: list[int] = []
     clocks = _Clocks(result, size)
     for place, event in enumerate(result.trace):
         if isinstance(event, Broadcast | Sent):
             announced, reached = clocks.true_records(event), list(event.fates())
             if announced and reached:
-                carried.append((len(reached), event.flight, place, len(records), len(announced)))
+                carried.append((len(reached), event.transmission, place, len(records), len(announced)))
                 records += announced
                 fates += reached
         elif isinstance(event, Lost):
-            lost.append(event.flight * size + event.dst)
+            lost.append(event.transmission * size + event.dst)
     receivers, *columns = np.array(carried, np.int64).reshape(-1, 5).T
-    flight, place_of, first, count = (np.repeat(column, receivers) for column in columns)
+    transmission, place_of, first, count = (np.repeat(column, receivers) for column in columns)
     node, at = np.fromiter(chain.from_iterable(fates), np.int64).reshape(-1, 2).T
-    arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(flight * size + node, lost))
+    arrived = np.flatnonzero((at != LOST) & (at <= end) & ~np.isin(transmission * size + node, lost))
     arrived = arrived[np.lexsort((place_of[arrived], at[arrived], node[arrived]))]
     return _columns(records), _Receptions(*(column[arrived] for column in (node, at, place_of, first, count)))
 

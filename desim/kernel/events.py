@@ -45,7 +45,7 @@ class Queued(NamedTuple):
     """A transmission waits for a busy transmitter; `MessageCounts` counts it as in flight from this event on."""
 
     t: Nanoseconds
-    flight: Count
+    transmission: Count
     src: NodeId
     dst: tuple[NodeId, ...]
     size: Count
@@ -55,7 +55,7 @@ class Broadcast(NamedTuple):
     """A record was broadcast: one event for the messages to all receivers within range."""
 
     t: Nanoseconds
-    flight: Count
+    transmission: Count
     """The number of the transmission."""
     src: NodeId
     seq: Count
@@ -79,7 +79,7 @@ class Sent(NamedTuple):
     """A message was sent to one receiver."""
 
     t: Nanoseconds
-    flight: Count
+    transmission: Count
     """The number of the transmission, the same for all its receivers."""
     src: NodeId
     dst: NodeId
@@ -100,7 +100,7 @@ class Lost(NamedTuple):
     """A message to one receiver was lost: in the queue of the transmitter, at transmission or on arrival."""
 
     t: Nanoseconds
-    flight: Count
+    transmission: Count
     src: NodeId
     dst: NodeId
     cause: Cause

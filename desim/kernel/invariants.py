@@ -1,7 +1,7 @@
 """Invariants of every trace of a network, whatever its links and faults: watchers that follow each message.
 
-A message is identified by the number of its transmission (`flight`) and its receiver. It is delivered if it is not lost
-by the end of its arrival instant. Faults come first at an instant: a message that arrives when a crash starts is lost,
+A message is identified by the number of its transmission and its receiver. It is delivered if it is not lost by the end
+of its arrival instant. Faults come first at an instant: a message that arrives when a crash starts is lost,
 one that arrives when the node recovers is delivered. The invariants of a pursuit are in `desim.analysis.invariants`.
 """
 
@@ -78,15 +78,15 @@ class Conservation:
         if self._fifo:
             self._follow(event, fates)
         self._sent += len(fates)
-        if event.flight in self._waiting:
-            waiting = self._waiting[event.flight]
+        if event.transmission in self._waiting:
+            waiting = self._waiting[event.transmission]
             self._sent -= len(waiting & fates.keys())
             waiting.difference_update(fates)
-        if event.flight in self._flying:
-            left, flying = self._flying[event.flight]
+        if event.transmission in self._flying:
+            left, flying = self._flying[event.transmission]
             _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
             fates = flying | fates
-        self._flying[event.flight] = event, fates
+        self._flying[event.transmission] = event, fates
         if len(self._flying) > self._max_unchecked:
             self._settle(event.t)
             self._max_unchecked = MIN_BATCH + 2 * len(self._flying)
@@ -100,15 +100,15 @@ class Conservation:
     def _queue(self, event: Queued) -> None:
         _require(not self._down(event.src), "a node whose radio is down sends nothing", event)
         self._sent += len(event.dst)
-        self._waiting.setdefault(event.flight, set()).update(event.dst)
+        self._waiting.setdefault(event.transmission, set()).update(event.dst)
 
     def _lose(self, event: Lost) -> None:
         self._lost[event.cause] += 1
-        waiting = self._waiting.get(event.flight, set())
+        waiting = self._waiting.get(event.transmission, set())
         if event.dst in waiting:
             waiting.remove(event.dst)
         else:
-            left, flying = self._flying.get(event.flight, (event, {}))
+            left, flying = self._flying.get(event.transmission, (event, {}))
             arrival = flying.pop(event.dst, None)
             due = left.t if arrival == LOST else arrival
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
@@ -136,7 +136,7 @@ class Conservation:
 
     def _settle(self, before: int) -> None:
         """Check and count the deliveries before a time (ns); the active faults have not changed since them."""
-        for flight, (event, flying) in list(self._flying.items()):
+        for transmission, (event, flying) in list(self._flying.items()):
             if event.t < before:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
                 reached = [dst for dst, arrival in flying.items() if arrival < before]
@@ -145,9 +145,12 @@ class Conservation:
                     _require(not self._down(node), f"no message reaches {node}, whose radio is down", event)
                     _require(not self._cut(event.src, node), f"no message reaches {node} across a partition", event)
                 if len(reached) == len(flying):
-                    del self._flying[flight]
+                    del self._flying[transmission]
                 else:
-                    self._flying[flight] = event, {dst: arrival for dst, arrival in flying.items() if arrival >= before}
+                    self._flying[transmission] = (
+                        event,
+                        {dst: arrival for dst, arrival in flying.items() if arrival >= before},
+                    )
 
     def _down(self, node: int) -> bool:
         return any(isinstance(fault, Crash) and fault.node == node for fault in self._faults)

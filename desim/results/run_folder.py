@@ -228,12 +228,12 @@ def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
         elif isinstance(event, Broadcast | Queued):
             if isinstance(event, Broadcast) and len(event.arrival) not in {1, len(event.dst)}:
                 yield number, f"has {len(event.dst)} receivers and {len(event.arrival)} arrivals"
-            receivers[event.flight] = receivers.get(event.flight, ()) + event.dst
+            receivers[event.transmission] = receivers.get(event.transmission, ()) + event.dst
         elif isinstance(event, Sent):
-            receivers[event.flight] = (*receivers.get(event.flight, ()), event.dst)
+            receivers[event.transmission] = (*receivers.get(event.transmission, ()), event.dst)
         elif isinstance(event, Lost):
-            if event.dst not in receivers.get(event.flight, ()):
-                yield number, f"loses a message that was not sent: {event.flight} to {event.dst}"
+            if event.dst not in receivers.get(event.transmission, ()):
+                yield number, f"loses a message that was not sent: {event.transmission} to {event.dst}"
         elif isinstance(event, FaultStarted):
             if any(node >= size for node in nodes_of(event.fault)):
                 yield number, f"names a node that is not one of 0 to {size - 1}"

@@ -19,7 +19,7 @@ from desim.simulation.run import Result
 class Delivery(NamedTuple):
     """The delivery of one message to one receiver; a broadcast has a delivery for each receiver."""
 
-    flight: int
+    transmission: int
     """The number of the transmission."""
     src: int
     dst: int
@@ -50,22 +50,24 @@ def deliveries(result: Result) -> list[Delivery]:
     for event in result.trace:
         if isinstance(event, Broadcast | Sent | Queued):
             for delivery in _begun(event, never):
-                found[delivery.flight, delivery.dst] = delivery
+                found[delivery.transmission, delivery.dst] = delivery
         elif isinstance(event, Lost):
-            delivery = found[event.flight, event.dst]
+            delivery = found[event.transmission, event.dst]
             left = min(delivery.left, event.t)
-            found[event.flight, event.dst] = delivery._replace(left=left, until=event.t, cause=event.cause)
-    return sorted(found.values(), key=lambda each: (each.left, each.flight, each.dst))
+            found[event.transmission, event.dst] = delivery._replace(left=left, until=event.t, cause=event.cause)
+    return sorted(found.values(), key=lambda each: (each.left, each.transmission, each.dst))
 
 
 def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
     """Yield the deliveries that an event begins; a loss is recorded by a later event."""
     if isinstance(event, Queued):
         for dst in event.dst:
-            yield Delivery(event.flight, event.src, dst, event.t, never, never, None, event.size, None)
+            yield Delivery(event.transmission, event.src, dst, event.t, never, never, None, event.size, None)
         return
     for dst, arrival in event.fates():
-        yield Delivery(event.flight, event.src, dst, event.created, event.t, arrival, None, event.size, event.body)
+        yield Delivery(
+            event.transmission, event.src, dst, event.created, event.t, arrival, None, event.size, event.body
+        )
 
 
 def announced_action(body: Any) -> int | None:

@@ -131,7 +131,7 @@ def _messages(result: Result) -> Iterator[Entry]:
     """Yield the begin and end of each delivery; a message in flight at the end of the run lasts until its arrival."""
     size, over = len(started(result).active), ended(result).t
     for each in deliveries(result):
-        link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.flight}.{each.dst}"}
+        link: dict[str, Any] = {"pid": FIRST + each.dst, "cat": "message", "id": f"{each.transmission}.{each.dst}"}
         name, tid = f"{each.src} to {each.dst}", FIRST + size + each.dst
         says = {"bytes": each.size, "says": each.body}
         if each.created < each.left:

@@ -158,9 +158,9 @@ def _document(result: Result) -> ReplayData:
             {"t": ticks.nearest(each.t), "evader": each.evader, "capturer": each.capturer} for each in captures(result)
         ],
         "radius": scenario.capture.radius,
-        "sight": scenario.sensing.radius if scenario.sensing.limited else None,
+        "sensing_range": scenario.sensing.radius if scenario.sensing.limited else None,
         "arcs": _arcs(result),
-        "reach": _reach(result),
+        "reception": _reception(result),
         "speeds": list(start.speeds),
         "active": list(start.active),
         "path": _path(result, ticks),
@@ -179,7 +179,7 @@ def _arcs(result: Result) -> str | None:
     return None if is_complete(graph) else _column(sorted(graph.to_directed().edges), "<u2")
 
 
-def _reach(result: Result) -> ReplayData:
+def _reception(result: Result) -> ReplayData:
     """Return the maximum distances of reception between linked pursuers, m.
 
     `radius` is common to all pairs (None: unlimited). `radii` are those of the pairs i < j, if fading is drawn once per
@@ -264,7 +264,7 @@ def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
         "t": ticks([event.t for event in found]),
         "who": _column([event.pursuer for event in found], "<u2"),
         "active": _column([action(event) for event in found], _kind(result)),
-        "halted": _column([why[type(event)] for event in found], "u1"),
+        "cause": _column([why[type(event)] for event in found], "u1"),
     }
 
 
@@ -319,8 +319,8 @@ def _messages(result: Result, ticks: _Ticks) -> ReplayData:
     A message is in flight from the instant at which it is sent or queued at the transmitter until it arrives or is
     lost.
     """
-    own = sorted(deliveries(result), key=lambda each: (each.created, each.flight, each.dst))
-    rows = [list(row) for _, row in groupby(own, key=lambda each: each.flight)]
+    own = sorted(deliveries(result), key=lambda each: (each.created, each.transmission, each.dst))
+    rows = [list(row) for _, row in groupby(own, key=lambda each: each.transmission)]
     causes = sorted({each.cause for each in own if each.cause is not None})
     number = {None: 0} | {cause: k for k, cause in enumerate(causes, start=1)}
     return {

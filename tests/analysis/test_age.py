@@ -57,15 +57,15 @@ def by_hand(profile, end, *events, warm=True, fault=(), sent=1, evaders=1):
     return Result(Scenario(announce=Announcements(warm_start=warm), fault=fault), 0, trace)
 
 
-def announced(src, seq, created, arrivals, body=ACTIVE, flight=0):
+def announced(src, seq, created, arrivals, body=ACTIVE, transmission=0):
     """Return an announcement that reaches each receiver at a time, s, or never (None)."""
     times = tuple(map(ns, arrivals.values()))
-    return Broadcast(ns(created), flight, src, seq, tuple(arrivals), times, ns(created), 24, body)
+    return Broadcast(ns(created), transmission, src, seq, tuple(arrivals), times, ns(created), 24, body)
 
 
-def forwarded(src, dst, sent, arrival, *records, flight=0):
+def forwarded(src, dst, sent, arrival, *records, transmission=0):
     """Return a message that passes on records."""
-    return Sent(ns(sent), flight, src, dst, ns(arrival), ns(sent), 24, Forwarded(records))
+    return Sent(ns(sent), transmission, src, dst, ns(arrival), ns(sent), 24, Forwarded(records))
 
 
 def decided(time, pursuer, active=True):
@@ -122,8 +122,8 @@ def test_a_record_arriving_at_the_end_counts_and_one_arriving_after_it_does_not(
 
 
 def test_a_message_is_lost_only_to_the_receiver_that_lost_it():
-    """Lost as it leaves to 1; lost on arrival to 2, by flight and receiver; received by 3."""
-    message = announced(0, 1, 0.0, {1: None, 2: 1.0, 3: 1.0}, flight=7)
+    """Lost as it leaves to 1; lost on arrival to 2, by transmission and receiver; received by 3."""
+    message = announced(0, 1, 0.0, {1: None, 2: 1.0, 3: 1.0}, transmission=7)
     losses = Lost(0, 7, 0, 1, "loss"), Lost(ns(1.0), 7, 0, 2, "out_of_range"), Lost(ns(1.0), 6, 0, 3, "out_of_range")
     mean = ages(by_hand((True,) * 4, 3.0, message, *losses)).mean[:, 0]
     assert np.isnan(mean[:3]).all()
@@ -305,7 +305,7 @@ def histories(draw):
     large, actions = set(range(1, evaders + 1)), st.integers(0, evaders)
     nodes, ticks, truths = st.integers(0, size - 1), st.integers(0, 40), st.booleans()
     events, seqs, created = [], defaultdict(int), {}
-    for flight, tick in enumerate(sorted(draw(st.lists(ticks, max_size=25)))):
+    for transmission, tick in enumerate(sorted(draw(st.lists(ticks, max_size=25)))):
         t, node = tick * TICK, draw(nodes)
         kind = draw(
             st.sampled_from(["word", "word", "relay", "gossip", "decided", "decided", "halted", "forgets", "captured"])
@@ -318,11 +318,11 @@ def histories(draw):
             seqs[node] += 1
             body = draw(st.one_of(st.none(), actions.map(Assignment)))
             created[node, seqs[node]] = (t, body)
-            events.append(Broadcast(t, flight, node, seqs[node], others, arrival, t, 24, body))
+            events.append(Broadcast(t, transmission, node, seqs[node], others, arrival, t, 24, body))
         elif kind == "relay" and others:
-            events.append(Sent(t, flight, node, others[0], arrival[0], t, 24, passed_on))
+            events.append(Sent(t, transmission, node, others[0], arrival[0], t, 24, passed_on))
         elif kind == "gossip":
-            events.append(Broadcast(t, flight, node, 1, others, arrival, t, 24, passed_on))
+            events.append(Broadcast(t, transmission, node, 1, others, arrival, t, 24, passed_on))
         elif kind == "decided":
             events.append(Decided(t, node, draw(st.sampled_from([0, *large]))))
         elif kind == "halted":
@@ -332,7 +332,7 @@ def histories(draw):
         elif kind == "captured" and len(large) > 1:
             events.append(Captured(t, large.pop(), node))
         if others and draw(truths):
-            events.append(Lost(t, flight, node, others[-1], "out_of_range"))
+            events.append(Lost(t, transmission, node, others[-1], "out_of_range"))
     profile = tuple(draw(actions) for _ in range(size))
     return by_hand(profile, 5.0, *events, warm=draw(truths), sent=0, evaders=evaders)
 
@@ -340,7 +340,7 @@ def histories(draw):
 def simulated(result):
     """Return mean, peak, age at decision, belief error and leaders of a run by going through it tick by tick."""
     (start,), events = result.trace.of(Started), list(result.trace)
-    size, lost = len(start.active), {(e.flight, e.dst) for e in result.trace.of(Lost)}
+    size, lost = len(start.active), {(e.transmission, e.dst) for e in result.trace.of(Lost)}
     happenings = []
     for place, event in enumerate(events):
         if isinstance(event, FaultEnded):
@@ -355,7 +355,7 @@ def simulated(result):
             own = [] if isinstance(event, Sent) else [Record(event.src, event.seq, event.created, event.body)]
             records = event.body.records if isinstance(event.body, Forwarded) else own
             for dst, arrival in zip(to, when, strict=True):
-                if arrival != LOST and (event.flight, dst) not in lost:
+                if arrival != LOST and (event.transmission, dst) not in lost:
                     happenings += [(arrival, place, dst, record) for record in records]
     happenings.sort(key=lambda each: each[:2])
     newest = [{} for _ in range(size)]

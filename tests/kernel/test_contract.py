@@ -386,9 +386,9 @@ def test_the_comparison_detects_a_delivery_one_nanosecond_late():
     """The control of the property above, for records and for mail."""
 
     class Late(LinkLayer):
-        def _land(self, flight, nodes, airtime, event):
+        def _land(self, transmission, nodes, airtime, event):
             later = Instant(self._env, self._env.now + 1, Phase.DELIVERY)
-            later.callbacks.append(lambda _: super(Late, self)._land(flight, nodes, airtime, event))
+            later.callbacks.append(lambda _: super(Late, self)._land(transmission, nodes, airtime, event))
 
     for speak, read in [("publish", "read"), ("send", "drain"), ("send to all", "tally")]:
         acts = [(0, 1, 1, "tally"), (0, 1, 1, "tally"), (0, 0, 1, speak), (0, 1, 1, read)]

@@ -27,20 +27,20 @@ from tests.kernel.layers import network_over
 pytestmark = pytest.mark.own_trace
 
 
-def sent(t, arrival, *, flight=0, src=0, dst=1, created=None):
-    return Sent(t, flight, src, dst, arrival, t if created is None else created, 24, None)
+def sent(t, arrival, *, transmission=0, src=0, dst=1, created=None):
+    return Sent(t, transmission, src, dst, arrival, t if created is None else created, 24, None)
 
 
-def broadcast(t, arrival, *, dst=(1, 2), flight=0, created=None):
-    return Broadcast(t, flight, 0, 1, dst, arrival, t if created is None else created, 24, None)
+def broadcast(t, arrival, *, dst=(1, 2), transmission=0, created=None):
+    return Broadcast(t, transmission, 0, 1, dst, arrival, t if created is None else created, 24, None)
 
 
-def lost(t, cause="loss", *, flight=0, dst=1):
-    return Lost(t, flight, 0, dst, cause)
+def lost(t, cause="loss", *, transmission=0, dst=1):
+    return Lost(t, transmission, 0, dst, cause)
 
 
-def queued(t, *, flight=0, dst=(1,)):
-    return Queued(t, flight, 0, dst, 24)
+def queued(t, *, transmission=0, dst=(1,)):
+    return Queued(t, transmission, 0, dst, 24)
 
 
 def message_counts(t, delivered=0, in_flight=0, **lost_by):
@@ -93,7 +93,7 @@ RIGHT = {
         broadcast(3, (5,), dst=(2,)),
         message_counts(9, 1, loss=1),
     ],
-    "a message each of one flight": [sent(1, 5), sent(1, 7, dst=2), message_counts(6, 1, 1)],
+    "a message each of one transmission": [sent(1, 5), sent(1, 7, dst=2), message_counts(6, 1, 1)],
     "a fault begins as it is lost": [
         sent(1, LOST, dst=2),
         FaultStarted(1, CRASH),
@@ -102,7 +102,7 @@ RIGHT = {
     ],
     "within a group": [FaultStarted(0, PARTITION), sent(1, 5, src=1, dst=2), message_counts(9, 1)],
     "jamming": [FaultStarted(0, Jamming(centre=(0.0, 0.0), radius=1.0, start=0.0)), sent(1, 5), message_counts(9, 1)],
-    "overtaking": [sent(1, 9), sent(2, 5, flight=1), message_counts(9, 2)],
+    "overtaking": [sent(1, 9), sent(2, 5, transmission=1), message_counts(9, 2)],
 }
 
 WRONG = {
@@ -117,7 +117,7 @@ WRONG = {
     "arrives before it left": ("before it was transmitted", [sent(5, 4)]),
     "one arrives before it left": ("before it was transmitted", [broadcast(5, (6, 4))]),
     "leaves before it was created": ("before it was created", [sent(5, 6, created=7)]),
-    "time runs backwards": ("backwards", [sent(5, 6), sent(4, 6, flight=1)]),
+    "time runs backwards": ("backwards", [sent(5, 6), sent(4, 6, transmission=1)]),
     "leaves twice": ("once", [sent(1, 5), sent(2, 5)]),
     "leaves twice at once": ("once", [sent(1, 5), sent(1, 6)]),
     "leaves twice for one of all": ("once", [broadcast(1, (5,), dst=(2, 2))]),
@@ -180,10 +180,10 @@ def test_an_incorrect_history_is_detected(words, events):
 def test_deliveries_are_checked_soon_and_at_the_end_without_message_counts():
     """64 transmissions are left unjudged if all arrive at once; at the end, none that arrived before the last event."""
     with pytest.raises(AssertionError, match="has a Lost event"):
-        watch([sent(0, LOST), *(sent(k, k, flight=k) for k in range(1, 65))])
+        watch([sent(0, LOST), *(sent(k, k, transmission=k) for k in range(1, 65))])
     for last, wrong in [(5, False), (6, True)]:
         watcher = Conservation()
-        for event in [FaultStarted(0, CRASH), sent(1, 5), sent(last, last, flight=1, dst=2)]:
+        for event in [FaultStarted(0, CRASH), sent(1, 5), sent(last, last, transmission=1, dst=2)]:
             watcher(event)
         with pytest.raises(AssertionError, match="reaches 1") if wrong else nullcontext():
             watcher.judge()
@@ -191,7 +191,7 @@ def test_deliveries_are_checked_soon_and_at_the_end_without_message_counts():
 
 def test_a_message_long_in_flight_is_checked_when_it_arrives():
     """300 transmissions that take 1000 ns, sent one after the other."""
-    events = [sent(k, k + 1000, flight=k) for k in range(300)]
+    events = [sent(k, k + 1000, transmission=k) for k in range(300)]
     watch([*events, message_counts(999, 0, 300)])
     watch([*events, message_counts(1100, 101, 199)])
     with pytest.raises(AssertionError, match="in flight"):
@@ -200,12 +200,18 @@ def test_a_message_long_in_flight_is_checked_when_it_arrives():
 
 def test_overtaking_is_detected_on_fifo_links():
     watch(
-        [sent(1, 9), sent(2, 9, flight=1), sent(2, 5, flight=2, dst=2), sent(3, 5, flight=3, src=1, dst=0)], fifo=True
+        [
+            sent(1, 9),
+            sent(2, 9, transmission=1),
+            sent(2, 5, transmission=2, dst=2),
+            sent(3, 5, transmission=3, src=1, dst=0),
+        ],
+        fifo=True,
     )
     with pytest.raises(AssertionError, match="overtakes"):
         watch(RIGHT["overtaking"], fifo=True)
     with pytest.raises(AssertionError, match="overtakes"):
-        watch([broadcast(1, (9, 5)), broadcast(2, (8, 7), flight=1)], fifo=True)
+        watch([broadcast(1, (9, 5)), broadcast(2, (8, 7), transmission=1)], fifo=True)
 
 
 def live(seed, network=Network, links=None, faults=(), size=5, **options):

@@ -156,7 +156,7 @@ def test_of_a_full_queue_the_oldest_is_dropped(limit, dropped):
         later(clock, t, net.send, 0, 1, name, size=10)
     run_until(clock, 100.0)
     assert "".join(each.body for each in trace.of(Sent)) == "".join(sorted(set("ABCDE") - set(dropped)))
-    assert [(each.flight, each.cause) for each in trace.of(Lost)] == [
+    assert [(each.transmission, each.cause) for each in trace.of(Lost)] == [
         ("ABCDE".index(name), "queue") for name in dropped
     ]
     tally = net.message_counts()
@@ -296,15 +296,17 @@ def test_half_duplex_losses_are_the_overlaps_of_receptions_and_transmissions(tra
     for t, node, size in traffic:
         later(clock, t, net.publish, node, None, size=size)
     run_until(clock, 500.0)
-    spoke = [(each.src, each.t // SECOND, each.t // SECOND + each.size, each.flight) for each in trace.of(Broadcast)]
+    spoke = [
+        (each.src, each.t // SECOND, each.t // SECOND + each.size, each.transmission) for each in trace.of(Broadcast)
+    ]
     deaf = {
-        (flight, dst)
-        for src, begin, end, flight in spoke
+        (transmission, dst)
+        for src, begin, end, transmission in spoke
         for dst in {0, 1, 2} - {src}
         for own, since, until, _ in spoke
         if own == dst and since < end + latency and until > begin + latency
     }
-    assert {(each.flight, each.dst) for each in trace.of(Lost)} == deaf
+    assert {(each.transmission, each.dst) for each in trace.of(Lost)} == deaf
 
 
 # What is counted.

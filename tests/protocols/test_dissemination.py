@@ -333,7 +333,7 @@ def transmissions(edges, hops):
     for i, j, latency in edges:
         graph.add_edge(i, j, latency=latency)
     when, result = arrivals(graph, Flooding(hops=hops, jitter=0.0), network=Links(graph=Edges.of(graph)))
-    said = {(sent.src, sent.flight) for sent in result.trace.of(Sent)}
+    said = {(sent.src, sent.transmission) for sent in result.trace.of(Sent)}
     return when, Counter(src for src, _ in said)
 
 

@@ -53,7 +53,7 @@ def outcome(seeds, protocol, **given):
 class Forgetful(Server):
     """A server that forgets its orders: it takes each pursuer to go on as it reported."""
 
-    def _chaser(self, me, orders, flight):
+    def _chaser(self, me, orders, transmission):
         return super()._chaser(me, {pursuer: [] for pursuer in orders}, 0.0)
 
 

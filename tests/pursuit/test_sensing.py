@@ -211,7 +211,7 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
     result = desim.run(scenario(Sensing(radius=9.0, period=0.05)))
     sent = [event for event in result.trace.of(Sent) if hasattr(event.body[0], "seen")]
     assert {event.size for event in sent} == {64}
-    reports = [(event.flight, event.src, event.body[0].seen) for event in sent]
+    reports = [(event.transmission, event.src, event.body[0].seen) for event in sent]
     newest = {}
     for _, src, seen in sorted(set(reports)):
         assert seen >= newest.get(src, -1.0)

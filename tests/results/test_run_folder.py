@@ -306,7 +306,7 @@ MISFITS = {
         "body: Value error, a record should have a src of 0 to",
     ),
     "arrivals": (with_field("Broadcast", arrival=[0.1] * 99), "has .* receivers and 99 arrivals"),
-    "flight": (with_field("Lost", flight=1 << 40), f"loses a message that was not sent: {1 << 40} to "),
+    "transmission": (with_field("Lost", transmission=1 << 40), f"loses a message that was not sent: {1 << 40} to "),
     "order": (with_field("Ended", t=0.0), "is earlier than the line before"),
     "start": (twice("Started"), "is a second Started"),
     "end": (twice("MessageCounts"), "is a second MessageCounts"),

@@ -114,20 +114,20 @@ def column(text, kind):
 
 
 def spans(result):
-    """Return when each message was sent, and when it arrived or was lost (inf: neither), by flight and receiver; ns."""
+    """Return when each message was sent, and when it arrived or was lost (inf: neither), by number and receiver; ns."""
     begun, over = {}, {}
     for event in result.trace:
         if isinstance(event, Queued):
-            begun |= dict.fromkeys(((event.flight, dst) for dst in event.dst), event.t)
+            begun |= dict.fromkeys(((event.transmission, dst) for dst in event.dst), event.t)
         elif isinstance(event, Broadcast | Sent):
             dst = event.dst if isinstance(event, Broadcast) else (event.dst,)
             arrival = event.arrival if isinstance(event, Broadcast) else (event.arrival,)
             arrival = arrival * len(dst) if len(arrival) < len(dst) else arrival
             for node, when in zip(dst, arrival, strict=True):
-                begun.setdefault((event.flight, node), event.t)
-                over[event.flight, node] = np.inf if when == LOST else when
+                begun.setdefault((event.transmission, node), event.t)
+                over[event.transmission, node] = np.inf if when == LOST else when
         elif isinstance(event, Lost):
-            over[event.flight, event.dst] = event.t
+            over[event.transmission, event.dst] = event.t
     return np.array([(begun[key], over.get(key, np.inf)) for key in begun], float).reshape(-1, 2)
 
 
@@ -146,7 +146,7 @@ def wrong_now(result, t):
     does = np.array(started(result).active, int)
     heard = np.tile(does * result.scenario.announce.warm_start, (size, 1))
     newest = np.zeros((size, size), int)
-    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    lost = {(event.transmission, event.dst) for event in result.trace.of(Lost)}
     for event in result.trace:
         if event.t > t:
             break
@@ -157,7 +157,7 @@ def wrong_now(result, t):
         if isinstance(event, Broadcast):
             arrival = event.arrival if len(event.arrival) == len(event.dst) else event.arrival * len(event.dst)
             for node, when in zip(event.dst, arrival, strict=True):
-                if when <= t and (event.flight, node) not in lost and event.seq > newest[node, event.src]:
+                if when <= t and (event.transmission, node) not in lost and event.seq > newest[node, event.src]:
                     newest[node, event.src], heard[node, event.src] = event.seq, event.body.active
     wrong = heard != does
     return int(wrong[~np.eye(size, dtype=bool)].sum())
@@ -195,9 +195,9 @@ def test_a_message_that_waits_for_its_transmitter_is_in_flight_and_has_not_left(
     assert {"queue"} == set(said["causes"])
     assert (left > begin).any()
     assert (left >= begin).all()
-    dropped = {event.flight for event in result.trace.of(Lost)}
-    gone = {event.flight for event in result.trace.of(Broadcast)}
-    waiting = {event.flight for event in result.trace.of(Queued)} - gone
+    dropped = {event.transmission for event in result.trace.of(Lost)}
+    gone = {event.transmission for event in result.trace.of(Broadcast)}
+    waiting = {event.transmission for event in result.trace.of(Queued)} - gone
     assert dropped & waiting
     first = np.cumsum(column(said["count"], "<u2"), dtype=int) - column(said["count"], "<u2")
     assert (left == column(said["end"], "<u4")[first]).sum() == len(waiting), "latency is never 0 here"
@@ -212,7 +212,7 @@ def page_text(result):
     """Return the text of a page, and its data, column by column."""
     lines = Elements(replay(result)).lines
     for part, value in _document(result).items():
-        is_table = isinstance(value, dict) and part != "reach"
+        is_table = isinstance(value, dict) and part != "reception"
         for name, each in value.items() if is_table else [("", value)]:
             packed = is_table and isinstance(each, str)
             lines.append(
@@ -329,7 +329,7 @@ def test_actions_on_more_than_255_evaders_are_stored():
 
 
 def test_a_finite_sensing_radius_is_shown():
-    assert _document(run(SEEING))["sight"] == 2.0
+    assert _document(run(SEEING))["sensing_range"] == 2.0
 
 
 @pytest.mark.parametrize(("far", "per_metre"), [(1e6, 1000.0), (2e6, 100.0), (9e8, 1.0)])
@@ -377,7 +377,7 @@ LOG = LogDistance(exponent=3.0, shadowing=6.0)
 )
 def test_with_a_disk_all_pairs_are_linked_up_to_one_distance(links, radius):
     """With independent fading per message, up to where every second one is received."""
-    reach = _document(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reach"]
+    reach = _document(run(FORTY.model_copy(update={"network": links, "horizon": 0.1})))["reception"]
     chance = links.fading == "message"
     assert reach == {"known": True, "chance": chance, "radius": radius, "radii": None}
 
@@ -390,7 +390,7 @@ def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
     links, size = Links(range=10.0, reception=reach), 12
     scenario = FORTY.model_copy(update={"network": links, "horizon": 0.1, "team": Team(count=size)})
     result = run(scenario, seed=5)
-    radii = column(_document(result)["reach"]["radii"], "<f8")
+    radii = column(_document(result)["reception"]["radii"], "<f8")
     pairs = np.transpose(np.triu_indices(size, 1))
     for (i, j), radius in zip(pairs.tolist(), radii.tolist(), strict=True):
         places = np.zeros((size, 2))
@@ -404,7 +404,7 @@ def test_with_per_link_fading_each_pair_is_linked_up_to_its_own_distance(reach):
 def test_a_reception_that_does_not_fall_with_distance_is_reported_as_not_shown():
     links = Links(range=10.0, reception=lambda distances, range: ((distances > 5) & (distances < range)) * 1.0)  # noqa: A006
     result = run(FORTY.model_copy(update={"network": links, "horizon": 0.1}))
-    assert not _document(result)["reach"]["known"]
+    assert not _document(result)["reception"]["known"]
     assert any("Links are not shown" in each for each in missing_recordings(result))
 
 
@@ -672,11 +672,11 @@ def test_the_beliefs_of_the_page_match_the_trace_forwards_and_backwards(shown, r
     """A tick is a nanosecond here, so that the exact instants of arrival are tested."""
     result = result_of("cold")
     opened = shown(result)
-    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    lost = {(event.transmission, event.dst) for event in result.trace.of(Lost)}
     news = [
         event.arrival[-1]
         for event in result.trace.of(Broadcast)
-        if event.arrival[-1] != LOST and (event.flight, event.dst[-1]) not in lost and event.body.active
+        if event.arrival[-1] != LOST and (event.transmission, event.dst[-1]) not in lost and event.body.active
     ]
     stops = next(event.t for event in result.trace.of(Decided) if not event.active)
     for t in (3e8, 9e8, stops, news[0], news[5], news[0] - 1, 16e8, 2e8, 2e9, 0):
@@ -857,9 +857,9 @@ LINKED = {
 def test_the_page_shows_the_links_of_the_network(name, shown):
     """A broadcast is received, at that instant, by the pursuers that the page shows as linked from its sender."""
     result = run(AT_ONCE.model_copy(update=LINKED[name]))
-    lost = {(event.flight, event.dst) for event in result.trace.of(Lost)}
+    lost = {(event.transmission, event.dst) for event in result.trace.of(Lost)}
     spoke = result.trace.of(Broadcast)
-    heard = [sorted(dst for dst in event.dst if (event.flight, dst) not in lost) for event in spoke]
+    heard = [sorted(dst for dst in event.dst if (event.transmission, dst) not in lost) for event in spoke]
     opened = shown(result)
     asked = json.dumps([(event.t / SECOND, event.src) for event in spoke])
     hearers = "all.flatMap((sources, i) => sources.includes(src) ? [i] : [])"
