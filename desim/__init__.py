@@ -6,34 +6,122 @@ from desim import load, run, summary
 result = run(load("scenarios/relay.toml"), seed=7)
 print(summary(result))
 ```
+
+What a script needs is here: the parts of a scenario, `run` and `sweep`. Protocols and schedules are in `protocols`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from desim.analysis.metrics import summary
-    from desim.scenario.scenario import Scenario
-    from desim.scenario.toml import load
-    from desim.simulation.run import Result, run
-    from desim.study.explain import explain
-    from desim.study.sweep import sweep
+    from desim.analysis.metrics import summary as summary
+    from desim.kernel.faults import ClockSkew as ClockSkew
+    from desim.kernel.faults import Crash as Crash
+    from desim.kernel.faults import Jamming as Jamming
+    from desim.kernel.faults import Partition as Partition
+    from desim.kernel.faults import RandomCrashes as RandomCrashes
+    from desim.kernel.faults import RandomFaults as RandomFaults
+    from desim.kernel.graphs import Complete as Complete
+    from desim.kernel.graphs import Edge as Edge
+    from desim.kernel.graphs import Edges as Edges
+    from desim.kernel.graphs import Grid as Grid
+    from desim.kernel.graphs import Link as Link
+    from desim.kernel.graphs import Ring as Ring
+    from desim.kernel.graphs import Star as Star
+    from desim.kernel.latency import Constant as Constant
+    from desim.kernel.latency import Empirical as Empirical
+    from desim.kernel.latency import Gamma as Gamma
+    from desim.kernel.latency import Lognormal as Lognormal
+    from desim.kernel.latency import PerPair as PerPair
+    from desim.kernel.latency import Propagation as Propagation
+    from desim.kernel.latency import ShiftedExponential as ShiftedExponential
+    from desim.kernel.latency import Uniform as Uniform
+    from desim.kernel.links import Links as Links
+    from desim.kernel.loss import Bernoulli as Bernoulli
+    from desim.kernel.loss import ByDistance as ByDistance
+    from desim.kernel.loss import GilbertElliott as GilbertElliott
+    from desim.kernel.medium import Bitrate as Bitrate
+    from desim.kernel.medium import LoRa as LoRa
+    from desim.kernel.reception import Disk as Disk
+    from desim.kernel.reception import LogDistance as LogDistance
+    from desim.kernel.reception import QuasiUnitDisk as QuasiUnitDisk
+    from desim.kernel.trace_file import TraceFile as TraceFile
+    from desim.pursuit.announcements import Announcements as Announcements
+    from desim.pursuit.evasion import ConstantHeading as ConstantHeading
+    from desim.pursuit.evasion import Diffusion as Diffusion
+    from desim.pursuit.evasion import Listener as Listener
+    from desim.pursuit.evasion import MaxMin as MaxMin
+    from desim.pursuit.evasion import PureEvasion as PureEvasion
+    from desim.pursuit.evasion import Still as Still
+    from desim.pursuit.evasion import VoronoiVertex as VoronoiVertex
+    from desim.pursuit.evasion import WeightedFlee as WeightedFlee
+    from desim.pursuit.evasion import Zigzag as Zigzag
+    from desim.pursuit.guidance import ConstantBearing as ConstantBearing
+    from desim.pursuit.guidance import PurePursuit as PurePursuit
+    from desim.pursuit.sensing import Sensing as Sensing
+    from desim.scenario.scenario import Capture as Capture
+    from desim.scenario.scenario import Evader as Evader
+    from desim.scenario.scenario import Motion as Motion
+    from desim.scenario.scenario import Recording as Recording
+    from desim.scenario.scenario import Scenario as Scenario
+    from desim.scenario.scenario import Team as Team
+    from desim.scenario.toml import load as load
+    from desim.simulation.run import Result as Result
+    from desim.simulation.run import run as run
+    from desim.study.explain import explain as explain
+    from desim.study.sweep import sweep as sweep
 
-__all__ = ["Result", "Scenario", "explain", "load", "run", "summary", "sweep"]
-
-_HOMES = {
-    "Result": "desim.simulation.run",
-    "Scenario": "desim.scenario.scenario",
-    "explain": "desim.study.explain",
-    "load": "desim.scenario.toml",
-    "run": "desim.simulation.run",
-    "summary": "desim.analysis.metrics",
-    "sweep": "desim.study.sweep",
+_NAMES = {
+    "desim.analysis.metrics": ("summary",),
+    "desim.kernel.faults": ("ClockSkew", "Crash", "Jamming", "Partition", "RandomCrashes", "RandomFaults"),
+    "desim.kernel.graphs": ("Complete", "Edge", "Edges", "Grid", "Link", "Ring", "Star"),
+    "desim.kernel.latency": (
+        "Constant",
+        "Empirical",
+        "Gamma",
+        "Lognormal",
+        "PerPair",
+        "Propagation",
+        "ShiftedExponential",
+        "Uniform",
+    ),
+    "desim.kernel.links": ("Links",),
+    "desim.kernel.loss": ("Bernoulli", "ByDistance", "GilbertElliott"),
+    "desim.kernel.medium": ("Bitrate", "LoRa"),
+    "desim.kernel.reception": ("Disk", "LogDistance", "QuasiUnitDisk"),
+    "desim.kernel.trace_file": ("TraceFile",),
+    "desim.pursuit.announcements": ("Announcements",),
+    "desim.pursuit.evasion": (
+        "ConstantHeading",
+        "Diffusion",
+        "Listener",
+        "MaxMin",
+        "PureEvasion",
+        "Still",
+        "VoronoiVertex",
+        "WeightedFlee",
+        "Zigzag",
+    ),
+    "desim.pursuit.guidance": ("ConstantBearing", "PurePursuit"),
+    "desim.pursuit.sensing": ("Sensing",),
+    "desim.scenario.scenario": ("Capture", "Evader", "Motion", "Recording", "Scenario", "Team"),
+    "desim.scenario.toml": ("load",),
+    "desim.simulation.run": ("Result", "run"),
+    "desim.study.explain": ("explain",),
+    "desim.study.sweep": ("sweep",),
 }
+"""The public names by module. Each is imported on first access, so that `desim --help` does not load numpy."""
+_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name on first access, so that `desim --help` does not load numpy."""
+    """Import a public name on first access."""
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return __all__

@@ -2,6 +2,8 @@
 
 Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
 simultaneous events are ordered by their `Phase`, never by rounding or by the order of registration.
+
+No other module uses private parts of SimPy.
 """
 
 import gc
@@ -11,9 +13,10 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import simpy
+from simpy.events import Condition, EventPriority
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from simpy.core import SimTime
 
@@ -82,6 +85,25 @@ class Clock(simpy.Environment):
             raise
         finally:
             gc.set_threshold(*usual)
+
+    def scheduled(self) -> dict[int, int]:
+        """Return the time (ns) of each scheduled event, by the `id` of the event."""
+        return {id(event): int(when) for when, _, _, event in self._queue}
+
+    def trigger(self, event: simpy.Event, priority: int) -> None:
+        """Let an event happen now, with a priority among those of this instant and the value None."""
+        event._ok, event._value = True, None
+        self.schedule(event, EventPriority(priority))
+
+
+def generator_of(process: simpy.Process) -> Any:
+    """Return the generator that a process runs."""
+    return process._generator
+
+
+def parts_of(event: simpy.Event) -> "Sequence[simpy.Event]":
+    """Return the events of a condition, or an event itself."""
+    return event._events if isinstance(event, Condition) else [event]
 
 
 class Instant(simpy.Event):

@@ -5,7 +5,6 @@ from math import inf
 from typing import Any, NamedTuple
 
 import simpy
-from simpy.events import EventPriority
 
 from desim.kernel.clock import SECOND, Clock, Instant, Phase
 from desim.kernel.records import Arrival
@@ -106,8 +105,7 @@ class Inbox:
         """Trigger the event that processes wait for, if any, at the current time with its priority."""
         event, self._waited_for = self._waited_for, None
         if event is not None:
-            event._ok, event._value = True, None
-            self._env.schedule(event, EventPriority(self._priority))
+            self._env.trigger(event, self._priority)
 
 
 class Inboxes:

@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread, get_ident
 from traceback import extract_tb
 from types import GeneratorType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy
     """
     from desim.kernel.clock import seconds  # slow to import, and needed only here
 
-    due = {id(event): int(when) for when, _, _, event in env._queue}
+    due = env.scheduled()
     alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
     head = f"at {seconds(env.now):.9g} s of simulated time, in {place_of(error)}; {len(alive):,} processes wait"
     lines = [f"pursuer {pursuer}: {_line(each)}{_until(each, due)}" for pursuer, each in alive[:MOST]]
@@ -122,7 +122,9 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy
 
 def _line(process: "simpy.Process") -> str:
     """Return the source line at which a process waits, in the innermost of its nested generators."""
-    at: Any = process._generator
+    from desim.kernel.clock import generator_of
+
+    at = generator_of(process)
     inner = getattr(process, "behaviour", None) or at.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
         at, inner = inner, inner.gi_yieldfrom
@@ -132,8 +134,7 @@ def _line(process: "simpy.Process") -> str:
 
 def _until(process: "simpy.Process", due: Mapping[int, int]) -> str:
     """Return the text ", at ... s" with the time of the event that a process waits for; "" if none is scheduled."""
-    target = process.target
-    from desim.kernel.clock import seconds
+    from desim.kernel.clock import parts_of, seconds
 
-    times = [due[id(each)] for each in getattr(target, "_events", [target]) if id(each) in due]
+    times = [due[id(each)] for each in parts_of(process.target) if id(each) in due]
     return f", at {seconds(min(times)):.9g} s" if times else ""

@@ -1,11 +1,17 @@
 """The clock: whole nanoseconds, no drift, and a stated order at one instant."""
 
 import gc
+import re
 from contextlib import nullcontext
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
+import simpy
 
 from desim.kernel.clock import RARELY, SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+
+SOURCE = Path(__file__).parents[2] / "desim"
 
 
 def test_a_time_in_seconds_is_the_nearest_nanosecond():
@@ -122,3 +128,36 @@ def test_an_exception_is_not_replaced_by_its_cause():
     with pytest.raises(ValueError, match="second") as raised:
         env.run()
     assert isinstance(raised.value.__cause__, KeyError)
+
+
+def test_the_private_parts_of_simpy_are_as_the_clock_uses_them():
+    """A failure names what another version of SimPy has changed; `desim.kernel.clock` is the only user."""
+    env = simpy.Environment()
+    which = f"SimPy {version('simpy')}: "
+    timeout = env.timeout(3)
+    process = env.process(each for each in [timeout])
+    for owner, name in [
+        (env, "_now"),
+        (env, "_queue"),
+        (env, "_eid"),
+        (timeout, "_ok"),
+        (timeout, "_value"),
+        (process, "_generator"),
+        (timeout | process, "_events"),
+    ]:
+        assert hasattr(owner, name), f"{which}{type(owner).__name__} has no {name}"
+    entries = [entry for entry in env._queue if entry[-1] is timeout]
+    assert [len(entry) for entry in entries] == [4], f"{which}an entry of the queue is not (time, priority, id, event)"
+    assert entries[0][0] == 3, f"{which}an entry of the queue does not begin with its time"
+    assert env._queue == sorted(env._queue, key=lambda entry: entry[:3]), f"{which}the queue is not a heap of entries"
+    assert next(env._eid) < next(env._eid), f"{which}the ids of events do not grow"
+
+
+PRIVATE = re.compile(
+    r"\b(env|event|timeout|process|target|queue)\w*\._(now|queue|eid|ok|value|generator|events|target)\b"
+)
+
+
+def test_no_other_module_uses_private_parts_of_simpy():
+    users = [path.name for path in SOURCE.rglob("*.py") if PRIVATE.search(path.read_text(encoding="utf-8"))]
+    assert users == ["clock.py"]
