@@ -15,13 +15,14 @@ from collections import defaultdict
 from collections.abc import Iterator
 from itertools import count
 from math import inf
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import model_validator
 
 from desim.config.model import Probability
 from desim.pursuit.agent import Agent
 from desim.pursuit.beliefs import Belief
+from desim.pursuit.traits import UtilityTraits
 from protocols.best_response import Willingness
 from protocols.rule import LearningRule, argmax, current_action
 
@@ -33,12 +34,14 @@ class FictitiousPlay(LearningRule):
 
     @model_validator(mode="after")
     def _can_expect(self) -> Self:
-        if not hasattr(self.utility, "expected"):
+        if UtilityTraits.of(self.utility).expected is None:
             raise ValueError(f"fictitious play needs a utility with `expected`, got {self.utility!r}")
         return self
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the best response to the empirical frequencies."""
+        expected = UtilityTraits.of(self.utility).expected
+        assert expected is not None
         frequencies: dict[int, dict[int, float]] = defaultdict(lambda: defaultdict(float))
         for turn in count(1):
             beliefs = {evader: me.beliefs(evader=evader) for evader in me.evaders()}
@@ -46,19 +49,17 @@ class FictitiousPlay(LearningRule):
                 frequency = frequencies[evader]
                 for j in believed.keys() | frequency.keys():
                     frequency[j] += ((j in believed and believed[j].active == evader) - frequency[j]) / turn
-            chased = me.options()[1:]
-            yield argmax(
-                {0: 0.0} | {each: self._expected(me, each, beliefs[each], frequencies[each]) for each in chased}
-            )
+            worth = {0: 0.0}
+            for evader in me.options()[1:]:
+                times = self._counted_times(me, beliefs[evader])
+                chances = [frequencies[evader][j] for j in times]
+                worth[evader] = expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
+            yield argmax(worth)
 
-    def _expected(self, me: Agent, evader: int, beliefs: dict[int, Belief], frequency: dict[int, float]) -> float:
-        """Return the expected utility of chasing an evader that teammates chase at these frequencies, s."""
-        utility: Any = self.utility
-        counted = me.counted_teammates(utility.scope)
-        times = {j: each.capture_time for j, each in beliefs.items() if j in counted and each.capture_time < inf}
-        chances = [frequency[j] for j in times]
-        gain: float = utility.expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
-        return gain
+    def _counted_times(self, me: Agent, beliefs: dict[int, Belief]) -> dict[int, float]:
+        """Return the finite believed capture times of the teammates that count, s."""
+        counted = me.counted_teammates(self.utility.scope)
+        return {j: each.capture_time for j, each in beliefs.items() if j in counted and each.capture_time < inf}
 
 
 class JointStrategyFictitiousPlay(LearningRule):

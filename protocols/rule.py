@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar
 from desim.config.choice import OneOf
 from desim.config.model import MAX_TIME, Value
 from desim.pursuit.agent import Agent, Process
+from desim.pursuit.traits import ScheduleTraits
 from desim.pursuit.utility import UTILITIES, Mean, Utility
 from protocols.mutex import LocalMutex
 from protocols.schedules import Periodic, Poisson, Rounds, Schedule, SharedSeed
@@ -29,6 +30,7 @@ SCHEDULES = OneOf(
     Synchronous,
     needs=("mean_slot",),
     takes=("me", "revise"),
+    traits=ScheduleTraits,
 )
 
 

@@ -27,8 +27,7 @@ from desim.pursuit.agent import Agent, Process
 class Schedule(Protocol):
     """When a pursuer revises: `schedule(me, revise)` is the process that calls `revise()` at each of its turns.
 
-    A schedule under which pursuers wait for each other also has a method `without_turns()`, which returns the table of
-    a schedule under which they do not.
+    It may have the attributes of `desim.pursuit.traits.ScheduleTraits`.
     """
 
     def mean_slot(self, me: Agent) -> float:

@@ -13,6 +13,7 @@ from typing import Annotated, ClassVar, Literal
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.pursuit.agent import Agent, Process
+from desim.pursuit.traits import ScheduleTraits
 from protocols.schedules import Rounds, Schedule, SharedSeed
 from protocols.token import TokenRing, TokenWalk
 
@@ -29,7 +30,8 @@ class Synchronous(Value):
     """All pursuers revise at the same instant."""
     kind: Literal["synchronous"] = "synchronous"
     schedule: Annotated[
-        Schedule, OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"))
+        Schedule,
+        OneOf(SharedSeed, TokenRing, TokenWalk, needs=("mean_slot",), takes=("me", "revise"), traits=ScheduleTraits),
     ] = SharedSeed()
     """The other schedule; all pursuers revise once in each of its slots."""
 

@@ -24,6 +24,7 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.positions import Positions
 from desim.kernel.trace_file import TraceFile
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Ended
@@ -58,7 +59,7 @@ Floats = NDArray[np.float64]
 # Large teams.
 
 
-class Drifting:
+class Drifting(Positions):
     """A position source: nodes move straight in a square and are reflected at its sides."""
 
     def __init__(self, env: Clock, size: int, side: float, seed: int):

@@ -97,8 +97,10 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     axes.set_ylim(0, 60)
     counts = axes.twinx()
     counts.spines["right"].set_visible(True)
-    for name, style, label in (("components", "--", "components"), ("independent", ":", "greedy independent set")):
-        counts.plot(RANGES, [getattr(each, name) for each in static], style, color=plots.GREY, label=label)
+    sizes = {"components": ("--", [each.components for each in static])}
+    sizes["greedy independent set"] = ":", [each.independent for each in static]
+    for label, (style, values) in sizes.items():
+        counts.plot(RANGES, values, style, color=plots.GREY, label=label)
     counts.set(ylabel="number", ylim=(0, N))
     if static[0].team == next(iter(TEAMS)):
         counts.legend(fontsize=7, loc="upper right")

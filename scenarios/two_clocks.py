@@ -47,10 +47,9 @@ def measure(options: Options) -> list[SpeedCell]:
 
 def spread(cells: list[SpeedCell], along: str) -> float:
     """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
-    other = "step" if along == "slot" else "slot"
     ratios = []
     for fixed in VALUES:
-        line = [cell.active_time for cell in cells if getattr(cell, other) == fixed]
+        line = [cell.active_time for cell in cells if (cell.step if along == "slot" else cell.slot) == fixed]
         ratios.append(max(line) / min(line))
     return max(ratios)
 
@@ -80,7 +79,7 @@ def picture(cells: list[SpeedCell]) -> "Figure":
     def draw(axes: plots.Axes, x: str, other: str) -> None:
         for colour, marker, fixed in zip(plots.SERIES, "osD^v", VALUES, strict=False):
             line = [found[(v, fixed) if x == "slot" else (fixed, v)] for v in VALUES]
-            y, error = (np.array([getattr(cell, name) for cell in line]) for name in ("active_time", "standard_error"))
+            y, error = np.array([(cell.active_time, cell.standard_error) for cell in line]).T
             axes.errorbar(VALUES, y, error, color=colour, marker=marker, ms=4, lw=1.2, label=f"{other} = {fixed:g} s")
         axes.loglog()
         axes.set_xticks(VALUES, [f"{v:g}" for v in VALUES], minor=False)

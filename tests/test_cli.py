@@ -12,6 +12,7 @@ import pytest
 
 from desim.config.model import Value, fields_of
 from desim.kernel.latency import Gamma
+from desim.pursuit.traits import ProtocolTraits
 from desim.results import provenance
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.toml import load
@@ -328,7 +329,7 @@ def test_help_loads_nothing_that_takes_time_to_import():
         "import sys\nfrom desim.cli import main\n"
         "for args in (['--help'], ['run', '--help'], ['--version']):\n"
         "    try:\n        main(args)\n    except SystemExit as end:\n        assert end.code == 0\n"
-        "heavy = {'numpy', 'scipy', 'simpy', 'networkx', 'pydantic', 'matplotlib', 'loky', 'tqdm'}\n"
+        "heavy = {'numpy', 'scipy', 'simpy', 'networkx', 'pydantic', 'matplotlib', 'loky', 'tqdm', 'protocols'}\n"
         "print('loaded:', sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -596,6 +597,23 @@ def test_keys_goes_to_the_given_depth():
 def test_keys_that_do_not_exist_are_refused(key, why):
     (said,) = refused("keys", key)
     assert said.startswith(why)
+
+
+@pytest.mark.parametrize(
+    ("kind", "traits"),
+    [
+        ("server", ["assumes = ('host_in_reach', 'no_crashes')", "announces = False", "reckons = True"]),
+        ("voronoi", ["announces = 'unseen'", "assumes = ('no_crashes', 'positions_known', 'equal_speeds')"]),
+        ("centralised", ["omniscient = True", "embodied = False", "assumes = ()"]),
+        ("cbba", ["claim_size = CBBA.claim_size", "announces = True"]),
+    ],
+)
+def test_protocols_prints_the_traits_of_one_with_what_they_mean(kind, traits):
+    _, _, text = accepted("protocols", kind).stdout.partition("\n    traits:\n")
+    found = dict(line.strip().split(": ", 1) for line in text.splitlines() if line)
+    assert set(traits) <= set(found)
+    assert [each.partition(" = ")[0] for each in found] == [*ProtocolTraits.names()]
+    assert all(found.values())
 
 
 def test_protocols_lists_a_single_protocol_on_request():

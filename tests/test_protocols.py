@@ -3,11 +3,14 @@
 import random
 import re
 from importlib import import_module
+from inspect import signature
 from itertools import combinations, product
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import protocols
 from desim import Scenario, load, run
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Partition
@@ -252,6 +255,23 @@ def test_at_rest_no_two_pursuers_are_left_on_one_evader_and_none_without_that_co
 
 
 PARTS = [*KINDS.values(), *SCHEDULES.choices().values(), *DISSEMINATIONS.choices().values()]
+
+
+def test_each_protocol_and_dissemination_of_the_repository_has_an_entry_in_the_table_of_kinds():
+    """A protocol is called with (me), and a dissemination has a method `broadcast`."""
+    found: dict[str, set[str]] = {"desim.protocols": set(), "desim.disseminations": set()}
+    for file in Path(protocols.__file__).parent.glob("[a-z]*.py"):
+        module = import_module(f"protocols.{file.stem}")
+        for name, model in vars(module).items():
+            if (
+                isinstance(model, type)
+                and model.__module__ == module.__name__
+                and "kind" in vars(model).get("__annotations__", {})
+            ):
+                group = "desim.disseminations" if hasattr(model, "broadcast") else "desim.protocols"
+                if [*signature(model.__call__).parameters] == ["self", "me"]:
+                    found[group].add(f"{module.__name__}:{name}")
+    assert {group: set(kinds.values()) for group, kinds in protocols.KINDS.items()} == found
 
 
 @pytest.mark.parametrize("module", sorted({part.__module__ for part in PARTS}))

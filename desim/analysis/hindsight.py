@@ -204,8 +204,8 @@ def settling_window(result: Result) -> float:
     time between two decisions of one pursuer: the `slot` or `period` of the protocol, or the mean in this run for a
     protocol with a schedule. inf if there were no decisions.
     """
-    protocol = result.scenario.protocol
-    between = getattr(protocol, "slot", getattr(protocol, "period", None))
+    protocol = result.scenario.protocol_traits
+    between = protocol.period if protocol.slot is None else protocol.slot
     if between is None:
         size, number = len(started(result).active), len(decisions(result))
         between = size * seconds(ended(result).t) / number if number else np.inf

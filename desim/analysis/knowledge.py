@@ -15,7 +15,7 @@ from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.faults import Crash, FaultEnded, clock_errors
 from desim.kernel.records import Record
-from desim.pursuit.announcements import records_in
+from desim.pursuit.announcements import announced_action, records_in, relayed_records
 from desim.simulation.run import Result
 
 Pieces = NDArray[np.void]
@@ -181,7 +181,7 @@ class _Clocks:
 
     def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
         """Return the records that a transmission carries, forwarded or its own, with their true time stamps."""
-        relays = getattr(event.body, "records", None) is not None
+        relays = relayed_records(event.body) is not None
         return tuple(map(self._corrected, records_in(event))) if relays and not self._right else records_in(event)
 
     def _corrected(self, record: Record) -> Record:
@@ -190,7 +190,7 @@ class _Clocks:
 
 
 def _columns(records: list[Record]) -> _Announcements:
-    active = [-1 if (action := getattr(record.body, "active", None)) is None else action for record in records]
+    active = [-1 if (action := announced_action(record.body)) is None else action for record in records]
     source, seq, created = ([record[k] for record in records] for k in range(3))
     return _Announcements(*(np.array(column, np.int64) for column in (source, seq, created, active)))
 

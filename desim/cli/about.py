@@ -58,8 +58,8 @@ def keys(key: str | None) -> None:
 @click.command()
 @click.argument("only", metavar="[KIND]", required=False)
 def protocols(only: str | None) -> None:
-    """List the installed protocols and their parameters: all, or those of a KIND."""
-    from desim.cli.description import described
+    """List the installed protocols and their parameters, or those of one KIND and its traits."""
+    from desim.cli.description import described, described_traits
     from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()
@@ -67,4 +67,5 @@ def protocols(only: str | None) -> None:
         fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
     known: set[type[BaseModel]] = set()  # models shared by several protocols are described once
     for kind, protocol in choices.items() if only is None else [(only, choices[only])]:
-        echo("\n".join(described(protocol, kind, known=known)) + "\n")
+        traits = [] if only is None else described_traits(PROTOCOLS.traits.of(protocol.model_construct()))
+        echo("\n".join([*described(protocol, kind, known=known), *traits]) + "\n")

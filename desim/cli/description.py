@@ -1,12 +1,14 @@
 """A model as text: its parameters, their defaults, and the models that they may hold."""
 
 from collections.abc import Iterator, Sequence
+from types import MethodType
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of, kind_of
 from desim.config.model import fields_of, models_in
+from desim.config.traits import Traits
 
 
 def described(
@@ -25,6 +27,16 @@ def described(
         if name == "kind":
             continue
         yield from _described_field(name, field, indent + "    ", known)
+
+
+def described_traits(traits: Traits) -> Iterator[str]:
+    """Yield lines that describe the traits of a model and their values, without those that are parameters."""
+    yield "    traits:"
+    fields = fields_of(type(traits))
+    for name in traits.names():
+        value = dict(traits)[name]
+        shown = value.__qualname__ if isinstance(value, MethodType) else repr(value)
+        yield f"        {name} = {shown}: {' '.join((fields[name].description or '').split())}"
 
 
 def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Fields that hold one of several models, selected by the `kind` of a table."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache, cached_property
 from importlib import import_module
@@ -17,6 +17,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.model import markers_of
+from desim.config.traits import Traits, attributes
 from desim.config.trust import ALLOW_HINT, is_trusted
 
 
@@ -38,17 +39,18 @@ def import_name(home: Any) -> str:
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    Models that other distributions install under the entry point group `group` are accepted too; each is imported when
-    a table selects it. A callable object is accepted unchanged, so a script can pass its own function or model. A file
-    selects such a callable by the kind "module:name"; the module is installed or lies beside the file. Importing a
-    module runs its code, so the file must be trusted (`is_trusted`), unless an entry point of a group `desim.*` refers
-    to the same "module:name".
+    The models of `protocols.KINDS` of the group `group`, and those that other distributions install under this entry
+    point group, are accepted too; each is imported when a table selects it. A callable object is accepted unchanged, so
+    a script can pass its own function or model. A file selects such a callable by the kind "module:name"; the module is
+    installed or lies beside the file. Importing a module runs its code, so the file must be trusted (`is_trusted`),
+    unless `protocols.KINDS` or an entry point of a group `desim.*` refers to the same "module:name".
 
     Args:
         models: the models of this distribution.
-        group: the entry point group.
+        group: the group in `protocols.KINDS`, and the entry point group.
         needs: attributes that a callable object must have.
         takes: names of the arguments that a callable object is called with.
+        traits: the optional attributes of the objects.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
             {kind = "constant", value = 0.1}. A bare string always stands for a kind.
     """
@@ -59,12 +61,14 @@ class OneOf:
         group: str | None = None,
         needs: tuple[str, ...] = (),
         takes: tuple[str, ...] = (),
+        traits: type[Traits] = Traits,
         number: tuple[str, str] | None = None,
     ):
         self.models = models
         self.group = group
         self.needs = needs
         self.takes = takes
+        self.traits = traits
         self.number = number
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
@@ -80,8 +84,7 @@ class OneOf:
 
     def holds(self, value: Any) -> bool:
         """Return whether a value is an instance of one of the models."""
-        kind = getattr(value, "kind", None)
-        return isinstance(kind, str) and type(value) is self.choice(kind)
+        return isinstance(value, BaseModel) and type(value) is self.choice(str(dict(value).get("kind")))
 
     @cached_property
     def _builtin(self) -> dict[str, type[BaseModel]]:
@@ -89,8 +92,8 @@ class OneOf:
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        points = sorted(entry_points(group=self.group), key=lambda point: point.name) if self.group else []
-        return {point.name: point for point in points}
+        points = [*entry_points(group=self.group), *_own_points(self.group)] if self.group else []
+        return {point.name: point for point in sorted(points, key=lambda point: point.name)}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         writes = core_schema.wrap_serializer_function_ser_schema(self._serialize, schema=core_schema.any_schema())
@@ -109,7 +112,7 @@ class OneOf:
         if isinstance(value, BaseModel):
             parameters = value.model_dump()
         elif is_dataclass(value):
-            parameters = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+            parameters = attributes(value, [each.name for each in fields(value) if each.init])
         return parameters | {"kind": import_name(home_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
@@ -117,7 +120,9 @@ class OneOf:
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
         validator = SchemaValidator(_union(self.choices())) if model is None else _validator(kind, model)
-        return validator.validate_python(table, context=info.context)
+        made = validator.validate_python(table, context=info.context)
+        self.traits.check(made)
+        return made
 
     def _accept(self, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, type):
@@ -127,9 +132,10 @@ class OneOf:
             value = self._imported(value, info)
         if not callable(value):
             return self._from_table(value, info)
-        if missing := [name for name in self.needs if not hasattr(value, name)]:
+        if missing := [name for name in self.needs if name not in attributes(value, self.needs)]:
             raise ValueError(f"should have {', '.join(self.needs)}; {value!r} lacks {', '.join(missing)}")
         self._check_called(value, value)
+        self.traits.check(value)
         return value
 
     def _as_table(self, value: Any) -> Any:
@@ -194,6 +200,12 @@ def names_code(kind: Any) -> bool:
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
+def _own_points(group: str) -> list[EntryPoint]:
+    """Return the entry points of the kinds of a group in `protocols`, which need no installation."""
+    kinds = import_module("protocols").KINDS.get(group, {})
+    return [EntryPoint(kind, home, group) for kind, home in kinds.items()]
+
+
 def refusal(kind: str) -> str:
     """Return the error message for an untrusted file that names code."""
     return f"{kind!r} names code to be run; {ALLOW_HINT}"
@@ -202,8 +214,12 @@ def refusal(kind: str) -> str:
 @cache
 def _named_by_entry_points() -> Mapping[str, EntryPoint]:
     """Return the entry points of the groups `desim.*` by the "module:name" of their objects."""
+    groups = {*entry_points().groups, *import_module("protocols").KINDS}
     points = (
-        each for group in entry_points().groups if group.startswith("desim.") for each in entry_points(group=group)
+        each
+        for group in groups
+        if group.startswith("desim.")
+        for each in (*entry_points(group=group), *_own_points(group))
     )
     return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
 
@@ -223,15 +239,38 @@ def _load(kind: str, folder: Path | None) -> Any:
 
 
 def _constructed(model: type, kind: str, parameters: dict[str, Any], context: Any) -> Any:
+    """Return an instance of a class.
+
+    Raises:
+        PydanticCustomError: of the type "own_model" if parameters are invalid, with the class and the list of errors.
+        ValueError: if the class cannot be instantiated with these parameters.
+    """
+    allowed = _parameters_of(model)
+    if unknown := [key for key in parameters if allowed is not None and key not in allowed]:
+        says = {"type": "extra_forbidden", "msg": "Extra inputs are not permitted", "ctx": {"allowed": allowed}}
+        raise _own_model(model, kind, [says | {"loc": (key,), "input": parameters[key]} for key in unknown])
     try:
         return (
             model.model_validate(parameters, context=context) if issubclass(model, BaseModel) else model(**parameters)
         )
     except ValidationError as error:
-        faults = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()]
-        raise ValueError(f"{kind!r}: {'; '.join(faults)}") from error
+        raise _own_model(model, kind, error.errors(include_url=False)) from error
     except TypeError as error:
         raise ValueError(f"{kind!r}: {error}") from error
+
+
+def _parameters_of(model: type) -> list[str] | None:
+    """Return the parameters of a class, sorted; None if it accepts any, or is a model that rejects unknown ones."""
+    if issubclass(model, BaseModel):
+        names = {*model.model_fields, *(field.alias for field in model.model_fields.values() if field.alias)}
+        return sorted(names) if model.model_config.get("extra", "ignore") == "ignore" else None
+    found = signature(model).parameters.values()
+    return None if any(each.kind is each.VAR_KEYWORD for each in found) else sorted(each.name for each in found)
+
+
+def _own_model(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) -> PydanticCustomError:
+    faults = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in errors)
+    return PydanticCustomError("own_model", "{why}", {"why": f"{kind!r}: {faults}", "model": model, "errors": errors})
 
 
 def choices_of(field: FieldInfo) -> list[OneOf]:

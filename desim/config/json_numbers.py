@@ -1,8 +1,31 @@
-"""Conversion of infinity and NaN, which JSON lacks, to the strings "Infinity", "-Infinity" and "NaN" and back."""
+"""Values in JSON: infinity and NaN, which JSON lacks, as the strings "Infinity", "-Infinity" and "NaN"; `Plain`."""
 
 from collections.abc import Mapping
+from functools import cache
 from math import isfinite, isnan
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Plain(Protocol):
+    """A value that is written to JSON as what its method `plain` returns."""
+
+    def plain(self) -> Any:
+        """Return the value in JSON types."""
+        ...
+
+
+@cache
+def has_plain(kind: type) -> bool:
+    """Return whether the objects of a type are `Plain`."""
+    return issubclass(kind, Plain)
+
+
+@cache
+def field_names(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a type of named tuples; None for any other type."""
+    named = (vars(base)["_fields"] for base in kind.__mro__ if "_fields" in vars(base))
+    return next(named, None) if issubclass(kind, tuple) else None
 
 
 def to_json(value: Any) -> Any:

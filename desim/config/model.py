@@ -9,7 +9,7 @@ from inspect import cleandoc, get_annotations, getsource
 from itertools import pairwise
 from math import inf
 from types import MappingProxyType
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -125,7 +125,8 @@ def markers_of(field: FieldInfo) -> list[Any]:
 
 
 def _metadata(annotation: Any) -> Iterator[Any]:
-    yield from getattr(annotation, "__metadata__", ())
+    if get_origin(annotation) is Annotated:
+        yield from annotation.__metadata__
     for inner in get_args(annotation):
         yield from _metadata(inner)
 

@@ -91,11 +91,11 @@ Fault = Crash | Partition | Jamming
 """A fault with a start and an end time."""
 
 
-def nodes_of(fault: Fault) -> list[int]:
-    """Return the nodes that a fault names."""
+def nodes_of(fault: object) -> list[int]:
+    """Return the nodes that a fault or a clock error names."""
     if isinstance(fault, Partition):
         return [node for group in fault.groups for node in group]
-    return [fault.node] if isinstance(fault, Crash) else []
+    return [fault.node] if isinstance(fault, Crash | ClockSkew) and fault.node is not None else []
 
 
 class FaultStarted(NamedTuple):

@@ -1,15 +1,13 @@
 """One-way latency of messages: frozen models that return the latencies to all receivers of a transmission at once.
 
 A latency is always one-way; a round trip takes two. A model returns one number if all receivers have the same latency,
-else one per receiver. It may have further methods: `draw`, if its draws do not depend on the link, so that the network
-can draw blocks ahead; `quantile`, so that each pair of nodes can have its own latency (`PerPair`); and, if it has
-state, `start_run(size)`, which returns the stateful model of one run.
+else one per receiver. It may have the further methods of `desim.kernel.traits.LinkTraits`.
 """
 
 from dataclasses import replace
 from math import log, log1p, sqrt
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Self, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,7 @@ from desim.config.trust import resolve_path
 from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
+from desim.kernel.traits import LinkTraits
 
 Floats = NDArray[np.float64]
 
@@ -29,15 +28,6 @@ class Latency(Protocol):
     """A model of the one-way latency: `latency(context, rng)` is a number or (k,) numbers >= 0, s."""
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> float | Floats: ...  # noqa: D102
-
-
-@runtime_checkable
-class Independent(Protocol):
-    """A model whose draws are independent and identically distributed over all links."""
-
-    def draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
-        """Return (count,) draws."""
-        ...
 
 
 class Constant(Value):
@@ -203,7 +193,8 @@ def _numbers(file: Path) -> list[float]:
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ValueError(f"{file} cannot be read: {reason}") from error
     numbers = []
     for line, text in enumerate(lines, 1):
         for item in text.partition("#")[0].replace(",", " ").split():
@@ -245,7 +236,7 @@ class PerPair(Value):
 
     @model_validator(mode="after")
     def _has_quantiles(self) -> Self:
-        if not hasattr(self.base, "quantile"):
+        if LinkTraits.of(self.base).quantile is None:
             raise ValueError(f"base should have a method quantile(u), {self.base!r} has none")
         return self
 
@@ -288,4 +279,5 @@ LATENCIES = OneOf(
     Propagation,
     PerPair,
     number=("constant", "value"),
+    traits=LinkTraits,
 )

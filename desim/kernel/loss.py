@@ -1,6 +1,7 @@
 """Message loss: frozen models that decide for all receivers of a transmission at once.
 
-A model with state is frozen, too: its method `start_run(size)` returns an object that holds the state of one run.
+A model with state is frozen, too: its method `start_run(size)` returns an object that holds the state of one run (see
+`desim.kernel.traits.LinkTraits`).
 """
 
 from collections import defaultdict
@@ -14,6 +15,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Length, Positive, Probability, Value
 from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp, power
+from desim.kernel.traits import LinkTraits
 
 Bools = NDArray[np.bool_]
 
@@ -156,4 +158,4 @@ class ByDistance(Value):
         return rng.random(len(context.dst)) < self.probability(context.distances)
 
 
-LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance, number=("bernoulli", "p"))
+LOSSES = OneOf(Bernoulli, GilbertElliott, ByDistance, number=("bernoulli", "p"), traits=LinkTraits)

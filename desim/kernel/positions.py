@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from math import inf
-from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,27 +12,23 @@ PositionSource = Callable[[], Floats]
 """A function that returns the current positions of all nodes, (n, 2) m; a `Positions` is faster for large networks."""
 
 
-class Positions(Protocol):
-    """The current positions of the nodes."""
+class Positions:
+    """Base of the sources of the current positions of the nodes."""
 
-    @property
-    def fastest(self) -> float:
-        """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
-        ...
+    fastest = inf
+    """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
 
     def __call__(self) -> Floats:
         """Return the positions of all nodes, (n, 2) m."""
-        ...
+        raise NotImplementedError
 
     def of(self, nodes: Nodes) -> Floats:
-        """Return the positions of some nodes, (k, 2) m; cost O(k)."""
-        ...
+        """Return the positions of some nodes, (k, 2) m; a subclass may do it at the cost O(k)."""
+        return self().take(nodes, axis=0)
 
 
-class _PositionFunction:
+class _PositionFunction(Positions):
     """`Positions` from a function that returns the positions of all nodes."""
-
-    fastest = inf
 
     def __init__(self, function: PositionSource):
         self._function = function
@@ -41,13 +36,10 @@ class _PositionFunction:
     def __call__(self) -> Floats:
         return np.asarray(self._function())
 
-    def of(self, nodes: Nodes) -> Floats:
-        return self().take(nodes, axis=0)
-
 
 def as_position_source(source: PositionSource) -> Positions:
     """Return a position source as `Positions`; a plain function is wrapped."""
-    return cast("Positions", source) if hasattr(source, "of") else _PositionFunction(source)
+    return source if isinstance(source, Positions) else _PositionFunction(source)
 
 
 def distances(at: Floats, here: int) -> Floats:

@@ -13,19 +13,22 @@ from desim.config.model import MAX_TIME
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.graphs import as_model
 from desim.kernel.implicit_complete import is_implicit
-from desim.kernel.latency import Constant, Independent
+from desim.kernel.latency import Constant
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.positions import PositionSource
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import stream
+from desim.kernel.traits import LinkTraits
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import networkx as nx
     from numpy.typing import NDArray
+
+    Draw = Callable[[int, np.random.Generator], NDArray[Any]]
 
 TYPICAL_SIZE = 48
 """Size of a message that `typical_latency` assumes, bytes."""
@@ -154,8 +157,8 @@ class LinkSampler:
 class _Buffer(Generic[Each]):
     """A buffer of draws of a model whose draws are independent of the link."""
 
-    def __init__(self, model: Independent, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
-        self._model, self._rng, self._convert = model, rng, convert
+    def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
+        self._draw, self._rng, self._convert = draw, rng, convert
         self._block: list[Each] = []
         self._next = 0
 
@@ -163,7 +166,7 @@ class _Buffer(Generic[Each]):
         """Return the next `count` draws."""
         end = self._next + count
         if end > len(self._block):
-            fresh = self._convert(self._model.draw(max(BLOCK, count), self._rng))
+            fresh = self._convert(self._draw(max(BLOCK, count), self._rng))
             self._block = self._block[self._next :] + fresh
             self._next, end = 0, count
         taken = self._block[self._next : end]
@@ -174,12 +177,14 @@ class _Buffer(Generic[Each]):
 def _buffered(
     model: object, rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"
 ) -> "_Buffer[Each] | None":
-    return _Buffer(model, rng, convert) if isinstance(model, Independent) else None
+    draw = LinkTraits.of(model).draw
+    return _Buffer(draw, rng, convert) if draw is not None else None
 
 
 def _model_of_run(model: Any, size: int) -> Any:
     """Return the model of one run: a stateful model starts with fresh state, any other is returned unchanged."""
-    return model.start_run(size) if hasattr(model, "start_run") else model
+    start_run = LinkTraits.of(model).start_run
+    return start_run(size) if start_run is not None else model
 
 
 def _never_loses(model: object) -> bool:
@@ -200,7 +205,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
             if not graph.has_edge(src, dst):
                 raise ValueError(f"there is no link from {src} to {dst} in the graph")
             for name, overrides in found.items():
-                model = getattr(link, name)
+                model = dict(link)[name]
                 if model is not None:
                     overrides.setdefault(src, {})[dst] = _model_of_run(model, len(graph))
     return found

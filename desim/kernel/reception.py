@@ -12,6 +12,7 @@ from pydantic import Field
 
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Probability, Value
+from desim.kernel.traits import ReceptionTraits
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ Floats = NDArray[np.float64]
 class ReceptionModel(Protocol):
     """A reception model: `reception(distances, range)` is the (k,) probability of reception at (k,) distances, m.
 
-    It may have a method `bound(range)`: the distance beyond which no message is ever received, m.
+    It may have a method `bound(range)`; see `desim.kernel.traits.ReceptionTraits`.
     """
 
     def __call__(self, distances: Floats, range: float) -> Floats: ...  # noqa: A002, D102
@@ -88,8 +89,8 @@ class LogDistance(Value):
 
 def bound(reception: ReceptionModel, range: float) -> float:  # noqa: A002
     """Return the distance beyond which no message is ever received, m; inf if the model has no bound."""
-    ends = getattr(reception, "bound", None)
+    ends = ReceptionTraits.of(reception).bound
     return inf if ends is None else float(ends(range))
 
 
-RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance)
+RECEPTION_MODELS = OneOf(Disk, QuasiUnitDisk, LogDistance, traits=ReceptionTraits)

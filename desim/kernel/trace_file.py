@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self, Union, get_args, g
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
+from desim.config.json_numbers import field_names, has_plain
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.events import LOST, Arrival, Body, Event, Nanoseconds
 
@@ -123,18 +124,18 @@ def _as_json(value: Any) -> str:
     """Return a value as JSON; a value of a type that JSON lacks as its `repr`."""
     if type(value) is int:
         return repr(value)
-    return _json(value.plain() if hasattr(value, "plain") else value)
+    return _json(value.plain() if has_plain(value.__class__) else value)
 
 
 def _body_json(value: Any) -> str:
     """Return a body as JSON."""
-    return _as_json(value) if hasattr(value, "plain") else _nested(value)
+    return _as_json(value) if has_plain(value.__class__) else _nested(value)
 
 
 def _nested(value: Any) -> str:
     """Return a value as JSON, with named tuples as objects."""
     if isinstance(value, tuple | list):
-        names = getattr(value, "_fields", None)
+        names = field_names(value.__class__)
         if names is None:
             return f"[{', '.join(map(_nested, value))}]"
         return f"{{{', '.join([f'{_json(name)}: {_nested(each)}' for name, each in zip(names, value, strict=True)])}}}"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from math import inf
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from desim.config.choice import OneOf
@@ -12,6 +13,7 @@ from desim.kernel.events import Broadcast, Sent
 from desim.kernel.inbox import Message
 from desim.kernel.message_size import HEADER, NUMBER
 from desim.kernel.records import Record
+from desim.pursuit.traits import DisseminationTraits
 from desim.pursuit.views import View
 
 
@@ -77,15 +79,31 @@ class Forwarded(NamedTuple):
     """Number of hops that it may still travel, the present one included."""
 
 
+INTEGERS = (int, np.integer)
+"""The types of an action."""
+
+
+def announced_action(body: Any) -> int | None:
+    """Return the action in the body of a message, its attribute `active`: an evader or 0; None without an action."""
+    try:
+        action: int = body.active
+    except AttributeError:
+        return None
+    return action if isinstance(action, INTEGERS) else None
+
+
 def announces_chase(body: Any) -> bool:
-    """Return whether a body announces a chase; False for a body without an attribute `active`."""
-    return bool(getattr(body, "active", False))
+    """Return whether a body announces a chase."""
+    return bool(announced_action(body))
 
 
 def relayed_records(body: Any) -> tuple[Record, ...] | None:
-    """Return the records that the body of a message relays; None if it relays none."""
-    records: tuple[Record, ...] | None = getattr(body, "records", None)
-    return records
+    """Return the records that a body relays, its attribute `records`; None if it is not a relay."""
+    try:
+        records: tuple[Record, ...] = body.records
+    except AttributeError:
+        return None
+    return records if isinstance(records, tuple) else None
 
 
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
@@ -122,14 +140,14 @@ class Eavesdropper:
         return now < self._until
 
     def _overhear(self, record: Record, last_arrival: int) -> None:
-        action, newer = getattr(record.body, "active", None), record.seq > self._changed.get(record.src, 0)
+        action, newer = announced_action(record.body), record.seq > self._changed.get(record.src, 0)
         if newer and action is not None and action != self._actions.get(record.src, 0):
             self._actions[record.src], self._changed[record.src] = action, record.seq
         if self._changed.get(record.src) == record.seq:
             self._until = max(self._until, last_arrival)
 
 
-DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",))
+DISSEMINATIONS = OneOf(group="desim.disseminations", needs=("broadcast",), traits=DisseminationTraits)
 """The installed ways to disseminate announcements."""
 
 

@@ -18,6 +18,7 @@ from desim.kernel.portable_math import power
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.observation import EvaderObservation
 from desim.pursuit.state import Floats, Points, State, coordinates
+from desim.pursuit.traits import StrategyTraits
 
 
 def _with_area(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -31,7 +32,7 @@ class Strategy(Protocol):
 
     The velocity is the heading times the speed; 0 stands still.
 
-    A strategy that reads `state.handover` has an attribute `listens = True`.
+    A strategy that reads `state.handover` has an attribute `listens = True`; see `desim.pursuit.traits.StrategyTraits`.
     """
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex: ...  # noqa: D102
@@ -190,9 +191,9 @@ class Listener(Value):
 
     listens: ClassVar[bool] = True
     kind: Literal["listener"] = "listener"
-    during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = PureEvasion()
+    during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = PureEvasion()
     """The strategy during a hand-over."""
-    normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH)] = Still()
+    normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = Still()
     """The strategy at all other times."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
@@ -200,7 +201,7 @@ class Listener(Value):
         return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
-STRATEGIES = OneOf(*SIMPLE, Listener, takes=CALLED_WITH)
+STRATEGIES = OneOf(*SIMPLE, Listener, takes=CALLED_WITH, traits=StrategyTraits)
 """The strategies of an evader."""
 
 

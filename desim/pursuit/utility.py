@@ -2,7 +2,7 @@
 
 A utility is called with the pursuer's own capture time, the capture times of the other active pursuers that count, and
 the time left. It returns the gain of chasing, U_i(active) - U_i(inactive). `scope` determines the pursuers that count.
-`expected` returns the mean gain if the others are active at random, independently of each other.
+It may have the attributes of `desim.pursuit.traits.UtilityTraits`.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.pursuit import game
 from desim.pursuit.state import Floats
+from desim.pursuit.traits import UtilityTraits
 
 Scope = Literal["heard", "neighbours", "component"]
 """The pursuers that count: all with a belief, those heard directly now, or those heard now over any number of hops."""
@@ -140,7 +141,12 @@ class EdgePenalty(Value):
         return reward - own - self.factor * reward * sum(chances)
 
 
-UTILITIES = OneOf(Mean, Minimum, LocalMean, Component, EdgePenalty, needs=("scope",), takes=("own", "others", "reward"))
+UTILITIES = OneOf(
+    *(Mean, Minimum, LocalMean, Component, EdgePenalty),
+    needs=("scope",),
+    takes=("own", "others", "reward"),
+    traits=UtilityTraits,
+)
 
 
 @lru_cache(maxsize=256)

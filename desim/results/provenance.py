@@ -233,8 +233,8 @@ def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
     from pydantic import BaseModel
 
     if isinstance(node, BaseModel):
-        for name in type(node).model_fields:
-            yield from _unrecorded(getattr(node, name), (*place, name))
+        for name, value in node:
+            yield from _unrecorded(value, (*place, name))
     elif isinstance(node, tuple):
         for k, each in enumerate(node):
             yield from _unrecorded(each, (*place, str(k)))

@@ -17,6 +17,7 @@ from desim.kernel.implicit_complete import is_complete
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
+from desim.pursuit.traits import Assuming, DisseminationTraits
 
 if TYPE_CHECKING:
     from desim.scenario.scenario import Scenario
@@ -88,8 +89,8 @@ def announcements_repeated(scenario: "Scenario") -> str | None:
 
 def one_at_a_time(scenario: "Scenario") -> str | None:
     """No two pursuers decide at the same instant."""
-    schedule = getattr(scenario.protocol, "schedule", None)
-    return "all pursuers decide at once" if getattr(schedule, "at_once", False) and scenario.team.count > 1 else None
+    at_once = scenario.schedule_traits.at_once
+    return "all pursuers decide at once" if at_once and scenario.team.count > 1 else None
 
 
 def no_crashes(scenario: "Scenario") -> str | None:
@@ -110,7 +111,7 @@ def equal_speeds(scenario: "Scenario") -> str | None:
 
 def host_in_reach(scenario: "Scenario") -> str | None:
     """The pursuer that hosts the server is linked to every other in one hop, in both directions."""
-    host, size = getattr(scenario.protocol, "host", 0), scenario.team.count
+    host, size = scenario.protocol_traits.host or 0, scenario.team.count
     if parted := undivided(scenario):
         return parted
     graph = _initial_graph(scenario)
@@ -165,11 +166,11 @@ def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
     Raises:
         ValueError: if `assumes` contains an unknown name.
     """
-    protocol = scenario.protocol
-    for key in ("", "schedule", "utility"):
-        part = getattr(protocol, key, None) if key else protocol
-        kind = getattr(part, "kind", key or "the protocol")
-        for name in getattr(part, "assumes", ()):
+    protocol = scenario.protocol_traits
+    parts = {"": protocol, "schedule": Assuming.of(protocol.schedule), "utility": Assuming.of(protocol.utility)}
+    for key, part in parts.items():
+        kind = part.kind or key or "the protocol"
+        for name in part.assumes:
             if name not in ASSUMPTIONS:
                 raise ValueError(f"{kind} assumes {name!r}, which is unknown; allowed: {', '.join(ASSUMPTIONS)}")
             why = ASSUMPTIONS[name](scenario)
@@ -187,18 +188,17 @@ def _has_fault(scenario: "Scenario", kind: str, faults: type | UnionType) -> boo
 
 def _reached_by_schedule(scenario: "Scenario") -> str | None:
     """Return the receivers of the actions that a schedule repeatedly sends: "all", "neighbours" or None."""
-    return getattr(getattr(scenario.protocol, "schedule", None), "spreads_to", None)
+    return scenario.schedule_traits.spreads_to
 
 
 def _is_relayed(scenario: "Scenario") -> bool:
     """Return whether announcements are relayed over several hops."""
-    one_hop = getattr(scenario.announce.dissemination, "kind", "one_hop") == "one_hop"
-    return not one_hop or _reached_by_schedule(scenario) == "all"
+    return DisseminationTraits.of(scenario.announce.dissemination).relays or _reached_by_schedule(scenario) == "all"
 
 
 def _out_of_hops(scenario: "Scenario") -> str | None:
     """Return the reason why relayed announcements do not reach the whole component; None if they do."""
-    hops = getattr(scenario.announce.dissemination, "hops", inf)
+    hops = DisseminationTraits.of(scenario.announce.dissemination).hops
     if hops == inf or _reached_by_schedule(scenario) == "all":
         return None
     graph = _initial_graph(scenario)
@@ -207,7 +207,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     lengths = nx.all_pairs_shortest_path_length(graph)
     widest = max(max(found.values()) for _, found in lengths)
     return (
-        f"some pursuers are {widest} hops apart at the start, but announcements travel {hops}"
+        f"some pursuers are {widest} hops apart at the start, but announcements travel {hops:g}"
         if widest > hops
         else None
     )

@@ -7,10 +7,12 @@ from typing import Any
 from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
+from desim.kernel.faults import Fault
 from desim.kernel.links import Links
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.traits import DisseminationTraits
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Scenario
 
@@ -26,9 +28,8 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
     yield from violations(scenario)
-    schedule: Any = getattr(scenario.protocol, "schedule", None)
-    if hasattr(schedule, "warnings"):
-        yield from ((f"protocol.schedule.{key}", why) for key, why in schedule.warnings(scenario.motion.step))
+    if (warn := scenario.schedule_traits.warnings) is not None:
+        yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
     yield from _time_warnings(scenario)
     stride = scenario.motion.step * max(fastest, *flights)
     if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
@@ -72,7 +73,7 @@ def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, list[Any]]]:
     """Yield the key, the value and the markers of every number in a model and its nested models."""
     for name, field in type(model).model_fields.items():
-        value, markers = getattr(model, name), markers_of(field)
+        value, markers = dict(model)[name], markers_of(field)
         for place, each in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
             key = f"{above}{name}" if place is None else f"{above}{name}.{place}"
             if isinstance(each, BaseModel):
@@ -89,8 +90,8 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the keys of sensing that have no effect, and a sensing radius within the capture radius."""
     sensing = scenario.sensing
     if not sensing.limited:
-        default = Sensing()
-        others = [key for key in Sensing.model_fields if getattr(sensing, key) != getattr(default, key)]
+        default = dict(Sensing())
+        others = [key for key, value in sensing if value != default[key]]
         yield from ((f"sensing.{key}", "it has no effect while the radius is inf") for key in others)
     elif sensing.radius <= scenario.capture.radius:
         yield (
@@ -104,18 +105,18 @@ def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the keys of network, announcements and faults that override a preset, have no effect or cause overload."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
-        preset = Links(preset=network.preset)
+        values, preset = dict(network), dict(Links(preset=network.preset))
         for key in PRESETS[network.preset]:
-            if getattr(network, key) != getattr(preset, key):
+            if values[key] != preset[key]:
                 yield f"network.{key}", f"it overrides the value of the preset {network.preset!r}"
     if network.range == inf and network.reception != Disk():
         yield "network.reception", "it has no effect while the range is inf"
-    if announce.trigger == "never" and getattr(announce.dissemination, "kind", "one_hop") != "one_hop":
+    if announce.trigger == "never" and DisseminationTraits.of(announce.dissemination).relays:
         yield "announce.dissemination", "it has no effect, because nothing is ever announced"
     for k, fault in enumerate(scenario.fault):
-        if getattr(fault, "start", 0.0) >= scenario.horizon:
+        if isinstance(fault, Fault) and fault.start >= scenario.horizon:
             yield f"fault.{k}.start", "the fault starts after the horizon"
-    claim_size = getattr(scenario.protocol, "claim_size", None)
+    claim_size = scenario.protocol_traits.claim_size
     size = claim_size(scenario.team.count, len(scenario.evaders)) if claim_size else announce.payload_size
     airtime = network.medium(size)
     if 0.0 < airtime <= RESOLUTION / 2:

@@ -43,9 +43,9 @@ class Source:
         tables = _tables(scenario)
         preset = scenario.network.preset
         if preset is not None:  # leave its values out, so that another preset replaces them
-            given, stands_for = scenario.network, type(scenario.network)(preset=preset)
+            given, stands_for = dict(scenario.network), dict(type(scenario.network)(preset=preset))
             for key in PRESETS[preset]:
-                if getattr(given, key) == getattr(stands_for, key):
+                if given[key] == stands_for[key]:
                     tables["network"].pop(key, None)
         return cls("the scenario", tables, allow_import=True)
 
@@ -128,7 +128,7 @@ class Source:
         info = _field_at(self.tables, place)
         models = [one_of.choice(kind) for one_of in choices_of(info)] if info and isinstance(kind, str) else []
         for model in filter(None, models):
-            table = _value_at(self.tables, place)
+            table = value_at(self.tables, place)
             for key in table.keys() - model.model_fields.keys():
                 if not any(set_since[: len(place) + 1] == (*place, key) for set_since in self.origins):
                     del table[key]
@@ -160,11 +160,11 @@ def _field_at(tables: dict[str, Any], place: KeyPath) -> FieldInfo | None:
     for end, key in enumerate(place, start=1):
         if isinstance(key, str):
             info = fields_of(model).get(key) if model is not None else None
-        model = model_of(info, _value_at(tables, place[:end])) if info is not None else None
+        model = model_of(info, value_at(tables, place[:end])) if info is not None else None
     return info
 
 
-def _value_at(tables: Any, place: KeyPath) -> Any:
+def value_at(tables: Any, place: KeyPath) -> Any:
     """Return the value at a place in tables."""
     return reduce(getitem, place, tables)
 
@@ -187,9 +187,7 @@ def _tables(model: Value) -> dict[str, Any]:
     """Return the arguments given to a model as tables; a nested model of no installed kind is left as it is."""
     fields = type(model).model_fields
     return {
-        name: _table(getattr(model, name), fields[name])
-        for name in fields
-        if name in model.model_fields_set or name == "kind"
+        name: _table(value, fields[name]) for name, value in model if name in model.model_fields_set or name == "kind"
     }
 
 
@@ -207,8 +205,9 @@ def _replaced(model: Any, parts: list[str], value: Any) -> Any:
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
-    fields = {each: getattr(model, each) for each in model.model_fields_set}
-    fields[name] = _replaced(getattr(model, name), rest, value) if rest else value
+    values = dict(model)
+    fields = {each: values[each] for each in model.model_fields_set}
+    fields[name] = _replaced(values[name], rest, value) if rest else value
     try:
         return type(model)(**fields)
     except ValidationError as error:

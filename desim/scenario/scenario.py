@@ -34,7 +34,8 @@ from desim.config.model import (
     Time,
     Value,
 )
-from desim.kernel.faults import FAULTS
+from desim.config.traits import name_of
+from desim.kernel.faults import FAULTS, Partition, nodes_of
 from desim.kernel.links import Links
 from desim.kernel.seeds import stream
 from desim.kernel.topology import Topology
@@ -44,6 +45,7 @@ from desim.pursuit.evader import EvaderController
 from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.sensing import Sensing
+from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
 from desim.scenario.sweep_table import Sweep
 
 
@@ -60,7 +62,7 @@ def _not_over_at_once(horizon: float) -> float:
 
 
 Point = tuple[Coordinate, Coordinate]
-PROTOCOLS = OneOf(group="desim.protocols", takes=("me",))
+PROTOCOLS = OneOf(group="desim.protocols", takes=("me",), traits=ProtocolTraits)
 """The installed protocols."""
 
 
@@ -160,7 +162,7 @@ class Evader(Value):
     @property
     def listens(self) -> bool:
         """Whether its strategy overhears the pursuers' radio."""
-        return bool(getattr(self.strategy, "listens", False))
+        return StrategyTraits.of(self.strategy).listens
 
     def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
         """Return the controller of one such evader in a run.
@@ -224,9 +226,7 @@ class Recording(Value):
 
 
 def _default_protocol() -> Any:
-    sap = PROTOCOLS.choice("sap")
-    if sap is None:
-        raise ValueError("no protocols are installed: pip install -e . in the folder of desim")
+    sap: Any = PROTOCOLS.choice("sap")
     return sap()
 
 
@@ -271,14 +271,23 @@ class Scenario(Value):
     @property
     def protocol_name(self) -> str:
         """The kind of its protocol, or the name of a protocol without a kind."""
-        protocol = self.protocol
-        return str(getattr(protocol, "kind", None) or getattr(protocol, "__name__", type(protocol).__name__))
+        return self.protocol_traits.kind or name_of(self.protocol)
+
+    @property
+    def protocol_traits(self) -> ProtocolTraits:
+        """The optional attributes of its protocol, with defaults."""
+        return ProtocolTraits.of(self.protocol)
+
+    @property
+    def schedule_traits(self) -> ScheduleTraits:
+        """The optional attributes of the schedule of its protocol; the defaults if it has no schedule."""
+        return ScheduleTraits.of(self.protocol_traits.schedule)
 
     @property
     def speaks(self) -> bool:
         """Whether pursuers announce their actions; some protocols never do, or only if positions are not sensed."""
-        announces = getattr(self.protocol, "announces", True)
-        return self.announce.payload != "action" if announces == "unseen" else bool(announces)
+        announces = self.protocol_traits.announces
+        return self.announce.payload != "action" if announces == "unseen" else announces
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -303,8 +312,8 @@ class Scenario(Value):
             yield ("network", "graph"), str(error)
         seen: dict[tuple[int, int], int] = {}
         for k, link in enumerate(self.network.link):
-            unknown = [end for end in ("src", "dst") if getattr(link, end) >= count]
-            yield from ((("network", "link", k, end), no_pursuer.format(getattr(link, end))) for end in unknown)
+            unknown = {end: node for end, node in (("src", link.src), ("dst", link.dst)) if node >= count}
+            yield from ((("network", "link", k, end), no_pursuer.format(node)) for end, node in unknown.items())
             twice = [way for way in link.ways() if seen.setdefault(way, k) != k]
             for src, dst in twice[:1]:
                 yield ("network", "link", k), f"the link from {src} to {dst} is also in network.link.{seen[src, dst]}"
@@ -316,10 +325,17 @@ class Scenario(Value):
                 ("capture", "captures_to_end"),
                 f"there {'is' if number == 1 else 'are'} only {number} to capture (got {needed})",
             )
-        if isinstance(host := getattr(self.protocol, "host", None), int) and host >= count:
-            yield ("protocol", "host"), no_pursuer.format(host)
+        protocol = self.protocol_traits
+        if protocol.host is not None and protocol.host >= count:
+            yield ("protocol", "host"), no_pursuer.format(protocol.host)
+        for part, traits, value in (
+            ("schedule", ScheduleTraits, protocol.schedule),
+            ("utility", UtilityTraits, protocol.utility),
+        ):
+            try:
+                traits.check(value)
+            except ValueError as error:
+                yield ("protocol", part), str(error)
         for k, fault in enumerate(self.fault):
-            if (node := getattr(fault, "node", None)) is not None and node >= count:
-                yield ("fault", k, "node"), no_pursuer.format(node)
-            for node in (node for group in getattr(fault, "groups", ()) for node in group if node >= count):
-                yield ("fault", k, "groups"), no_pursuer.format(node)
+            key = "groups" if isinstance(fault, Partition) else "node"
+            yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)

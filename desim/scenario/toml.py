@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import fields_of, markers_of
 from desim.config.trust import regular_or_missing
-from desim.scenario.overrides import ScenarioError, Source, holds, model_of
+from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
 
@@ -61,7 +61,7 @@ def validate(source: Source) -> Scenario:
     try:
         return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
     except ValidationError as error:
-        faults = [fault for each in error.errors() for fault in _explain(each, source)]
+        faults = [fault for each in error.errors() for fault in _explain(each, source, Scenario, ())]
         raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error
 
 
@@ -93,13 +93,24 @@ Problem = tuple[tuple[int, str], str]
 """The sort key, with the line, and the text of an error in a file."""
 
 
-def _explain(error: ErrorDetails, source: Source) -> Iterator[Problem]:
-    """Yield the problems that a pydantic error describes."""
+def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPath) -> Iterator[Problem]:
+    """Yield the problems that a pydantic error describes.
+
+    Args:
+        error: an error in the table of a model.
+        source: the source of the scenario.
+        model: the model, possibly a user's class.
+        above: the place of the table.
+    """
     if error["type"] == "misfits":
         for place, why in error["ctx"]["misfits"]:
             yield _problem(source, place, why)
         return
-    place, owner, info = _locate(error, source.tables)
+    place, owner, info = _locate(error, value_at(source.tables, above), model, above)
+    if error["type"] == "own_model":
+        for each in error["ctx"]["errors"]:
+            yield from _explain(each, source, error["ctx"]["model"], place)
+        return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] != "import_refused" else ""
     name = str(place[-1]) if place else ""
@@ -113,15 +124,17 @@ def _problem(source: Source, place: KeyPath, what: str) -> Problem:
     return (int(line[1]) if line else 0, where), f"{where}: {name}: {what}"
 
 
-def _locate(error: ErrorDetails, tables: dict[str, Any]) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
+def _locate(
+    error: ErrorDetails, node: Any, model: type[Any], above: KeyPath
+) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
     """Return the place of an error in the file, the model of its table, and the field of its key.
 
-    The path in a pydantic error also contains the kind of each table that has one.
+    The path in a pydantic error also contains the kind of each table that has one. For the other arguments see
+    `_explain`; `node` is the table.
     """
-    place: KeyPath = ()
-    node: Any = tables
+    place = above
     owner: type[BaseModel] | None = None
-    inner: type[BaseModel] | None = Scenario
+    inner: type[BaseModel] | None = model if issubclass(model, BaseModel) else None
     info: FieldInfo | None = None
     path = list(error["loc"])
     while path:
@@ -155,7 +168,7 @@ def _reason(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info:
     one_of = _one_of(info) if info else None
     kinds = list(one_of.choices()) if one_of else []
     if kind == "extra_forbidden":
-        allowed = sorted(owner.model_fields) if owner else []
+        allowed = context.get("allowed") or (sorted(owner.model_fields) if owner else [])
         return f"unknown key{_suggestion(name.split('.')[-1], allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"

@@ -1,12 +1,9 @@
 """A run: the wiring of clock, world, network and agents, as a function of a scenario and a seed."""
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, cast
-
-import simpy
+from typing import TYPE_CHECKING
 
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.events import Trace, Watcher
@@ -14,8 +11,8 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
-from desim.kernel.positions import Nodes
-from desim.pursuit.agent import Agent, Behaviour, Process
+from desim.kernel.positions import Nodes, Positions
+from desim.pursuit.agent import Agent
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.sensing import TeamSensor
@@ -23,12 +20,15 @@ from desim.pursuit.state import Floats, coordinates
 from desim.pursuit.views import GlobalState, View
 from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import Scenario
+from desim.simulation.restartable import RestartableProcess
 from desim.simulation.run_end import RunEnd
 from desim.simulation.watchdog import TimedOut, stuck
 from desim.simulation.world import World, initial_state
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import simpy
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     return Result(scenario, seed, trace)
 
 
-class _PursuerPositions:
+class _PursuerPositions(Positions):
     """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
     def __init__(self, state: WorldState):
@@ -145,7 +145,7 @@ def _sensor(
     scenario: Scenario, state: WorldState, network: Network, clocks: "Sequence[NodeClock]"
 ) -> TeamSensor | None:
     """Return the sensors of a team with limited sensing; None if its sensing is unlimited."""
-    if not scenario.sensing.limited or getattr(scenario.protocol, "omniscient", False):
+    if not scenario.sensing.limited or scenario.protocol_traits.omniscient:
         return None
     return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
 
@@ -163,7 +163,7 @@ class _Team:
     ):
         self._env, self._scenario, self._world = env, scenario, world
         self._agents, self._sensor = agents, sensor
-        self._embodied = getattr(scenario.protocol, "embodied", True)
+        self._embodied = scenario.protocol_traits.embodied
         self.processes: dict[int, tuple[RestartableProcess, RestartableProcess]] = {}
         self._open_crashes: dict[int, list[Crash]] = defaultdict(list)
         self._recoveries: dict[int, simpy.Event] = {}
@@ -211,58 +211,3 @@ class _Team:
         self._agents[node].recovered(restarted=not remembers)
         if self._sensor is not None and not crash.memory:
             self._sensor.views[node].forget(heard_only=remembers)
-
-
-class RestartableProcess(simpy.Process):
-    """A process of a pursuer that runs a behaviour and survives crashes of the robot.
-
-    It is running, suspended (the robot is down) or finished. After a recovery with memory it continues to wait for the
-    same event; after a recovery without memory it starts a new behaviour.
-    """
-
-    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
-        self.behaviour: Process | None = None
-        super().__init__(env, self._behave(agent, protocol, phase))
-
-    def _behave(self, agent: Agent, protocol: Behaviour, phase: Phase) -> Process:
-        """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
-        awaited: simpy.Event | None = agent.at(agent.now, phase)
-        missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
-        while awaited is not None:
-            try:
-                value = yield awaited
-            except simpy.Interrupt as crash:
-                remembers = yield cast("simpy.Event", crash.cause)
-                if remembers:
-                    missed = awaited if missed is None and awaited.processed else missed
-                elif self.behaviour is not None:
-                    self.behaviour.close()
-                    self.behaviour = missed = None
-                if self.behaviour is None or awaited.processed:
-                    awaited = agent.at(agent.now, phase)  # resume in its turn, after the arrivals of this instant
-                continue
-            if missed is not None:
-                value, missed = missed.value, None
-            try:
-                if self.behaviour is None:
-                    self.behaviour = _start_behaviour(protocol, agent)
-                    awaited = next(self.behaviour, None)
-                else:
-                    awaited = self.behaviour.send(value)
-            except StopIteration:
-                return
-            except (Exception, SystemExit) as error:
-                error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
-                raise
-
-
-def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
-    """Return the process of a pursuer that runs a protocol.
-
-    Raises:
-        TypeError: if the protocol returns no generator.
-    """
-    behaviour = protocol(agent)
-    if not isinstance(behaviour, Iterator):
-        raise TypeError(f"a protocol should be a generator that yields the events it waits for (got {protocol!r})")
-    return behaviour

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 if TYPE_CHECKING:
-    import simpy
-
     from desim.kernel.clock import Clock
+    from desim.simulation.restartable import RestartableProcess
 
 
 AGAIN = 0.1
@@ -102,13 +101,13 @@ MOST = 100
 """Maximum number of processes that are listed."""
 
 
-def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy.Process"]]) -> TimedOut:
+def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["RestartableProcess"]]) -> TimedOut:
     """Return the error of a simulation that timed out: its state, and what each process is waiting for.
 
     Args:
         env: the clock of the simulation.
         error: the exception as it was raised.
-        processes: the processes of each pursuer; a process may have a `behaviour`, the generator that it runs.
+        processes: the processes of each pursuer.
     """
     from desim.kernel.clock import seconds  # slow to import, and needed only here
 
@@ -120,19 +119,19 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["simpy
     return TimedOut("\n  ".join([head, *lines, *more]))
 
 
-def _line(process: "simpy.Process") -> str:
+def _line(process: "RestartableProcess") -> str:
     """Return the source line at which a process waits, in the innermost of its nested generators."""
     from desim.kernel.clock import generator_of
 
     at = generator_of(process)
-    inner = getattr(process, "behaviour", None) or at.gi_yieldfrom
+    inner = process.behaviour or at.gi_yieldfrom
     while isinstance(inner, GeneratorType) and inner.gi_frame is not None:
         at, inner = inner, inner.gi_yieldfrom
     file, line = at.gi_code.co_filename, at.gi_frame.f_lineno
     return f"{short(file)}:{line} ({at.gi_code.co_qualname}): {getline(file, line).strip()}"
 
 
-def _until(process: "simpy.Process", due: Mapping[int, int]) -> str:
+def _until(process: "RestartableProcess", due: Mapping[int, int]) -> str:
     """Return the text ", at ... s" with the time of the event that a process waits for; "" if none is scheduled."""
     from desim.kernel.clock import parts_of, seconds
 

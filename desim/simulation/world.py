@@ -203,5 +203,5 @@ def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
 
 def _needs_whole_paths(scenario: Scenario) -> bool:
     """Return whether dead reckoning needs the whole paths of the evaders."""
-    located = scenario.announce.payload == "state" or getattr(scenario.protocol, "reckons", False)
+    located = scenario.announce.payload == "state" or scenario.protocol_traits.reckons
     return located and scenario.announce.reckoning == "exact"

@@ -64,14 +64,14 @@ def without_turns(scenario: Scenario) -> Scenario:
     immediately and repeat it with every heartbeat. A scenario without turns is returned unchanged.
     """
     protocol = scenario.protocol
-    schedule = getattr(protocol, "schedule", None)
-    if not (isinstance(protocol, BaseModel) and hasattr(schedule, "without_turns")) or scenario.team.count == 1:
+    schedule = scenario.schedule_traits
+    if not isinstance(protocol, BaseModel) or schedule.without_turns is None or scenario.team.count == 1:
         return scenario
     try:
         free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
     except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
-    announcements = scenario.announce.model_copy(update={"trigger": "both"} if hasattr(schedule, "spreads_to") else {})
+    announcements = scenario.announce.model_copy(update={"trigger": "both"} if schedule.spreads_to else {})
     return scenario.model_copy(update={"protocol": free, "announce": announcements})
 
 
@@ -107,7 +107,7 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
 def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     """Return a scenario with other values of its network; the same object if nothing changes."""
     network = scenario.network
-    if all(getattr(network, key) == value for key, value in ideal.items()):
+    if dict(network) | ideal == dict(network):
         return scenario
     return scenario.model_copy(update={"network": network.model_copy(update={"preset": None, **ideal})})
 

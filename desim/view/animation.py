@@ -156,6 +156,11 @@ class _EvaderArtists:
         self.number = axes.annotate("" if lone else str(evader), (0, 0), color=VERMILION, weight="bold", **offset)
 
 
+def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
+    """Return artists in drawing order, the first of each tuple first."""
+    return [each for layer in zip(*artists, strict=True) for each in layer]
+
+
 class _Scene:
     """The axes of the animation and their moving artists."""
 
@@ -191,13 +196,11 @@ class _Scene:
 
     def _in_order(self) -> list[Artist]:
         """Return the moving artists in drawing order."""
-
-        def of_each(*names: str) -> list[Artist]:
-            return [getattr(each, name) for name in names for each in self._evaders]
-
-        found = [*of_each("trails", "relay", "path"), self._inactive, *of_each("beside", "alone")]
-        found += [self._dots, self._crosses, *of_each("evader", "star", "number"), self._caption]
-        return found
+        below = [(each.trails, each.relay, each.path) for each in self._evaders]
+        chasers = [(each.beside, each.alone) for each in self._evaders]
+        above = [(each.evader, each.star, each.number) for each in self._evaders]
+        found = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
+        return [*found, self._dots, self._crosses, *_by_layer(above), self._caption]
 
     def _set(self, axes: Axes) -> None:
         everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])

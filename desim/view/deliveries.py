@@ -70,12 +70,6 @@ def _begun(event: Broadcast | Sent | Queued, never: int) -> Iterator[Delivery]:
         )
 
 
-def announced_action(body: Any) -> int | None:
-    """Return the action that a message announces: the evader that its sender chases, or 0; None without an action."""
-    announced = getattr(body, "active", None)
-    return announced if isinstance(announced, int) else None
-
-
 class Interval(NamedTuple):
     """An interval of time, ns."""
 

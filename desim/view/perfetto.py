@@ -18,7 +18,7 @@ from typing import Any
 
 from desim.analysis.activity import action, changes, chases, decisions, moves
 from desim.analysis.trace_index import ended, messages_recorded, started
-from desim.config.json_numbers import to_json
+from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import without_symlink
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash
@@ -162,9 +162,9 @@ def _as_json(value: Any) -> Any:
         return to_json(value)
     if value is None or isinstance(value, str | int):
         return value
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    elif hasattr(value, "plain"):
+    if (names := field_names(value.__class__)) is not None:
+        value = dict(zip(names, value, strict=True))
+    elif has_plain(value.__class__):
         value = value.plain()
     if isinstance(value, dict):
         return {str(key): _as_json(each) for key, each in value.items()}

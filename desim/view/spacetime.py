@@ -18,9 +18,10 @@ from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.faults import Crash
+from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Captured
 from desim.simulation.run import Result
-from desim.view.deliveries import Delivery, Interval, announced_action, chasing, deliveries, outages
+from desim.view.deliveries import Delivery, Interval, chasing, deliveries, outages
 from desim.view.paths import HALO, EvaderStyle
 
 if TYPE_CHECKING:

@@ -3,12 +3,14 @@
 import json
 import re
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, EntryPoints
 from math import inf, nan
 from typing import Annotated, Any, Literal
 
 import pytest
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
+import protocols
 from desim import Scenario
 from desim.config import choice
 from desim.config.choice import OneOf, kind_of
@@ -211,6 +213,21 @@ def test_the_protocols_of_other_distributions_are_choices_too(monkeypatch):
     adapter = TypeAdapter(Annotated[Any, shapes])
     assert adapter.validate_python({"kind": "square"}) == Square()
     assert set(groups) == {"shapes"}
+
+
+def test_what_the_table_of_the_repository_names_needs_no_installation(monkeypatch):
+    """It comes before an entry point of the same kind, such as one of an older installation."""
+    stale = EntryPoint("round", "protocols.gone:Circle", "desim.shapes")
+    mine = {"desim.shapes": {"round": f"{__name__}:Circle", "square": f"{__name__}:Square"}}
+    monkeypatch.setattr(protocols, "KINDS", mine)
+    monkeypatch.setattr(choice, "entry_points", lambda group=None: EntryPoints([stale] if group else []))
+    assert OneOf(group="desim.shapes").choices() == {"round": Circle, "square": Square}
+    choice._named_by_entry_points.cache_clear()
+    try:
+        assert not choice.names_code(f"{__name__}:Circle")
+        assert choice.names_code(f"{__name__}:Drawing")
+    finally:
+        choice._named_by_entry_points.cache_clear()
 
 
 def test_only_the_models_named_in_a_table_are_loaded(monkeypatch):

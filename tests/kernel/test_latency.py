@@ -12,7 +12,6 @@ from desim.kernel.latency import (
     Constant,
     Empirical,
     Gamma,
-    Independent,
     Lognormal,
     PerPair,
     Propagation,
@@ -21,6 +20,7 @@ from desim.kernel.latency import (
 )
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
+from desim.kernel.traits import LinkTraits
 
 SEEDS = range(5)
 MANY = LinkContext(0, np.arange(1, 100_001))
@@ -130,7 +130,7 @@ def test_quantiles_are_the_inverse_of_the_distribution_of_the_draws(name):
 def test_a_call_is_a_draw_for_every_hop_and_a_draw_ahead_is_the_same(name):
     """Draws of 3, 1 and 4096 at a time are the draws of 4100 at once: the network may draw ahead."""
     model = DRAWN[name][0]
-    assert isinstance(model, Independent)
+    assert LinkTraits.of(model).draw is not None
     rng, ahead = np.random.default_rng(7), np.random.default_rng(7)
     piecemeal = [
         *model(LinkContext(0, np.arange(3)), rng),
@@ -312,7 +312,7 @@ def test_a_file_is_beside_the_one_that_names_it_or_where_its_path_says(tmp_path)
 def test_a_constant_latency_has_no_spread_and_is_its_own_quantile():
     assert Constant(value=0.27)(MANY, np.random.default_rng(0)) == 0.27
     assert Constant(value=0.27).quantile(np.array([0.1, 0.9])).tolist() == [0.27, 0.27]
-    assert not isinstance(Constant(), Independent)
+    assert LinkTraits.of(Constant()).draw is None
 
 
 @pytest.mark.parametrize(

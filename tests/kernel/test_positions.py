@@ -8,13 +8,13 @@ import pytest
 
 from desim.kernel.fault_state import FaultState
 from desim.kernel.link_context import LinkContext
-from desim.kernel.positions import as_position_source, distances
+from desim.kernel.positions import Positions, as_position_source, distances
 from desim.kernel.topology import Topology
 
 AT = np.array([[0.0, 0.0], [3.0, 4.0], [-6.0, 8.0], [0.0, 1.0]])
 
 
-class OfSome:
+class OfSome(Positions):
     """Positions that are never asked for all together, and note for how many."""
 
     fastest = 0.0

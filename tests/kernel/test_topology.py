@@ -15,6 +15,7 @@ from desim.kernel.clock import SECOND, Clock
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
+from desim.kernel.positions import Positions
 from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 
@@ -117,7 +118,7 @@ def many(few=0):
         yield
 
 
-class Flying:
+class Flying(Positions):
     """Every node moves straight at 3 m/s, the maximum; counts the positions queried."""
 
     fastest = 3.0

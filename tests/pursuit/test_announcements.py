@@ -6,6 +6,7 @@ scripted to and nothing else. The radius of capture is 0.1 m, so they need 1.9, 
 
 from functools import partial
 from math import inf
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +19,42 @@ from desim.kernel.faults import Crash
 from desim.kernel.latency import Constant, Uniform
 from desim.kernel.links import Links
 from desim.kernel.medium import Bitrate
-from desim.pursuit.announcements import Announcements, LocatedAssignment
+from desim.kernel.records import Record
+from desim.pursuit.announcements import (
+    Announcements,
+    Forwarded,
+    LocatedAssignment,
+    announced_action,
+    announces_chase,
+    relayed_records,
+)
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 
 PAYLOADS = ["action", "time", "state"]
+
+
+@pytest.mark.parametrize(
+    ("body", "action"),
+    [
+        (LocatedAssignment(2, 0.0, 0.0, 1.0), 2),
+        (SimpleNamespace(active=np.int64(3)), 3),
+        (SimpleNamespace(active=True), 1),
+        (SimpleNamespace(active=0), 0),
+        (SimpleNamespace(active="yes"), None),
+        (("token", 1), None),
+        (None, None),
+    ],
+)
+def test_a_body_has_the_action_of_its_attribute_active_if_that_is_a_number_of_an_evader(body, action):
+    assert announced_action(body) == action
+    assert announces_chase(body) == bool(action)
+
+
+def test_a_body_relays_the_records_of_its_attribute_records_if_that_is_a_tuple():
+    record = Record(1, 2, 0, None)
+    assert relayed_records(Forwarded((record,))) == (record,)
+    assert relayed_records(SimpleNamespace(records="gold")) is None
+    assert relayed_records(7) is None
 
 
 def play(protocol, announce, latency=0.0, **changes):

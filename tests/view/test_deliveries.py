@@ -7,12 +7,12 @@ import pytest
 from desim import summary
 from desim.kernel.clock import SECOND
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming
+from desim.pursuit.announcements import announced_action
 from desim.pursuit.events import Decided
 from desim.view.deliveries import (
     Chase,
     Delivery,
     Interval,
-    announced_action,
     chasing,
     deliveries,
     handover_events,

@@ -1,0 +1,127 @@
+"""Optional attributes of models: a class of traits lists them in one place, with types, defaults and descriptions.
+
+A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. It
+has the traits that it has attributes for, own or inherited, and the defaults of all others. No base class is needed.
+An attribute whose name is one letter off that of a trait is an error, because its value would have no effect.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from itertools import takewhile
+from types import FunctionType
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, BeforeValidator, ValidationError
+
+from desim.config.model import Value
+
+SHORTEST = 5
+"""Least length of a name that is checked for typing errors; one letter makes other words of a shorter name."""
+
+
+class Parameter(BeforeValidator):
+    """Marks a trait that is a parameter of some models; it has no effect if its value is of another type.
+
+    Its name is not checked for typing errors: a model rejects unknown parameters itself.
+
+    Args:
+        types: the types of the parameter.
+    """
+
+    def __init__(self, *types: type):
+        super().__init__(lambda value: value if isinstance(value, types) else None)
+
+
+class Traits(Value):
+    """The base of the classes of traits. Each field is a trait; its default holds for values without this attribute."""
+
+    kind: Annotated[str | None, Parameter(str)] = None
+    """Name in messages."""
+
+    @classmethod
+    def of(cls, value: Any) -> Self:
+        """Return the traits of a model or a function.
+
+        Raises:
+            ValueError: if an attribute has a value that its trait cannot have.
+        """
+        given = attributes(value, cls.model_fields)
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            name, says = str(error.errors()[0]["loc"][0]), error.errors()[0]["msg"].removeprefix("Input ")
+            raise ValueError(f"{name} of {name_of(value)}: {says} (got {given[name]!r})") from error
+
+    @classmethod
+    def check(cls, value: Any) -> None:
+        """Raise ValueError if a value has an attribute one letter off a trait, or a trait of an invalid value."""
+        cls.of(value)
+        names = tuple(cls.names())
+        is_function = isinstance(value, FunctionType)
+        for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
+            if any(cls._takes(trait, each) for each in attributes(value, [name]).values()):
+                raise ValueError(
+                    f"{name_of(value)} has an attribute {name!r}, did you mean {trait!r}? Attributes with an effect:"
+                    f" {', '.join(names)}"
+                )
+
+    @classmethod
+    def names(cls) -> Iterator[str]:
+        """Yield the names of the traits that are not parameters."""
+        for name, field in cls.model_fields.items():
+            if not any(isinstance(each, Parameter) for each in field.metadata):
+                yield name
+
+    @classmethod
+    def _takes(cls, trait: str, value: Any) -> bool:
+        """Return whether a trait could have this value."""
+        try:
+            cls.model_validate({trait: value})
+        except ValidationError:
+            return False
+        return True
+
+
+def attributes(value: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Return those of some attributes that an object has, by name."""
+    if isinstance(value, BaseModel):  # whose search for an attribute that it lacks is slow
+        known = _names_in(value.__class__)
+        names = [name for name in names if name in known or name in value.__dict__]
+    return {name: getattr(value, name) for name in names if hasattr(value, name)}
+
+
+@lru_cache(maxsize=256)
+def _names_in(model: type) -> frozenset[str]:
+    """Return the names of the attributes of a class."""
+    return frozenset(dir(model))
+
+
+def name_of(value: Any) -> str:
+    """Return the name of a function, or of the class of an object."""
+    return str(value.__name__ if isinstance(value, FunctionType) else type(value).__name__)
+
+
+def _misspelt(traits: tuple[str, ...], scope: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield (attribute, trait) for each attribute of a class or function that is one letter off a trait.
+
+    If there is an attribute of the right name, too, the similar one means something else; so does a private one.
+    """
+    names = {**scope.get("__annotations__", {}), **scope}
+    for trait in traits:
+        if len(trait) >= SHORTEST and trait not in names:
+            yield from ((name, trait) for name in names if name[0] != "_" and is_one_letter_off(name, trait))
+
+
+@lru_cache(maxsize=256)
+def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str], ...]:
+    """Return `_misspelt` for a class and its base classes."""
+    return tuple(each for base in model.__mro__ for each in _misspelt(traits, vars(base)))
+
+
+def is_one_letter_off(word: str, other: str) -> bool:
+    """Return whether a letter too many, missing or wrong, or two swapped letters, make one word of another."""
+    begin = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(word, other, strict=False)))
+    shorter, longer = sorted((word[begin:], other[begin:]), key=len)
+    if len(shorter) < len(longer):
+        return shorter == longer[1:]
+    return bool(longer) and (shorter[1:] == longer[1:] or (shorter[1::-1] == longer[:2] and shorter[2:] == longer[2:]))

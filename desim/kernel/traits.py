@@ -1,0 +1,29 @@
+"""The optional methods of link models; a model of a user may have any of them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from desim.config.traits import Traits
+
+Floats = NDArray[np.float64]
+
+
+class LinkTraits(Traits):
+    """What a latency or loss model may have in addition to its call."""
+
+    start_run: Callable[[int], Any] | None = None
+    """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
+    draw: Callable[[int, np.random.Generator], NDArray[Any]] | None = None
+    """`draw(count, rng)` returns (count,) draws, if these do not depend on the link; the network then draws ahead."""
+    quantile: Callable[[Floats], Floats] | None = None
+    """`quantile(u)` returns the u-quantiles of a latency, s, for a latency of each pair of nodes (`per_pair`)."""
+
+
+class ReceptionTraits(Traits):
+    """What a reception model may have in addition to its call."""
+
+    bound: Callable[[float], float] | None = None
+    """`bound(range)` returns the distance beyond which no message is received, m; without it there is none."""

@@ -1,0 +1,82 @@
+"""The optional attributes of protocols, schedules, utilities, disseminations and evaders' strategies.
+
+Each may be a frozen model, an object of a user's class or a function, and has the defaults of the traits that it lacks.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from math import inf
+from typing import Annotated, Any, Literal
+
+from desim.config.model import Flag
+from desim.config.traits import Parameter, Traits
+
+
+class Assuming(Traits):
+    """The traits of all parts of a protocol."""
+
+    assumes: tuple[str, ...] = ()
+    """Names of its assumptions about the scenario (`desim.scenario.assumptions`); a violated one gives a warning."""
+
+
+class ProtocolTraits(Assuming):
+    """What a protocol may have in addition to its call."""
+
+    announces: Literal[True, False, "unseen"] = True
+    """Whether pursuers announce their actions; "unseen": only where positions are not sensed."""
+    omniscient: Flag = False
+    """Whether pursuers see the evaders at any distance, whatever `sensing.radius` is."""
+    embodied: Flag = True
+    """Whether the process of a pursuer runs on its robot, and stops while that is broken down."""
+    reckons: Flag = False
+    """Whether it extrapolates announced positions, whatever `announce.payload` is."""
+    claim_size: Callable[[int, int], int] | None = None
+    """`claim_size(pursuers, evaders)` returns the size of an announcement, bytes; None: that of `announce.payload`."""
+    host: Annotated[int | None, Parameter(int)] = None
+    """The pursuer that carries its server; it should exist."""
+    slot: Annotated[float | None, Parameter(int, float)] = None
+    """Time between two decisions, s."""
+    period: Annotated[float | None, Parameter(int, float)] = None
+    """Time between two decisions, s, if there is no `slot`."""
+    schedule: Annotated[Callable[..., Any] | None, Parameter(Callable)] = None
+    """When pursuers revise; see `ScheduleTraits`."""
+    utility: Annotated[Callable[..., Any] | None, Parameter(Callable)] = None
+    """The utility of an action; see `UtilityTraits`."""
+
+
+class ScheduleTraits(Assuming):
+    """What a schedule may have in addition to its call and `mean_slot`."""
+
+    at_once: Flag = False
+    """Whether several pursuers may revise at the same instant."""
+    spreads_to: Literal["all", "neighbours"] | None = None
+    """The pursuers to which its own messages repeatedly carry actions, so that announcements are not needed there."""
+    without_turns: Callable[[], dict[str, Any]] | None = None
+    """`without_turns()` returns the table of a schedule without waiting for each other, for `desim explain`."""
+    warnings: Callable[[float], Iterator[tuple[str, str]]] | None = None
+    """`warnings(step)` yields (key, reason) for each parameter that is unwise with this motion step, s."""
+
+
+class UtilityTraits(Assuming):
+    """What a utility may have in addition to its call and `scope`."""
+
+    expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
+    """`expected(own, others, chances, reward)` returns the mean gain if the others are active at random, s."""
+
+
+class DisseminationTraits(Assuming):
+    """What a dissemination may have in addition to its call and `broadcast`."""
+
+    hops: float = inf
+    """Largest number of hops that an announcement travels."""
+
+    @property
+    def relays(self) -> bool:
+        """Whether announcements travel over several hops: true of every kind but `one_hop`."""
+        return self.kind not in {None, "one_hop"}
+
+
+class StrategyTraits(Traits):
+    """What an evader's strategy may have in addition to its call."""
+
+    listens: Flag = False
+    """Whether it overhears the pursuers' radio, so that `state.handover` is set."""

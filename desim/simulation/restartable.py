@@ -1,0 +1,64 @@
+"""Processes of pursuers that survive crashes of their robots."""
+
+from collections.abc import Iterator
+from typing import cast
+
+import simpy
+
+from desim.kernel.clock import Clock, Phase
+from desim.pursuit.agent import Agent, Behaviour, Process
+
+
+class RestartableProcess(simpy.Process):
+    """A process of a pursuer that runs a behaviour and survives crashes of the robot.
+
+    It is running, suspended (the robot is down) or finished. After a recovery with memory it continues to wait for the
+    same event; after a recovery without memory it starts a new behaviour.
+    """
+
+    def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
+        self.behaviour: Process | None = None
+        super().__init__(env, self._behave(agent, protocol, phase))
+
+    def _behave(self, agent: Agent, protocol: Behaviour, phase: Phase) -> Process:
+        """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
+        awaited: simpy.Event | None = agent.at(agent.now, phase)
+        missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
+        while awaited is not None:
+            try:
+                value = yield awaited
+            except simpy.Interrupt as crash:
+                remembers = yield cast("simpy.Event", crash.cause)
+                if remembers:
+                    missed = awaited if missed is None and awaited.processed else missed
+                elif self.behaviour is not None:
+                    self.behaviour.close()
+                    self.behaviour = missed = None
+                if self.behaviour is None or awaited.processed:
+                    awaited = agent.at(agent.now, phase)  # resume in its turn, after the arrivals of this instant
+                continue
+            if missed is not None:
+                value, missed = missed.value, None
+            try:
+                if self.behaviour is None:
+                    self.behaviour = _start_behaviour(protocol, agent)
+                    awaited = next(self.behaviour, None)
+                else:
+                    awaited = self.behaviour.send(value)
+            except StopIteration:
+                return
+            except (Exception, SystemExit) as error:
+                error.add_note(f"(pursuer {agent.id}, at {agent.now:g} s of its clock)")
+                raise
+
+
+def _start_behaviour(protocol: Behaviour, agent: Agent) -> Process:
+    """Return the process of a pursuer that runs a protocol.
+
+    Raises:
+        TypeError: if the protocol returns no generator.
+    """
+    behaviour = protocol(agent)
+    if not isinstance(behaviour, Iterator):
+        raise TypeError(f"a protocol should be a generator that yields the events it waits for (got {protocol!r})")
+    return behaviour
