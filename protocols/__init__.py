@@ -4,7 +4,44 @@ Nothing here knows of a scenario or a run.
 """
 
 from collections.abc import Mapping
+from importlib import import_module
 from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from protocols.best_response import BestResponse as BestResponse
+    from protocols.best_response import BetterReply as BetterReply
+    from protocols.binary_log_linear import BinaryLogLinear as BinaryLogLinear
+    from protocols.binary_log_linear import SelectiveSAP as SelectiveSAP
+    from protocols.cbaa import CBAA as CBAA
+    from protocols.cbba import CBBA as CBBA
+    from protocols.centralised import Centralised as Centralised
+    from protocols.dissemination import Flooding as Flooding
+    from protocols.dissemination import Gossip as Gossip
+    from protocols.dissemination import OneHop as OneHop
+    from protocols.fictitious_play import FictitiousPlay as FictitiousPlay
+    from protocols.fictitious_play import JointStrategyFictitiousPlay as JointStrategyFictitiousPlay
+    from protocols.geometric import Argmin as Argmin
+    from protocols.geometric import Voronoi as Voronoi
+    from protocols.local_min import ArgminKnown as ArgminKnown
+    from protocols.local_min import LocalMin as LocalMin
+    from protocols.mutex import LocalMutex as LocalMutex
+    from protocols.regret_matching import GeneralisedRegretMatching as GeneralisedRegretMatching
+    from protocols.regret_matching import RegretMatching as RegretMatching
+    from protocols.sap import SpatialAdaptivePlay as SpatialAdaptivePlay
+    from protocols.schedules import Periodic as Periodic
+    from protocols.schedules import Poisson as Poisson
+    from protocols.schedules import Rounds as Rounds
+    from protocols.schedules import SharedSeed as SharedSeed
+    from protocols.server import Server as Server
+    from protocols.synchronous import Synchronous as Synchronous
+    from protocols.temperature import AdaptiveTau as AdaptiveTau
+    from protocols.temperature import ConstantTau as ConstantTau
+    from protocols.temperature import GeometricTau as GeometricTau
+    from protocols.temperature import LogarithmicTau as LogarithmicTau
+    from protocols.temperature import PaperTau as PaperTau
+    from protocols.token import TokenRing as TokenRing
+    from protocols.token import TokenWalk as TokenWalk
 
 KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
@@ -38,3 +75,36 @@ KINDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 
 A module is imported when a scenario selects its kind.
 """
+
+PARTS = (
+    "protocols.mutex:LocalMutex",
+    "protocols.schedules:Periodic",
+    "protocols.schedules:Poisson",
+    "protocols.schedules:Rounds",
+    "protocols.schedules:SharedSeed",
+    "protocols.synchronous:Synchronous",
+    "protocols.temperature:AdaptiveTau",
+    "protocols.temperature:ConstantTau",
+    "protocols.temperature:GeometricTau",
+    "protocols.temperature:LogarithmicTau",
+    "protocols.temperature:PaperTau",
+    "protocols.token:TokenRing",
+    "protocols.token:TokenWalk",
+)
+"""The homes of the schedules and temperatures, which a script can import from here like the protocols."""
+_HOMES = {
+    home.partition(":")[2]: home for home in (*PARTS, *(home for group in KINDS.values() for home in group.values()))
+}
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str) -> object:
+    """Import a class on first access."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'protocols' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name].partition(":")[0]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names of the classes."""
+    return __all__

@@ -1,4 +1,4 @@
-"""What a script imports from `desim` itself."""
+"""What a script imports from `desim` and `protocols` themselves."""
 
 import ast
 import inspect
@@ -9,27 +9,41 @@ from importlib import import_module
 import pytest
 
 import desim
+import protocols
+from protocols.rule import SCHEDULES
+from protocols.temperature import TEMPERATURES
+
+FACADES = pytest.mark.parametrize("facade", [desim, protocols])
 
 
-def test_dir_shows_the_public_names():
-    assert dir(desim) == sorted(desim.__all__)
-    with pytest.raises(AttributeError, match="module 'desim' has no attribute 'Taem'"):
-        _ = desim.Taem
+@FACADES
+def test_dir_shows_the_public_names(facade):
+    assert dir(facade) == sorted(facade.__all__)
+    with pytest.raises(AttributeError, match=f"module '{facade.__name__}' has no attribute 'Taem'"):
+        _ = facade.Taem
 
 
-@pytest.mark.parametrize("name", desim.__all__)
-def test_a_public_name_is_that_of_its_module(name):
-    home = import_module(desim._HOMES[name])
-    assert getattr(desim, name) is getattr(home, name)
-    assert getattr(desim, name).__doc__
+@pytest.mark.parametrize(
+    ("facade", "name"), [(facade, name) for facade in (desim, protocols) for name in facade.__all__]
+)
+def test_a_public_name_is_that_of_its_module(facade, name):
+    home = import_module(facade._HOMES[name].partition(":")[0])
+    assert getattr(facade, name) is getattr(home, name)
+    assert getattr(facade, name).__doc__
 
 
-def test_type_checkers_see_the_same_names():
-    (block,) = [node for node in ast.parse(inspect.getsource(desim)).body if isinstance(node, ast.If)]
+@FACADES
+def test_type_checkers_see_the_same_names(facade):
+    (block,) = [node for node in ast.parse(inspect.getsource(facade)).body if isinstance(node, ast.If)]
     seen = {alias.asname: statement.module for statement in block.body for alias in statement.names}
-    assert seen == desim._HOMES
+    assert seen == {name: home.partition(":")[0] for name, home in facade._HOMES.items()}
+
+
+def test_every_schedule_and_temperature_is_public():
+    parts = {each.__name__ for models in (SCHEDULES, TEMPERATURES) for each in models.choices().values()}
+    assert parts <= set(protocols.__all__)
 
 
 def test_the_names_are_known_without_importing_their_modules():
-    program = "import sys, desim; dir(desim); sys.exit('numpy' in sys.modules)"
+    program = "import sys, desim, protocols; dir(desim), dir(protocols); sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
