@@ -25,11 +25,12 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from desim.config.arrays import Floats
 from desim.config.model import Period, Time, Value
 from desim.pursuit.agent import Agent, Process
 from desim.pursuit.beliefs import TeamEstimate
 from desim.pursuit.capture import intercept_time
-from desim.pursuit.state import Floats, coordinates, lengths
+from desim.pursuit.state import coordinates, lengths
 from protocols.schedules import ticks
 
 Measure = Callable[[TeamEstimate], Floats]

@@ -61,7 +61,7 @@ class Order(NamedTuple):
 class Server(Value):
     """A server on one pursuer receives the states of all and sends each evader the best pursuer."""
 
-    assumes: ClassVar[tuple[str, ...]] = ("host_in_reach", "no_crashes")
+    assumes: ClassVar[tuple[str, ...]] = ("host_in_range", "no_crashes")
     announces: ClassVar[bool] = False
     """Reports take the place of heartbeats."""
     reckons: ClassVar[bool] = True

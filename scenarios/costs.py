@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from desim import Result, Scenario, run
 from desim.analysis.trace_index import messages
+from desim.config.arrays import Floats
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
@@ -53,7 +54,6 @@ STREAMED = (100_000, 1_000_000)
 STARTS = 9
 """Number of times that each command is started."""
 MEGABYTE = 1e6
-Floats = NDArray[np.float64]
 
 
 # Large teams.

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from desim.analysis.metrics import active_time
 from desim.analysis.statistics import estimate
 from desim.cli.program import Program
-from desim.pursuit.state import Points
+from desim.config.arrays import Points
 from desim.scenario.scenario import Capture, Evader, Recording, Scenario, Team
 from desim.study.batch import run_many, seeds_from
 from scenarios.study import SCENARIOS

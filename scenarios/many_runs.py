@@ -9,11 +9,11 @@ import numpy as np
 
 from desim import Result, Scenario
 from desim.analysis.statistics import estimate, wilson
+from desim.config.arrays import Floats
 from desim.kernel.clock import seconds
 from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import Captured, Decided, Ended, Started
-from desim.pursuit.state import Floats
 from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
 from protocols.schedules import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature

@@ -602,7 +602,7 @@ def test_keys_that_do_not_exist_are_refused(key, why):
 @pytest.mark.parametrize(
     ("kind", "traits"),
     [
-        ("server", ["assumes = ('host_in_reach', 'no_crashes')", "announces = False", "reckons = True"]),
+        ("server", ["assumes = ('host_in_range', 'no_crashes')", "announces = False", "reckons = True"]),
         ("voronoi", ["announces = 'unseen'", "assumes = ('no_crashes', 'positions_known', 'equal_speeds')"]),
         ("centralised", ["omniscient = True", "embodied = False", "assumes = ()"]),
         ("cbba", ["claim_size = CBBA.claim_size", "announces = True"]),

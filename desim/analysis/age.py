@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from desim.analysis.activity import action, changes
 from desim.analysis.knowledge import Pieces, knowledge
-from desim.analysis.trace_index import Floats, Integers, ended, remembered, started
+from desim.analysis.trace_index import ended, remembered, started
+from desim.config.arrays import Floats, Integers
 from desim.kernel.clock import SECOND
 from desim.pursuit.events import Decided
 from desim.simulation.run import Result

@@ -27,7 +27,8 @@ import numpy as np
 
 from desim.analysis.activity import decisions
 from desim.analysis.timeline import Timeline, timeline
-from desim.analysis.trace_index import Bools, Floats, Integers, ended, remembered, started
+from desim.analysis.trace_index import ended, remembered, started
+from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links

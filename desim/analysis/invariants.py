@@ -20,12 +20,14 @@ from desim.kernel.invariants import Conservation
 from desim.pursuit.assignment import welfare
 from desim.pursuit.capture import capture_time
 from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled, Started
-from desim.pursuit.state import Points, complex_points, lengths
+from desim.pursuit.state import complex_points, lengths
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from desim.config.arrays import Points
 
 ROUNDING = 1e-9
 """Tolerance for rounding of lengths (m) and times (s), absolute and relative."""

@@ -10,7 +10,8 @@ from itertools import chain, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.analysis.trace_index import Integers, ended, remembered, require_messages, started
+from desim.analysis.trace_index import ended, remembered, require_messages, started
+from desim.config.arrays import Integers
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Sent
 from desim.kernel.faults import Crash, FaultEnded, clock_errors

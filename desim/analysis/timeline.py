@@ -12,17 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from desim.analysis.activity import changes, evader_pursuits
-from desim.analysis.trace_index import (
-    NO_POSITIONS,
-    Bools,
-    Floats,
-    Integers,
-    captures,
-    ended,
-    positions_known,
-    samples,
-    started,
-)
+from desim.analysis.trace_index import NO_POSITIONS, captures, ended, positions_known, samples, started
+from desim.config.arrays import Bools, Floats, Integers
 from desim.kernel.clock import SECOND, nanoseconds
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted
 from desim.pursuit.capture import RadialTime

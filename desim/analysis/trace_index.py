@@ -5,16 +5,10 @@ from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from desim.kernel.events import MESSAGES, MessageCounts
 from desim.pursuit.events import Captured, Ended, Sampled, Started
 from desim.simulation.run import Result
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Derived = TypeVar("Derived")
 NO_POSITIONS = "positions were not recorded: set record.trajectory to a time greater than 0 s"
 """The error message for a run without recorded positions."""

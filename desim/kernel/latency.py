@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, model_validator
 
+from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import Flag, Speed, Time, Value
 from desim.config.trust import resolve_path
@@ -20,8 +20,6 @@ from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp
 from desim.kernel.seeds import ROOM
 from desim.kernel.traits import LinkTraits
-
-Floats = NDArray[np.float64]
 
 
 class Latency(Protocol):

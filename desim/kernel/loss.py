@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from desim.config.arrays import Bools
 from desim.config.choice import OneOf
 from desim.config.model import Length, Positive, Probability, Value
 from desim.kernel.link_context import LinkContext
 from desim.kernel.portable_math import exp, power
 from desim.kernel.traits import LinkTraits
-
-Bools = NDArray[np.bool_]
 
 
 class Loss(Protocol):

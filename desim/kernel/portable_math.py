@@ -7,9 +7,8 @@ digits. These functions always call the C library, once for each element, at a c
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from desim.config.arrays import Floats
 
 
 def exp(exponents: Floats) -> Floats:

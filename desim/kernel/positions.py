@@ -6,7 +6,8 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from desim.config.arrays import Floats
+
 Nodes = NDArray[np.intp]
 PositionSource = Callable[[], Floats]
 """A function that returns the current positions of all nodes, (n, 2) m; a `Positions` is faster for large networks."""

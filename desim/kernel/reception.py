@@ -7,14 +7,12 @@ from math import inf, log
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import Positive, Probability, Value
 from desim.kernel.traits import ReceptionTraits
-
-Floats = NDArray[np.float64]
 
 
 class ReceptionModel(Protocol):

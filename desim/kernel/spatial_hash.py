@@ -9,8 +9,9 @@ from math import inf
 
 import numpy as np
 
+from desim.config.arrays import Floats
 from desim.config.model import MAX_COORDINATE
-from desim.kernel.positions import Floats, Nodes, Positions
+from desim.kernel.positions import Nodes, Positions
 
 VERLET_SKIN = 0.25
 """Distance by which two nodes may approach each other before all nodes are hashed again, divided by the radius."""

@@ -7,15 +7,14 @@ from math import inf
 
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 
+from desim.config.arrays import Bools, Floats
 from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
-from desim.kernel.positions import Floats, Nodes, PositionSource, as_position_source, distances
+from desim.kernel.positions import Nodes, PositionSource, as_position_source, distances
 from desim.kernel.reception import Disk, ReceptionModel, bound
 from desim.kernel.seeds import ROOM, pair_uniform
 from desim.kernel.spatial_hash import CellList
 
-Bools = NDArray[np.bool_]
 SMALL_NETWORK = 400
 """Number of nodes up to which computing all distances is faster than a cell list."""
 

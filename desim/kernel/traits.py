@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Floats
 from desim.config.traits import Traits
-
-Floats = NDArray[np.float64]
 
 
 class LinkTraits(Traits):

@@ -194,6 +194,6 @@ class Announcements(Value):
         return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
 
     @property
-    def beats(self) -> bool:
+    def has_heartbeats(self) -> bool:
         """Whether the trigger includes heartbeats."""
         return self.trigger in {"heartbeat", "both"}

@@ -24,10 +24,10 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
+from desim.config.arrays import Floats
 from desim.pursuit import game
-from desim.pursuit.state import Floats
 
-Actions = tuple[int, ...]
+Profile = tuple[int, ...]
 """The action of each pursuer: 0 stays, j chases evader j."""
 
 
@@ -63,13 +63,13 @@ def is_equilibrium(phi: ArrayLike, actions: Sequence[int], reward: float) -> boo
     return True
 
 
-def equilibria(phi: ArrayLike, reward: float) -> list[Actions]:
+def equilibria(phi: ArrayLike, reward: float) -> list[Profile]:
     """Return all pure Nash equilibria by enumeration of the (M + 1)^N profiles, for small N and M; see `welfare`."""
     times = _times(phi)
     return [actions for actions in profiles(*times.shape) if is_equilibrium(times, actions, reward)]
 
 
-def profiles(pursuers: int, evaders: int) -> list[Actions]:
+def profiles(pursuers: int, evaders: int) -> list[Profile]:
     """Return all (M + 1)^N profiles in lexicographic order, the action of pursuer 0 first."""
     return list(product(range(evaders + 1), repeat=pursuers))
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
-from desim.pursuit.state import Floats, Points
 from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
@@ -131,7 +131,7 @@ class Beliefs:
     @cached_property
     def _timeout(self) -> float:
         """The time for which an announcement is believed, ns of true time."""
-        return self._timeout_for(self._announcements.heartbeat if self._announcements.beats else inf)
+        return self._timeout_for(self._announcements.heartbeat if self._announcements.has_heartbeats else inf)
 
     def _timeout_for(self, period: float) -> float:
         """Return the time for which an announcement repeated every period (s) is believed, ns of true time."""

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
-from desim.pursuit.state import Floats
+from desim.config.arrays import Floats
 
 
 def capture_time(

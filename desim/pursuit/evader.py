@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_COORDINATE
 from desim.kernel.clock import SECOND, nanoseconds, seconds
 from desim.pursuit.capture import RadialTime
@@ -16,7 +17,7 @@ from desim.pursuit.evasion import PureEvasion, Strategy, away
 from desim.pursuit.geometry import first_contact, within
 from desim.pursuit.kinematics import Kinematics
 from desim.pursuit.observation import EvaderObservation
-from desim.pursuit.state import Floats, Points, State
+from desim.pursuit.state import State
 
 
 class EvaderController:

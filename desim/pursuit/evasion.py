@@ -12,12 +12,13 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from desim.config.arrays import Floats, Points
 from desim.config.choice import OneOf
 from desim.config.model import Coordinate, Limit, Period, Unsigned, Value
 from desim.kernel.portable_math import power
 from desim.pursuit.capture import intercept_time
 from desim.pursuit.observation import EvaderObservation
-from desim.pursuit.state import Floats, Points, State, coordinates
+from desim.pursuit.state import State, coordinates
 from desim.pursuit.traits import StrategyTraits
 
 

@@ -16,7 +16,7 @@ from math import exp, inf
 
 import numpy as np
 
-from desim.pursuit.state import Floats
+from desim.config.arrays import Floats
 
 Profile = tuple[bool, ...]
 """Whether each pursuer is active."""

@@ -7,7 +7,8 @@ from math import inf
 
 import numpy as np
 
-from desim.pursuit.state import Floats, Points, lengths
+from desim.config.arrays import Floats, Points
+from desim.pursuit.state import lengths
 
 SMALLEST = 1e-290
 """Lower bound of divisors, so that a gap of 0 has a direction of 0, m."""

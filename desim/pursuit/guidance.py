@@ -8,10 +8,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from desim.config.arrays import Floats, Points
 from desim.config.model import Value
 from desim.pursuit.capture import NO_SPEED
 from desim.pursuit.geometry import SMALLEST, toward
-from desim.pursuit.state import Floats, Points, lengths
+from desim.pursuit.state import lengths
 
 EvaderVelocity = complex | Points
 """One velocity for all, or one for each pursuer."""

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Points
 from desim.kernel.clock import SECOND, Clock
-from desim.pursuit.state import Points
 
 
 class Kinematics:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.pursuit.state import Floats, State
+from desim.config.arrays import Floats
+from desim.pursuit.state import State
 
 
 class EvaderObservation(State):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from desim.config.arrays import Points
 from desim.config.model import Flag, Limit, Period, Timeout, Value
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network
@@ -21,7 +22,7 @@ from desim.pursuit.views import NOWHERE, EvaderEstimate, Prune, View
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from desim.pursuit.state import Points
+    from desim.config.arrays import Points
     from desim.pursuit.world_state import Actions, WorldState
 
 PORT = "sightings"

@@ -9,10 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Floats, Points
 from desim.kernel.clock import SECOND
-
-Points = NDArray[np.complex128]
-Floats = NDArray[np.float64]
 
 
 class State:

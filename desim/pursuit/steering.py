@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from desim.config.arrays import Points
 from desim.kernel.clock import seconds
 from desim.pursuit.evader import SINGLY, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.sensing import TeamSensor
-from desim.pursuit.state import Points
 from desim.pursuit.world_state import Actions, WorldState
 
 

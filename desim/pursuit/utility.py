@@ -13,10 +13,10 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
+from desim.config.arrays import Floats
 from desim.config.choice import OneOf
 from desim.config.model import Value
 from desim.pursuit import game
-from desim.pursuit.state import Floats
 from desim.pursuit.traits import UtilityTraits
 
 Scope = Literal["heard", "neighbours", "component"]

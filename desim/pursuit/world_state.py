@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from desim.config.arrays import Floats, Points
 from desim.kernel.clock import SECOND, Clock
 from desim.pursuit.evader import EvaderBody
 from desim.pursuit.kinematics import Kinematics
-from desim.pursuit.state import Floats, Points
 
 Actions = NDArray[np.int64]
 """(N,) the evader that each pursuer chases, 1 .. M, or 0."""

@@ -109,7 +109,7 @@ def equal_speeds(scenario: "Scenario") -> str | None:
     return f"speeds are {min(speeds):g} to {max(speeds):g} m/s" if len(speeds) > 1 else None
 
 
-def host_in_reach(scenario: "Scenario") -> str | None:
+def host_in_range(scenario: "Scenario") -> str | None:
     """The pursuer that hosts the server is linked to every other in one hop, in both directions."""
     host, size = scenario.protocol_traits.host or 0, scenario.team.count
     if parted := undivided(scenario):
@@ -151,7 +151,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
             no_crashes,
             equal_clocks,
             equal_speeds,
-            host_in_reach,
+            host_in_range,
             times_known,
             positions_known,
         )

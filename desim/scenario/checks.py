@@ -83,7 +83,7 @@ def _numbers(model: BaseModel, above: str = "") -> Iterator[tuple[str, float, li
 
 
 def _has_heartbeats(scenario: Scenario) -> bool:
-    return scenario.speaks and scenario.announce.beats
+    return scenario.announces and scenario.announce.has_heartbeats
 
 
 def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

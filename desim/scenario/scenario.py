@@ -284,7 +284,7 @@ class Scenario(Value):
         return ScheduleTraits.of(self.protocol_traits.schedule)
 
     @property
-    def speaks(self) -> bool:
+    def announces(self) -> bool:
         """Whether pursuers announce their actions; some protocols never do, or only if positions are not sensed."""
         announces = self.protocol_traits.announces
         return self.announce.payload != "action" if announces == "unseen" else announces

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
+from desim.config.arrays import Floats
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
@@ -16,7 +17,7 @@ from desim.pursuit.agent import Agent
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended
 from desim.pursuit.sensing import TeamSensor
-from desim.pursuit.state import Floats, coordinates
+from desim.pursuit.state import coordinates
 from desim.pursuit.views import GlobalState, View
 from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import Scenario
@@ -178,7 +179,7 @@ class _Team:
                 agent.set_initial_belief()
             relay = RestartableProcess(env, agent, announce.dissemination, Phase.RELAY)
             self.processes[pursuer] = relay, RestartableProcess(env, agent, protocol, Phase.DECISION)
-            if self._scenario.speaks and announce.beats:
+            if self._scenario.announces and announce.has_heartbeats:
                 env.process(agent.repeat(agent.broadcast, announce.heartbeat, "heartbeat"))
             if self._sensor is not None:
                 view, period = self._sensor.views[pursuer], self._sensor.sensing.period

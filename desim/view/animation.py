@@ -19,7 +19,8 @@ from PIL import Image
 from tqdm import tqdm
 
 from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
-from desim.analysis.trace_index import Bools, Floats, Integers, captures, ended, messages_recorded, started
+from desim.analysis.trace_index import captures, ended, messages_recorded, started
+from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import without_symlink
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result

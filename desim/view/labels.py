@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from desim.analysis.plots import Axes
-from desim.analysis.trace_index import Floats
+from desim.config.arrays import Floats
 
 LabelPosition = tuple[float, float]
 SIZE = 6.0

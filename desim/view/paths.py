@@ -11,7 +11,8 @@ from matplotlib.patheffects import withStroke
 
 from desim.analysis.activity import EvaderPursuit, evader_pursuits
 from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, set_plane
-from desim.analysis.trace_index import Floats, Integers, captures, sampled
+from desim.analysis.trace_index import captures, sampled
+from desim.config.arrays import Floats, Integers
 from desim.simulation.run import Result
 from desim.view.deliveries import Handover, handover_events
 from desim.view.labels import label_points

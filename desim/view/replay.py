@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from desim.analysis.activity import Change, Released, action, moves
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import (
-    Floats,
     captures,
     ended,
     lacks_messages,
@@ -28,6 +27,7 @@ from desim.analysis.trace_index import (
     started,
     trace_index,
 )
+from desim.config.arrays import Floats
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete

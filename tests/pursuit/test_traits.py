@@ -179,10 +179,10 @@ def test_a_plain_function_has_the_defaults_or_what_it_is_given():
         yield from ()
 
     assert Scenario(protocol=mine).protocol_traits == ProtocolTraits()
-    assert Scenario(protocol=mine).speaks
+    assert Scenario(protocol=mine).announces
     assert Scenario(protocol=mine).protocol_name == "mine"
     mine.announces = False
-    assert not Scenario(protocol=mine).speaks
+    assert not Scenario(protocol=mine).announces
     mine.omnisient = True
     with pytest.raises(ValidationError, match="mine has an attribute 'omnisient', did you mean 'omniscient'"):
         Scenario(protocol=mine)

@@ -19,7 +19,7 @@ from desim.scenario.assumptions import (
     equal_clocks,
     equal_speeds,
     everyone_heard,
-    host_in_reach,
+    host_in_range,
     messages_get_through,
     no_crashes,
     one_at_a_time,
@@ -240,7 +240,7 @@ class Served(Rule):
 )
 def test_the_host_of_a_server_is_in_reach_of_all_both_ways_or_not(scenario, why):
     """Without a host it is pursuer 0."""
-    assert_reason(host_in_reach(scenario), why)
+    assert_reason(host_in_range(scenario), why)
 
 
 @pytest.mark.parametrize(
