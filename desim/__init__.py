@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary as summary
+    from desim.config.data_files import open_data as open_data
     from desim.kernel.faults import ClockSkew as ClockSkew
     from desim.kernel.faults import Crash as Crash
     from desim.kernel.faults import Jamming as Jamming
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "desim.analysis.metrics": ("summary",),
+    "desim.config.data_files": ("open_data",),
     "desim.kernel.faults": ("ClockSkew", "Crash", "Jamming", "Partition", "RandomCrashes", "RandomFaults"),
     "desim.kernel.graphs": ("Complete", "Edge", "Edges", "Grid", "Link", "Ring", "Star"),
     "desim.kernel.latency": (

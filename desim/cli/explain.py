@@ -16,6 +16,7 @@ from desim.cli.options import (
     SEED,
     SET,
     echo,
+    fail,
     folder_for,
     source_of,
     storing,
@@ -48,11 +49,16 @@ def explain(
     """Measure what each imperfection costs: run the same seeds with and without it."""
     from desim.results import provenance
     from desim.results.run_folder import can_plot
+    from desim.scenario.overrides import ScenarioError
+    from desim.study.configurations import with_place
     from desim.study.explain import RUNS, Variants
     from desim.study.store import Store
 
-    _, scenario = source_of(file, overrides)
-    variants = Variants.of(scenario, runs or RUNS, seed)
+    source, scenario = source_of(file, overrides)
+    try:
+        variants = Variants.of(scenario, runs or RUNS, seed)
+    except ScenarioError as error:
+        fail(str(with_place(error, source)))
     folder = out or folder_for(scenario, None) / "explain"
     with storing(folder), Store(folder / STORE) as store:
         variants.plan.register(store)

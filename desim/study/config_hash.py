@@ -1,18 +1,34 @@
-"""The hash of a configuration: of its parameters and its user code, without the seed."""
+"""What identifies the runs of a configuration: a hash of its parameters, its user code and their data files.
 
-import hashlib
-import inspect
+User code is hashed with the source of its module and of the user modules that this one imports, and with the values
+that it holds. In a script or a notebook, its compiled code and the globals that it reads are hashed, as the rest of the
+script may change.
+"""
+
+import ast
 import json
-from collections.abc import Iterator
-from types import FunctionType, MappingProxyType
-from typing import Any
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dis import get_instructions
+from functools import cache, cached_property
+from importlib.util import find_spec, resolve_name
+from io import BytesIO
+from operator import attrgetter
+from pathlib import Path
+from types import CodeType, FunctionType, MappingProxyType, ModuleType, NoneType
+from typing import Any, NamedTuple
+from weakref import WeakSet
 
+import cloudpickle
+import numpy as np
 from pydantic import BaseModel
 
-from desim.config.choice import import_name
+from desim.config.choice import home_of
+from desim.config.data_files import DataFileError, content_hash, declared, opened_by
+from desim.results.environment import NUMERICS
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Scenario
-from desim.study.fingerprint import Fingerprint, UnstableHashError, is_user_code, user_code
 
 UNSWEPT = MappingProxyType(
     {
@@ -22,21 +38,47 @@ UNSWEPT = MappingProxyType(
     }
 )
 """The keys that are no part of a configuration, and why they cannot be swept."""
+OURS = {"desim", "protocols"}
+KNOWN = {*OURS, *NUMERICS, "cloudpickle", *sys.stdlib_module_names}
+"""The packages whose classes and functions are hashed by name only."""
+CODE = ("code", "names", "varnames", "freevars", "consts", "exceptiontable", "flags")
+COUNTS = ("argcount", "posonlyargcount", "kwonlyargcount")
+"""The attributes of compiled code that do not depend on the place of its source, without their prefix `co_`."""
+PICKLED = {NoneType, bool, int, float, list, dict}
+"""The types whose pickle is the same in every process."""
+WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
+"""The types that wrap a function and have no pickle, and the attribute that holds the function."""
 ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
-"""How to give an object a stable hash."""
 
 
-def config_hash(scenario: Scenario) -> str:
-    """Return a hash of 16 hexadecimal digits of a scenario without its name, seed and sweep.
+class Identity(NamedTuple):
+    """What identifies the runs of a configuration, apart from their seeds."""
 
-    Classes and functions from a script, a notebook or a file are hashed with their source and the values they hold, so
-    that results of different versions are never confused; see `fingerprint`. Modules that they import are not hashed.
+    key: str
+    """A hash of all of it, 16 hexadecimal digits."""
+    sources: Mapping[str, str]
+    """The hash of each user module, function or class of a script, and data file, by its description."""
+
+
+def identify(scenario: Scenario) -> Identity:
+    """Return what identifies the runs of a scenario; the same in every process, with equal versions of Python.
 
     Raises:
-        ScenarioError: if the scenario holds an object without a stable hash; the text names its key.
+        ScenarioError: if an object has no stable hash, or a data file cannot be read; the text names its key.
     """
-    whole = {**tables(scenario), "code": code(scenario), "held": list(_fingerprints(scenario))}
-    return _hash(json.dumps(whole, sort_keys=True))
+    pickler = StablePickler({}, {})
+    for key, each in _user_objects(scenario):
+        try:
+            pickler.dump((key, each))
+        except DataFileError as error:
+            raise ScenarioError(f"{key}: {error}") from error
+        except Exception as error:  # code of the object may raise anything
+            raise ScenarioError(f"{key}: has no stable hash: {error}; {ADVICE}") from error
+    files = [each for _, each in sorted(pickler.files.items())]  # the folders may differ between machines
+    whole = [tables(scenario), pickler.digest(), pickler.code, files]
+    sources = {f"the code of {name}": each for name, each in pickler.code.items()}
+    sources |= {f"the content of {path}": each for path, each in pickler.files.items()}
+    return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
 
 
 def tables(scenario: Scenario) -> dict[str, Any]:
@@ -45,47 +87,179 @@ def tables(scenario: Scenario) -> dict[str, Any]:
     return found
 
 
-def code(scenario: Scenario) -> dict[str, str]:
-    """Return a hash of the source of each user-defined class and function in a scenario, by its import name."""
-    sources: dict[str, set[str]] = {}  # several lambdas have one name
-    for home in user_code(scenario):
-        sources.setdefault(import_name(home), set()).add(_source(home))
-    return {name: _hash("".join(sorted(texts))) for name, texts in sources.items()}
-
-
-def _fingerprints(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the dotted key and the fingerprint of each user-defined object in a scenario."""
-    fingerprint = Fingerprint()
-    for key, each in _user_objects(scenario, ""):
-        try:
-            yield key, fingerprint(each)
-        except UnstableHashError as error:
-            raise ScenarioError(f"{key}: {error}; {ADVICE}") from error
-
-
-def _user_objects(value: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield each callable and each user-defined model inside a value, with its dotted key; `tables` omits code."""
+def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield each callable and model that is not of desim inside a model or a list, with its dotted key."""
     inner: Any = ()
-    if isinstance(value, BaseModel) and not is_user_code(value):
-        inner = [(name, getattr(value, name)) for name in type(value).model_fields if key or name not in UNSWEPT]
+    if (callable(value) or isinstance(value, BaseModel)) and _root(home_of(value).__module__) not in OURS:
+        yield key, value
+    elif isinstance(value, BaseModel):
+        inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]
     elif isinstance(value, tuple | list):
         inner = enumerate(value)
-    elif isinstance(value, BaseModel) or callable(value):
-        yield key, value
     for name, each in inner:
         yield from _user_objects(each, f"{key}.{name}" if key else str(name))
 
 
-def _source(home: Any) -> str:
-    """Return the source of a class or function: its own if it is defined in a script, else that of its module."""
-    functions = [home] if isinstance(home, FunctionType) else vars(home).values()
-    compiled = "".join(Fingerprint()(each.__code__) for each in functions if isinstance(each, FunctionType))
-    try:
-        text = inspect.getsource(home if home.__module__ == "__main__" else inspect.getmodule(home) or home)
-    except (OSError, TypeError):  # defined at an interactive prompt
-        return compiled
-    return text + compiled if "<lambda>" in home.__qualname__ else text  # the line may hold several lambdas
+class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
+    """Pickles equal objects, functions and classes to equal bytes in every process; the bytes are only hashed.
+
+    cloudpickle itself writes sets in the order of hashes, equal texts by identity, the folder of a script, and a random
+    number for each class.
+
+    Args:
+        code: receives the hash of the source of each user module, and of each function or class of a script, by name.
+        files: receives the hash of the content of each data file, by path.
+    """
+
+    def __init__(self, code: dict[str, str], files: dict[str, str]):
+        self._content = BytesIO()
+        super().__init__(self._content)
+        self.code, self.files = code, files
+
+    def digest(self, *values: Any) -> str:
+        """Return the hash of all objects so far, after adding some."""
+        for value in values:
+            self.dump(value)
+        return content_hash(self._content.getvalue())
+
+    def persistent_id(self, value: Any) -> Any:
+        """Return what stands for an object whose pickle depends on the process; None for any other object."""
+        kind = type(value)
+        if kind in PICKLED:
+            return None
+        if kind in {str, bytes}:
+            return repr(value)
+        if kind is tuple:
+            return list(value)
+        if kind in {set, frozenset}:
+            return kind.__name__, sorted(StablePickler(self.code, self.files).digest(each) for each in value)
+        if isinstance(value, set | frozenset | WeakSet):
+            raise TypeError(f"{kind.__qualname__!r} objects have no stable order")
+        if kind is np.ndarray and not value.dtype.hasobject:
+            return "array", str(value.dtype), value.shape, content_hash(value.tobytes())
+        if kind is FunctionType or (_root(kind.__module__) not in KNOWN and not isinstance(value, type)):
+            self.files |= declared(value)
+        if isinstance(value, ModuleType | FunctionType | type) and (name := self._import_name(value)):
+            return name
+        return None
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return an object as `__reduce__` does, or NotImplemented."""
+        kind = type(value)
+        if kind is CodeType:
+            parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
+        elif kind is FunctionType:
+            has_source = self._add_code(value, value.__code__)
+            names = () if has_source else sorted(_globals_read(value.__code__) & value.__globals__.keys())
+            reads = {name: value.__globals__[name] for name in names}
+            given = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
+            parts = [value.__qualname__, value.__code__, reads, *given]
+        elif isinstance(value, type):
+            own = {name: each for name, each in vars(value).items() if _is_written(name, each)}
+            self._add_code(value, [each.__code__ for each in own.values() if isinstance(each, FunctionType)])
+            parts = [value.__qualname__, value.__bases__, own]
+        elif kind in WRAPPED:
+            parts = [getattr(value, WRAPPED[kind])]
+        elif isinstance(value, BaseModel):
+            fields = [vars(value)[name] for name in kind.model_fields]
+            parts = [fields, value.__pydantic_extra__, value.__pydantic_private__]
+        elif cached := [name for name in getattr(value, "__dict__", ()) if _is_cached(kind, name)]:
+            make, args, state, *rest = value.__reduce_ex__(4)
+            return make, args, {name: each for name, each in state.items() if name not in cached}, *rest
+        else:
+            return super().reducer_override(value)
+        return object, (), [kind, *parts]  # as a state, in which the object may occur again
+
+    def _import_name(self, value: Any) -> str:
+        """Return the name by which a module, function or class can be imported from a source; "" if by none."""
+        module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
+        if module == "builtins":  # where some types have no name
+            return f"{module}:{name}"
+        try:
+            found = attrgetter(name)(sys.modules[module]) if name else sys.modules[module]
+        except (AttributeError, KeyError):  # it was made by a function
+            return ""
+        return f"{module}:{name}" if found is value and self._add_module(module) else ""
+
+    def _add_code(self, home: Any, code: Any) -> bool:
+        """Add the source of a function's or class's module; if it has none, add the code itself and return False."""
+        module = str(home.__module__)
+        if self._add_module(module):
+            return True
+        self.files |= opened_by(module)
+        if "<" not in home.__qualname__:  # several lambdas have one name
+            self.code[f"{module}:{home.__qualname__}"] = StablePickler({}, {}).digest(code)
+        return False
+
+    def _add_module(self, name: str) -> bool:
+        """Add the source of a module, of the user modules that it imports, and the files that they opened.
+
+        Return whether the module has a source, or is in `KNOWN`. What an installed module imports is left out.
+        """
+        if name in self.code or _root(name) in KNOWN:
+            return True
+        file = None if name == "__main__" else _file(name)
+        if file is None:
+            return False
+        text = file.read_bytes()
+        self.code[name] = content_hash(text)
+        self.files |= opened_by(name)
+        parent = name.rpartition(".")[0]
+        if file.suffix == ".py" and not is_installed(file):
+            for each in _imported(text, name if file.stem == "__init__" else parent) | {parent} - {""}:
+                if (root := _file(_root(each))) is None or not is_installed(root):
+                    self._add_module(each)
+        return True
 
 
-def _hash(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+@cache
+def is_installed(file: Path) -> bool:
+    """Return whether a module with this file belongs to an installed package or to Python."""
+    return bool({"site-packages", "dist-packages"} & set(file.parts)) or file.is_relative_to(Path(os.__file__).parent)
+
+
+def _file(name: str) -> Path | None:
+    """Return the file of a module, imported or not; None if it has none."""
+    if name in sys.modules:
+        place = getattr(sys.modules[name], "__file__", None)
+    else:
+        try:
+            spec = find_spec(name)
+        except (ImportError, ValueError):
+            return None
+        place = spec.origin if spec and spec.has_location else None
+    return None if place is None else Path(place)
+
+
+@cache
+def _imported(text: bytes, package: str) -> frozenset[str]:
+    """Return the names that the source of a module of a package may import, also within functions."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names.update(each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            home = resolve_name("." * node.level + (node.module or ""), package)
+            names.update([home, *(f"{home}.{each.name}" for each in node.names)])
+    return frozenset(names)
+
+
+def _root(module: Any) -> str:
+    """Return the name of the outermost package of a module."""
+    return str(module).partition(".")[0]
+
+
+def _globals_read(code: CodeType) -> set[str]:
+    """Return the names of the globals that a function reads, functions inside it included."""
+    own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
+    return own.union(*(_globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
+
+
+def _is_written(name: str, attribute: Any) -> bool:
+    """Return whether an attribute of a class stands in its source; others are generated."""
+    is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
+    return is_method or not (name.startswith("__") or name == "_abc_impl")
+
+
+def _is_cached(kind: type, name: str) -> bool:
+    return isinstance(getattr(kind, name, None), cached_property)

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from desim.scenario.overrides import ScenarioError, Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
-from desim.study.config_hash import UNSWEPT, config_hash
+from desim.study.config_hash import UNSWEPT, Identity, identify
 
 SweepGrid = Mapping[str, Sequence[Any]]
 """Dotted keys of a scenario, and the values that each takes."""
@@ -34,9 +34,14 @@ class Configuration:
     scenario: Scenario
 
     @cached_property
+    def identity(self) -> Identity:
+        """What identifies the runs of the configuration, apart from their seeds."""
+        return identify(self.scenario)
+
+    @property
     def key(self) -> str:
-        """The hash that identifies the configuration; see `config_hash`."""
-        return config_hash(self.scenario)
+        """The hash that identifies the configuration."""
+        return self.identity.key
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -89,7 +94,10 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
     keys: dict[str, Configuration] = {}
     names: dict[str, Configuration] = {}
     for configuration in found:
-        same = keys.setdefault(configuration.key, configuration)
+        try:
+            same = keys.setdefault(configuration.key, configuration)
+        except ScenarioError as error:
+            raise with_place(error, source, configuration.settings) from error
         namesake = names.setdefault(json.dumps(configuration.columns), configuration)
         other = namesake if same is configuration else same
         if other is configuration:
@@ -103,6 +111,15 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
             " (__name__)"
         )
         raise ScenarioError(f"{_where(source, (differing or repeated)[0])}: {why}")
+
+
+def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
+    """Return an error that begins with a dotted key, preceded by the place where the key was set or swept."""
+    key = str(error).partition(":")[0]
+    above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
+    swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
+    place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+    return ScenarioError(f"{(swept or [source.where(place)])[0]}: {error}")
 
 
 def _with_grid(source: Source, grid: SweepGrid) -> Source:

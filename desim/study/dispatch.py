@@ -13,6 +13,7 @@ from typing import Any, Literal
 import cloudpickle
 
 from desim.analysis.metrics import summary
+from desim.config.data_files import identified_run
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result, run
 from desim.simulation.watchdog import within
@@ -154,7 +155,8 @@ def perform(tasks: Sequence[Task], measure: Measurement, simulate: Simulate) -> 
 
 def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
     try:
-        return Outcome("ok", measure(simulate(*task)))
+        with identified_run():
+            return Outcome("ok", measure(simulate(*task)))
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit, too

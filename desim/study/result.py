@@ -66,14 +66,15 @@ class SweepResult:
         if "grid" not in store.about:
             raise StoreError(f"{store.path}: is empty")
         kinds = {"name": str, "grid": list[str], "seeds": str, "root seed": int}
-        name, keys, seeds, root = (store.read_property(each, kind) for each, kind in kinds.items())
+        name, grid, seeds, root = (store.read_property(each, kind) for each, kind in kinds.items())
         settings = dict(store.configurations())
         for key, each in settings.items():
-            if each.keys() != set(keys):
-                raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(keys)}")
+            if each.keys() != set(grid):
+                raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
         chosen = settings if configurations is None else configurations
-        groups = tuple(Group(settings[key], tuple(store.runs(key, root))) for key in chosen)
-        return cls(name, tuple(keys), groups, seeds == "common")
+        keys = tuple(next(iter(settings.values()), grid))  # in the order of the last sweep
+        groups = (Group({each: settings[key][each] for each in keys}, tuple(store.runs(key, root))) for key in chosen)
+        return cls(name, keys, tuple(groups), seeds == "common")
 
     @property
     def failed(self) -> list[Row]:

@@ -27,8 +27,8 @@ from desim.analysis.metrics import COMMON, Summary, plain
 from desim.study.configurations import Configuration
 
 Status = Literal["ok", "error", "crashed"]
-FORMAT = "2"
-"""The version of the tables below."""
+FORMAT = "3"
+"""The version of the tables below, and of the hashes of configurations."""
 TABLES = f"""
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS configurations (
@@ -269,9 +269,9 @@ class Store:
         """Add configurations in the given order, before all others in the store."""
         entered = {cell.key: (json.dumps(cell.columns), cell.scenario.model_dump_json()) for cell in cells}
         with self._writing() as database:
-            there = {key: each for key, _, *each in self._rows("configurations", "ORDER BY place")}
-            merged = {key: there.get(key, each) for key, each in entered.items()} | there
-            rows = ((key, place, *each) for place, (key, each) in enumerate(merged.items()))
+            there = {key: tuple(each) for key, _, *each in self._rows("configurations", "ORDER BY place")}
+            others = {key: each for key, each in there.items() if key not in entered}
+            rows = ((key, place, *each) for place, (key, each) in enumerate((entered | others).items()))
             database.executemany(
                 "INSERT OR REPLACE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, rows)
             )
@@ -473,7 +473,8 @@ def _differs(name: str, one: Any, other: Any) -> str:
         texts = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
         return f"by another configuration: {texts}"
     was, now = json.dumps(one), json.dumps(other)
-    return f"by another {'version' if 'code' in name else 'sweep'}: {name} was {was}, is {now}"
+    is_source = name.startswith(("the code of ", "the content of "))
+    return f"by another {'version' if is_source else 'sweep'}: {name} was {was}, is {now}"
 
 
 def flat(node: Any, opens: Callable[[Any], bool] = lambda _: True, above: str = "") -> dict[str, Any]:

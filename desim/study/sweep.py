@@ -20,7 +20,7 @@ from desim.results import environment
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
-from desim.study.config_hash import code, tables
+from desim.study.config_hash import tables
 from desim.study.configurations import Configuration, SweepGrid, configurations
 from desim.study.dispatch import drive, simulation
 from desim.study.result import SweepResult
@@ -80,14 +80,9 @@ class SweepPlan:
     @property
     def about(self) -> dict[str, Any]:
         """The properties that identify the sweep; a store belongs to one sweep."""
-        keys = list(self.configurations[0].settings)
+        keys = sorted(self.configurations[0].settings)
         swept = tuple(f"{key}." for key in keys)
-        codes = {
-            name: each
-            for configuration in self.configurations
-            for name, each in code(configuration.scenario).items()
-            if "<" not in name
-        }
+        sources = {name: each for one in self.configurations for name, each in one.identity.sources.items()}
         return {
             "name": self.base.name,
             "grid": keys,
@@ -95,7 +90,7 @@ class SweepPlan:
             "root seed": self.root,
             "scenario": {key: each for key, each in flat(tables(self.base)).items() if not f"{key}.".startswith(swept)},
             "the code of desim": environment.code(),
-            **{f"the code of {name}": each for name, each in codes.items()},
+            **sources,
         }
 
     def seed(self, configuration: Configuration, replication: int) -> int:
@@ -124,12 +119,15 @@ class SweepPlan:
     def shard(self, part: int, parts: int) -> list[Job]:
         """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
 
+        The order of the grid does not matter, so shards of which one has another order still are the whole sweep.
+
         Raises:
             ValueError: if `part` is not in 1 .. `parts`.
         """
         if not 1 <= part <= parts:
             raise ValueError(f"a shard should be 1/{parts} to {parts}/{parts}, got {part}/{parts}")
-        jobs = [(configuration, k) for configuration in self.configurations for k in range(self.reps)]
+        ordered = sorted(self.configurations, key=lambda each: each.key) if parts > 1 else self.configurations
+        jobs = [(configuration, k) for configuration in ordered for k in range(self.reps)]
         return jobs[part - 1 :: parts]
 
 

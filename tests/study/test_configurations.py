@@ -23,7 +23,7 @@ from desim.scenario.scenario import Scenario, Team
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import load, read
 from desim.study import configurations as module
-from desim.study.config_hash import code, config_hash
+from desim.study.config_hash import identify
 from desim.study.configurations import configurations, label
 from protocols.best_response import BestResponse
 from protocols.rule import Rule
@@ -54,7 +54,7 @@ class Own(Rule):
         yield True
 
 
-def chase(me):
+def chase(me, *_):
     return iter(())
 
 
@@ -70,6 +70,10 @@ class Plain:
 
     def __call__(self, me):
         return iter(())
+
+
+def config_hash(scenario):
+    return identify(scenario).key
 
 
 def of(grid, scenario=None):
@@ -333,9 +337,9 @@ def plain(me):
 def other_process(file: Path, seed: int) -> dict[str, str]:
     """Return the identity of a scenario with each of some protocols, as another process finds it."""
     script = (
-        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import config_hash\n"
+        "import sys; from desim.scenario.toml import load; from desim.study.config_hash import identify\n"
         "for kind in sys.argv[2:]:\n"
-        "    print(config_hash(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)))"
+        "    print(identify(load(sys.argv[1], ['protocol.kind=' + kind], allow_import=True)).key)"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(file), *KINDS],
@@ -428,8 +432,67 @@ def test_it_counts_which_of_several_places_holds_what():
 
 def test_indistinguishable_values_are_refused_with_their_key():
     lock = threading.Lock()
-    with pytest.raises(ScenarioError, match=r"^evader\.strategy: 'lock' objects .*__getstate__"):
+    with pytest.raises(ScenarioError, match=r"^evader\.strategy: has no stable hash: .*'_thread.lock'.*__getstate__"):
         config_hash(Scenario(evader={"strategy": lambda state, rng: lock}))
+
+
+class Declaring(Plain):
+    """A protocol that reads files, of which the names are no part of it."""
+
+    files = ()
+
+    def depends_on(self):
+        return Declaring.files
+
+
+HOLDERS = {
+    "model": lambda each: each,
+    "partial": lambda each: partial(chase, each),
+    "closure": made,
+    "object": lambda each: Plain({"a": [each]}),
+}
+
+
+@pytest.mark.parametrize("hold", HOLDERS.values(), ids=HOLDERS)
+def test_files_that_a_model_declares_count_by_their_content_wherever_it_is_held(tmp_path, monkeypatch, hold):
+    for name, text in {"a/a": "1", "a/b": "2", "b/a": "1", "b/b": "1", "c/a": "2", "c/b": "1"}.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def key(*names):
+        monkeypatch.setattr(Declaring, "files", tuple(tmp_path / name for name in names))
+        return config_hash(Scenario(protocol=hold(Declaring(1.0))))
+
+    assert key("a/a") == key("b/a") != key("c/a")
+    assert len({key(), key("a/a"), key("a/a", "a/b"), key("b/a", "b/b"), key("c/a", "c/b")}) == 5
+
+
+def test_a_model_whose_files_cannot_be_read_is_refused_with_its_key(monkeypatch):
+    monkeypatch.setattr(Declaring, "files", ("none.txt",))
+    with pytest.raises(ScenarioError, match=r"^protocol: depends_on: none\.txt cannot be read: No such file"):
+        config_hash(Scenario(protocol=Declaring(1.0)))
+    monkeypatch.setattr(Declaring, "files", "a.txt")
+    with pytest.raises(ScenarioError, match=r"^protocol: depends_on: should be a tuple of paths \(got 'a\.txt'\)"):
+        config_hash(Scenario(protocol=Declaring(1.0)))
+
+
+def test_what_is_refused_in_a_grid_is_told_with_its_place(tmp_path):
+    """Of the key that is swept, or of the key that is not."""
+    (tmp_path / "declaring.py").write_text(
+        "def rule(me):\n    return iter(())\nrule.depends_on = ('none.txt',)\ndef other(me):\n    return iter(())\n"
+    )
+    path = tmp_path / "f.toml"
+    for text, where in {
+        'protocol.kind = "declaring:rule"\nsweep.grid.horizon = [1.0]\n': f"{path}:2: protocol: depends_on",
+        'sweep.grid.horizon = [1.0]\nsweep.grid.protocol = [{ kind = "declaring:rule" }]': (
+            f"{path}:3: sweep.grid: protocol: depends_on"
+        ),
+    }.items():
+        path.write_text(f"team.count = 2\n{text}\n")
+        with pytest.raises(ScenarioError, match=f"^{re.escape(where)}"):
+            configurations(read(path, allow_import=True))
+    with pytest.raises(ScenarioError, match=r"^the grid: sweep\.grid: protocol: has no stable hash: "):
+        of({"protocol": [Plain(threading.Lock())]})
 
 
 def test_the_graph_in_a_file_counts(tmp_path):
@@ -453,10 +516,13 @@ def test_each_of_several_lambdas_counts():
     assert config_hash(Scenario(protocol=other, evader={"strategy": flee})) not in keys
 
 
-def test_the_code_is_named_and_what_is_installed_has_none():
-    assert set(code(Scenario(protocol=Own()))) == {f"{__name__}:Own", f"{__name__}:Warmth"}
-    assert set(code(Scenario(protocol=partial(chase)))) == {f"{__name__}:chase"}
-    assert code(SAME) == {}
+def test_the_modules_of_user_code_are_named_and_those_of_desim_are_not():
+    own = f"the code of {__name__}"
+    assert own in identify(Scenario(protocol=Own())).sources
+    assert own in identify(Scenario(protocol=partial(chase))).sources
+    assert identify(SAME).sources == {}
+    typed_rule = typed("def rule(me):\n    return iter(())", "rule")
+    assert set(identify(Scenario(protocol=typed_rule)).sources) == {"the code of __main__:rule"}
 
 
 # Labels.

@@ -492,7 +492,7 @@ def test_a_store_of_other_code_is_refused(tmp_path, monkeypatch):
 
     store = tmp_path / "s.sqlite"
     assert explain(scenario(1), 2, store=store) == explain(scenario(1), 2, store=store)
-    refuses(scenario(22), store, r"the code of mine_of_explain:mine was")
+    refuses(scenario(22), store, r"the code of mine_of_explain was")
 
 
 # The picture.
@@ -686,3 +686,10 @@ def test_bad_options_are_refused(file, arguments, complaint):
     result = command(file, *arguments)
     assert result.exit_code == 2
     assert complaint in result.output
+
+
+def test_a_model_whose_data_file_is_missing_is_refused_with_its_place(file):
+    (file.parent / "declaring.py").write_text("def rule(me):\n    return iter(())\nrule.depends_on = ('none.txt',)\n")
+    result = command(file, "-n", 2, "--allow-import", "--set", 'protocol.kind="declaring:rule"')
+    assert result.exit_code == 2
+    assert '--set protocol.kind="declaring:rule": protocol: depends_on: none.txt cannot be read: No' in result.stderr

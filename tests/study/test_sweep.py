@@ -1,10 +1,11 @@
 """Sweeps: which runs are done with which seeds, how many are needed, and what a store may be continued with."""
 
 import importlib
+import re
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+from contextlib import closing, nullcontext
 from io import StringIO
 from math import inf
 from pathlib import Path
@@ -23,6 +24,7 @@ from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import read
 from desim.study import sweep as module
 from desim.study.batch import run_many
+from desim.study.result import SweepResult
 from desim.study.store import Store, StoreError
 from desim.study.sweep import MAX_RUNS, RunError, SweepPlan, sweep
 from protocols.rule import Rule
@@ -303,6 +305,36 @@ def test_a_grid_with_more_values_and_more_runs_continues(tmp_path, monkeypatch):
     assert [dict(group.settings) for group in fewer.groups] == [{"network.latency.value": 0.0, "capture.radius": 0.05}]
 
 
+def test_the_order_of_a_grid_is_no_part_of_what_a_store_belongs_to(tmp_path, monkeypatch):
+    """Neither that of its keys nor that of the values of a key; tables follow the grid that is given."""
+    done, drive = [], module.drive
+    monkeypatch.setattr(module, "drive", lambda tasks, *rest, **more: done.extend(tasks) or drive(tasks, *rest, **more))
+    store, (one, other) = tmp_path / "s.sqlite", GRID.items()
+    sweep(BASE, GRID, 1, store=store)
+    done.clear()
+    turned = {other[0]: other[1][::-1], one[0]: [one[1][0], 0.05, one[1][1]]}
+    found = sweep(BASE, turned, 1, store=store)
+    assert len(done) == 2
+    assert found == sweep(BASE, turned, 1)
+    assert found.table() == sweep(BASE, turned, 1).table()
+    with Store(store, read_only=True) as kept:
+        assert SweepResult.of(kept) == found
+    assert sweep(BASE, GRID, 1, store=store) == sweep(BASE, GRID, 1)
+    with Store(store, read_only=True) as kept:
+        assert SweepResult.of(kept).keys == tuple(GRID)
+        assert len({tuple(group.settings) for group in SweepResult.of(kept).groups}) == 1
+
+
+@pytest.mark.parametrize("parts", [2, 3])
+def test_a_shard_has_the_same_runs_for_every_order_of_the_grid(parts):
+    turned = {key: values[::-1] for key, values in reversed(GRID.items())}
+    for part in range(1, parts + 1):
+        one, other = (
+            {(cell.key, k) for cell, k in SweepPlan.of(BASE, grid, 3).shard(part, parts)} for grid in (GRID, turned)
+        )
+        assert one == other
+
+
 CHANGED = {
     "field": ({"horizon": 0.6}, {}, {}, r"by another configuration: horizon was 0\.5, is 0\.6$"),
     "two": (
@@ -354,8 +386,104 @@ def test_a_store_is_not_continued_with_other_code_of_a_rule(tmp_path, monkeypatc
         return sweep(read(file, allow_import=True), reps=1, store=tmp_path / "s.sqlite")
 
     assert swept(1) == swept(1)
-    with pytest.raises(StoreError, match=r"the code of mine_of_sweep:mine was"):
+    with pytest.raises(StoreError, match=r"by another version: the code of mine_of_sweep was"):
         swept(22)
+
+
+DELAYS = """
+import json
+from functools import cached_property
+from pathlib import Path
+import numpy as np
+from desim import open_data
+from desim.config.model import Value
+from {helper} import FACTOR
+TABLE = np.loadtxt(open_data(Path(__file__).with_name("opened.txt")))
+
+class Measured(Value):
+    kind: str = "measured"
+    file: str = "declared.txt"
+    lazy: str = ""
+    @cached_property
+    def table(self):
+        return FACTOR * np.loadtxt(Path(__file__).with_name(self.file))
+    def depends_on(self):
+        return (Path(__file__).with_name(self.file),)
+    def __call__(self, context, rng):
+        if self.lazy:
+            open_data(self.lazy)
+        return rng.choice([*TABLE, *self.table], len(context.dst))
+"""
+
+
+@pytest.fixture
+def measured(tmp_path, monkeypatch):
+    """Return a function that sweeps over a model that reads two files, with a store, after it has written some."""
+    monkeypatch.syspath_prepend(tmp_path)
+    texts = {"opened.txt": "0.0 0.1", "declared.txt": "0.2 0.3", "delay_factor.py": "FACTOR = 1.0"}
+    texts["delay_of_sweep.py"] = DELAYS.format(helper="delay_factor")
+
+    def swept(grid=None, *, lazy="", changed=None):
+        for name, text in (texts if changed is None else changed).items():
+            (tmp_path / name).write_text(text)
+        for name in ("delay_of_sweep", "delay_factor"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        file = tmp_path / "f.toml"
+        file.write_text(
+            "horizon = 1.0\nteam.count = 4\n"
+            f'network.latency = {{ kind = "delay_of_sweep:Measured", lazy = "{lazy}" }}\n'
+        )
+        grid = grid or {"network.range": [9.0]}
+        return sweep(read(file, allow_import=True), grid, reps=1, store=tmp_path / "s.sqlite")
+
+    yield swept
+    for name in ("delay_of_sweep", "delay_factor"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("declared.txt", "0.7 0.9", r"the content of .*declared\.txt was"),
+        ("opened.txt", "0.7 0.9", r"the content of .*opened\.txt was"),
+        ("delay_factor.py", "FACTOR = 3.0", r"the code of delay_factor was"),
+    ],
+)
+def test_a_store_is_not_continued_with_another_data_file_or_imported_module(measured, name, text, why):
+    before = measured()
+    assert measured() == before
+    with pytest.raises(StoreError, match=f"by another version: {why}"):
+        measured(changed={name: text})
+
+
+def test_of_swept_data_files_only_the_runs_of_a_new_one_are_done(measured, monkeypatch):
+    done, drive = [], module.drive
+    monkeypatch.setattr(module, "drive", lambda tasks, *rest, **more: done.extend(tasks) or drive(tasks, *rest, **more))
+    grid = {"network.latency.file": ["declared.txt", "opened.txt"]}
+    measured(grid)
+    measured({"network.latency.file": ["declared.txt", "third.txt", "opened.txt"]}, changed={"third.txt": "0.5 0.6"})
+    assert [scenario.network.latency.file for scenario, _ in done] == ["declared.txt", "opened.txt", "third.txt"]
+
+
+def test_a_run_that_opens_a_data_file_fails_for_it_was_identified_before(measured, tmp_path):
+    """But a file that the module opened as it was imported may be opened by the workers as they import it."""
+    (group,) = measured(lazy=tmp_path / "opened.txt").groups
+    assert re.search(r"opened\.txt: is opened during a run", group.rows[0].error)
+
+
+@pytest.mark.parametrize("edit", ["1.0", "0.3"])
+def test_a_store_is_not_continued_with_another_file_of_a_built_in_model(tmp_path, edit):
+    (tmp_path / "f.toml").write_text(
+        'horizon = 0.1\nteam.count = 2\nnetwork.latency = { kind = "empirical", file = "delays.txt" }\n'
+    )
+    (tmp_path / "delays.txt").write_text("0.3 0.3")
+    options = {"grid": {"network.range": [9.0]}, "reps": 1, "store": tmp_path / "s.sqlite"}
+    sweep(read(tmp_path / "f.toml"), **options)
+    (tmp_path / "delays.txt").write_text(f"0.3 {edit}")
+    refused = pytest.raises(StoreError, match=r"network\.latency\.values\.1 was 0\.3, is 1\.0")
+    with nullcontext() if edit == "0.3" else refused:
+        sweep(read(tmp_path / "f.toml"), **options)
 
 
 def test_more_user_protocols_may_be_added(tmp_path):
@@ -409,7 +537,8 @@ def test_the_parts_of_a_plan_are_all_of_it_and_share_nothing(parts):
 def test_a_part_has_every_nth_run_so_that_each_has_some_of_every_configuration():
     plan = SweepPlan.of(BASE, GRID, 3)
     for part in (1, 2, 3):
-        assert plan.shard(part, 3) == [(cell, part - 1) for cell in plan.configurations]
+        found = {(cell.key, k) for cell, k in plan.shard(part, 3)}
+        assert found == {(cell.key, part - 1) for cell in plan.configurations}
 
 
 @pytest.mark.parametrize("part", [0, 4])

@@ -21,7 +21,6 @@ import desim
 from desim.cli import main
 from desim.scenario.toml import load
 from desim.study import workers as places
-from desim.study.fingerprint import user_code
 from desim.study.serialization import called, packed
 from desim.study.workers import InProcess, Processes, workers_for
 from tests.digests import LONG
@@ -149,18 +148,6 @@ def test_modules_beside_a_file_are_sent_to_workers_and_installed_ones_are_not(tm
             import_module(name)
     assert pickle.loads(called(call)) == 10.0
     assert len(packed(partial(desim.run, None, 1))) < 200
-
-
-def test_user_code_is_found_in_models_lists_and_partial_calls(tmp_path):
-    scenario = load(sweeps.write(tmp_path), allow_import=True)
-    coin = type(scenario.protocol)
-
-    def measure(_):
-        return None
-
-    assert set(user_code([(scenario, 3)])) == {coin}
-    assert set(user_code(partial(print, [scenario], end=measure))) == {coin, measure}
-    assert not set(user_code(scenario.model_copy(update={"protocol": len})))
 
 
 @pytest.mark.parametrize(("given", "kind", "count"), [(1, InProcess, 1), (3, Processes, 3), (0, Processes, 5)])

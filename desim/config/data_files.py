@@ -1,0 +1,82 @@
+"""Data files of models: their content is part of what identifies a run."""
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from desim.config.trust import regular_or_missing
+
+OPENED = "__opened_data__"
+"""The global name in a module that holds the content hashes of the files that it opened, by path."""
+_identified: ContextVar[bool] = ContextVar("identified", default=False)
+
+
+class DataFileError(ValueError):
+    """Raised when a data file cannot be part of what identifies a run."""
+
+
+def open_data(path: str | Path) -> BytesIO:
+    """Open a data file for reading bytes, and make its content part of what identifies the runs of the calling module.
+
+    Call it where the module that defines a model is imported:
+
+        DELAYS = np.loadtxt(open_data(Path(__file__).with_name("delays.txt")))
+
+    A sweep then never takes results of another version of the file from its store. If a parameter of a model names the
+    file, declare it instead: `depends_on`, an attribute or a method of the model, is a tuple of paths.
+
+    Raises:
+        OSError: if the file cannot be read.
+        DataFileError: if a run of a sweep calls it: the run is identified before it starts.
+    """
+    if _identified.get():
+        raise DataFileError(
+            f"{path}: is opened during a run, so its content is not part of what identifies the run: open it where the"
+            " module is imported, or name it in `depends_on` of the model and use open()"
+        )
+    content = regular_or_missing(Path(path)).read_bytes()
+    sys._getframe(1).f_globals.setdefault(OPENED, {})[str(path)] = content_hash(content)
+    return BytesIO(content)
+
+
+def opened_by(module: str) -> dict[str, str]:
+    """Return the content hash of each file that a module has opened with `open_data`, by its path."""
+    found: dict[str, str] = getattr(sys.modules.get(module), OPENED, {})
+    return found
+
+
+def declared(model: Any) -> dict[str, str]:
+    """Return the content hash of each file in `depends_on` of a model, an attribute or a method, by its path.
+
+    Raises:
+        DataFileError: if `depends_on` is not a tuple or list of paths, or a file cannot be read.
+    """
+    paths = getattr(model, "depends_on", ())
+    if callable(paths):
+        paths = paths()
+    if not (isinstance(paths, tuple | list) and all(isinstance(path, str | Path) for path in paths)):
+        raise DataFileError(f"depends_on: should be a tuple of paths (got {paths!r})")
+    try:
+        return {str(path): content_hash(regular_or_missing(Path(path)).read_bytes()) for path in paths}
+    except OSError as error:
+        raise DataFileError(f"depends_on: {error.filename} cannot be read: {error.strerror}") from error
+
+
+@contextmanager
+def identified_run() -> Iterator[None]:
+    """Let `open_data` fail during a run that has been identified."""
+    token = _identified.set(True)
+    try:
+        yield
+    finally:
+        _identified.reset(token)
+
+
+def content_hash(content: bytes) -> str:
+    """Return a hash of 16 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:16]
