@@ -27,7 +27,7 @@ from dataclasses import asdict
 
 import click
 
-from desim.analysis.tables import json_number
+from desim.config.json_numbers import json_number
 from scenarios.evaders_runs import (
     CHASERS,
     CLAIMED,

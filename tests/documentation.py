@@ -9,11 +9,14 @@ import networkx as nx
 import pdoc
 
 import desim
+import protocols
 
 
 def specifications() -> list[str]:
-    """Return what pdoc is to look at: what is below `desim` as well, which is not in its `__all__`."""
-    return ["desim", *(f"desim.{each.name}" for each in iter_modules(desim.__path__)), "protocols"]
+    """Return what pdoc is to look at: the packages, and the modules in them, which are not in their `__all__`."""
+    packages = (desim, protocols)
+    inner = [f"{package.__name__}.{each.name}" for package in packages for each in iter_modules(package.__path__)]
+    return [*(package.__name__ for package in packages), *inner]
 
 
 def build(folder: Path) -> None:
@@ -23,8 +26,9 @@ def build(folder: Path) -> None:
         Warning: if anything in a docstring or an annotation cannot be shown.
     """
     nx.Graph.__class_getitem__ = classmethod(lambda graph, _: graph)  # its stubs know nx.Graph[int], networkx does not
-    for name in desim.__all__:  # imported when it is asked for, which pdoc does not do
-        setattr(desim, name, getattr(desim, name))
+    for package in (desim, protocols):  # they import a name when it is asked for, which pdoc does not do
+        for name in package.__all__:
+            setattr(package, name, getattr(package, name))
     pdoc.render.configure(docformat="google")
     with warnings.catch_warnings(action="error"):
         pdoc.pdoc(*specifications(), output_directory=folder)

@@ -18,6 +18,7 @@ from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.scenario.toml import load
 from desim.study import batch
 from desim.study.batch import run_many
+from desim.study.store import Store
 from tests import command
 from tests.command import accepted, desim, strict_json
 
@@ -834,10 +835,10 @@ def test_the_parts_of_a_sweep_together_are_the_whole(file, tmp_path, coins):
     assert (tmp_path / "all.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
-def asked(folder):
-    """Return the command lines in a run.json, without the program, in order."""
-    made = provenance.read(folder / "run.json")
-    return [each["argv"][1:] for each in (*made.get("earlier", ()), made)]
+def asked(folder, name="sweep.sqlite"):
+    """Return the command lines that a store tells of, without the program, the last one last."""
+    with Store(folder / name, read_only=True) as store:
+        return [argv[1:] for _, argv in store.commands]
 
 
 @pytest.fixture
@@ -863,25 +864,26 @@ def test_a_smaller_sweep_into_the_same_folder_keeps_the_output_of_the_larger(fil
 
 
 @pytest.mark.slow
-def test_a_larger_sweep_takes_the_place_of_a_smaller_and_what_neither_covers_is_kept(file, tmp_path, typed):
+def test_every_command_that_adds_runs_is_kept_once_and_the_last_is_in_run_json(file, tmp_path, typed):
     path, out = file(COINS), ("-o", tmp_path / "out")
-    typed("sweep", path, *out, "-n", 1)
+    small = typed("sweep", path, *out, "-n", 1)
     wide = typed("sweep", path, *out, "-n", 2)
-    assert asked(tmp_path / "out") == [wide]
+    typed("sweep", path, *out, "--until", "active_time:1e-9", "-n", 1)
     other = typed("sweep", path, *out, "-n", 1, "--set", "sweep.grid.network.range=[2.0]")
-    until = typed("sweep", path, *out, "--until", "active_time:1e-9", "-n", 1)
-    assert asked(tmp_path / "out") == [wide, other, until]
+    assert asked(tmp_path / "out") == [small, wide, other]
+    assert provenance.read(tmp_path / "out" / "run.json")["argv"][1:] == other
+    with Store(tmp_path / "out" / "sweep.sqlite") as store:
+        store._database.execute("DELETE FROM runs")
+        store._database.commit()
     typed("sweep", path, *out, "-n", 2)
-    assert asked(tmp_path / "out") == [wide, other, until]
-    all_of_it = typed("sweep", path, *out, "-n", 2, "--set", "sweep.grid.network.range=[1.0, 2.0, inf]")
-    assert asked(tmp_path / "out") == [until, all_of_it]
+    assert asked(tmp_path / "out") == [small, wide, other]
 
 
 @pytest.mark.slow
 def test_a_merged_store_has_the_command_of_each_part(file, tmp_path, typed):
     path = file(COINS)
     parts = [typed("sweep", path, "-o", tmp_path / "parts", "--shard", f"{k}/3") for k in (1, 2, 3)]
-    assert asked(tmp_path / "parts") == parts[:1], "they may be done at once, and all write the same"
+    assert [asked(tmp_path / "parts", f"sweep.{k}-of-3.sqlite") for k in (1, 2, 3)] == [[each] for each in parts]
     together = typed("merge", tmp_path / "parts", "-o", tmp_path / "parts")
     assert asked(tmp_path / "parts") == [*parts, together]
 
@@ -891,6 +893,7 @@ def test_a_run_json_that_cannot_be_read_is_written_anew(file, tmp_path, typed):
     (tmp_path / "out" / "run.json").write_text('{"what": "swe')
     words = typed("sweep", file(COINS), "-o", tmp_path / "out", "-n", 1)
     assert asked(tmp_path / "out") == [words]
+    assert provenance.read(tmp_path / "out" / "run.json")["argv"][1:] == words
 
 
 def test_runs_are_exported_a_row_each(coins, tmp_path):
@@ -907,8 +910,14 @@ def test_runs_are_exported_a_row_each(coins, tmp_path):
 
 
 REFUSED_SWEEPS = {
-    "metric": (["--metric", "energi"], r"--metric energi: there is no such metric; allowed: captured, .*"),
-    "metric that is no number": (["--metric", "capturer"], r"--metric capturer: there is no such metric; .*"),
+    "metric": (
+        ["--metric", "energi"],
+        r"--metric energi: there is no numeric metric 'energi', did you mean 'energy'\?; there are captured, .*",
+    ),
+    "metric that is no number": (
+        ["--metric", "capturer"],
+        r"--metric capturer: there is no numeric metric 'capturer', .*",
+    ),
     "part and precision": (["--until", "energy:1", "--shard", "1/2"], r"--until .* exclude each other"),
     "key": (
         ["--set", "sweep.grid.horizn=[1.0]"],

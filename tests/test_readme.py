@@ -51,6 +51,15 @@ def test_the_rule_of_the_readme_runs_from_a_file_beside_its_module(words, tmp_pa
     assert "mine: 20 pursuers" in done.stdout or "inertia = 0.5" in done.stdout
 
 
+def test_the_metric_of_the_readme_is_measured_from_a_module_beside_the_file(tmp_path):
+    (module,) = [block for block in BLOCKS if "handover_rate = Metric" in block]
+    (tmp_path / "my_metrics.py").write_text(module)
+    (tmp_path / "mine.toml").write_text("horizon = 5.0\n")
+    (words,) = re.findall("^`desim (run FILE --metric .*?)` measures it", README, flags=re.MULTILINE)
+    shown = accepted(*words.replace("FILE", str(tmp_path / "mine.toml")).split()).stdout
+    assert re.search(r"^handover rate +\d\.\d{3} 1/s +over the whole run$", shown, flags=re.MULTILINE)
+
+
 def test_the_grid_of_the_readme_is_one_of_its_example():
     (table,) = [each for each in TABLES if "sweep.grid" in each]
     base = read(ROOT / "scenarios/imperfect.toml")

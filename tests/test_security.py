@@ -361,6 +361,7 @@ CALLS = {
 HARMLESS = {"json.loads", "tomllib.loads", "re.compile", "platform.system"}
 ALLOWED = {
     "desim/__init__.py": {"import_module"},  # of its own modules
+    "protocols/__init__.py": {"import_module"},  # of its own modules
     "desim/config/choice.py": {"import_module", "load", "each.load"},  # `_imported`, entry points
     "desim/study/serialization.py": {"pickle.loads"},  # what the driver sent to its workers
     "desim/study/workers.py": {"pickle.loads"},  # what they sent back

@@ -22,8 +22,8 @@ from desim.pursuit.announcements import DISSEMINATIONS
 from desim.pursuit.evasion import STRATEGIES
 from desim.pursuit.events import Decided, Ended
 from desim.pursuit.utility import UTILITIES
+from desim.pursuit.world_state import WorldState
 from desim.scenario.scenario import PROTOCOLS
-from desim.simulation.world import World
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
 from protocols.token_passing import Token
@@ -238,13 +238,13 @@ def climbing(seed):
 @pytest.fixture
 def acted(monkeypatch):
     """How many pursuers of the worlds that are made chase from which instant (ns) on."""
-    acts, act = [], World._act
+    acts, act = [], WorldState.set_actions
 
     def noted(self, actions):
-        acts.append((self._env.now, np.count_nonzero(actions)))
+        acts.append((self.now, np.count_nonzero(actions)))
         act(self, actions)
 
-    monkeypatch.setattr(World, "_act", noted)
+    monkeypatch.setattr(WorldState, "set_actions", noted)
     return acts
 
 

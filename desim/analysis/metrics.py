@@ -1,15 +1,22 @@
 """Metrics: functions from the result of a run to a number, computed from its trace alone; and their summary.
 
-A metric is a function in one of the modules imported here and an entry in `Summary`: its name, the function, its unit
-and its note in the table of a run. Tables, JSON and batches follow from the entry. Only `network_regret` has no entry,
-because it executes another run for comparison.
+A built-in metric is an entry in `Summary`: its name, its function, its unit and its note in the table of a run. Tables,
+JSON, stores and stopping rules follow from the entry. Only `network_regret` has no entry, because it executes another
+run for comparison.
+
+A user's metric is a function of a result that returns a number, True, False or None, or a `Metric` of such a function.
+It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from difflib import get_close_matches
+from keyword import iskeyword
 from math import isnan, nan
+from operator import itemgetter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from desim.analysis.activity import (
     active_time,
@@ -32,17 +39,18 @@ from desim.analysis.trace_index import (
     messages,
     messages_recorded,
     positions_known,
-    started,
     trace_index,
 )
+from desim.config.json_numbers import to_json
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 
 __all__ = [
-    "COMMON",
     "METRICS",
     "Metric",
+    "MetricError",
     "Summary",
     "active_time",
     "activity",
@@ -60,6 +68,7 @@ __all__ = [
     "handovers",
     "idle_time",
     "mean_capture_time",
+    "measured",
     "messages",
     "misassigned_time",
     "network_regret",
@@ -70,6 +79,8 @@ __all__ = [
     "summary",
     "switches",
     "time_to_relay",
+    "title",
+    "users_metrics",
 ]
 
 
@@ -104,16 +115,16 @@ def capturers(result: Result) -> dict[str, int]:
     return {str(each.evader): each.capturer for each in captures(result)}
 
 
-@dataclass(frozen=True)
-class Metric:
-    """An entry of a summary: the function that computes it, and its form in tables."""
+class Metric(NamedTuple):
+    """A metric: the function that computes it, and its form in tables.
+
+    A module of a user can name it: `gap = Metric(closest, "m", "closest approach")`.
+    """
 
     of: Callable[[Result], Any]
     unit: str = ""
-    note: "str | Callable[[Summary], str] | None" = None
-    """The note beside it in the table of one run; None if it has no row there."""
-    note_of_several: str | None = None
-    """The note for runs with several evaders, if different."""
+    note: str | Callable[[Mapping[str, Any]], str] | None = None
+    """The note beside it in the table of one run; a built-in metric without one has no row there."""
     given: Callable[[Result], bool] | None = None
     """Returns whether the recordings that the metric needs exist; without them its value is None. None for a
     metric of actions only."""
@@ -123,65 +134,85 @@ class Metric:
     """Whether it has a row in the table of several runs."""
     silent_at_0: bool = False
     """Whether tables leave it out if it is 0."""
-    of_several: bool = False
-    """Whether it exists only for runs with several evaders."""
     is_number: bool = True
     """Whether its mean over several runs is meaningful; the mean of truth values is a share."""
 
     def __call__(self, result: Result) -> Any:
         """Return the value for a run; None if it was not recorded or is not defined."""
-        there = (self.given is None or self.given(result)) and (not self.of_several or len(started(result).evaders) > 1)
-        value = self.of(result) if there else None
+        value = self.of(result) if self.given is None or self.given(result) else None
         return None if isinstance(value, float) and isnan(value) else value
 
 
 def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown: Any) -> Any:
-    """Return a field of a summary; see `Metric`."""
-    metric = Metric(of, unit, note, **shown)
-    absent: Any = None if metric.of_several else MISSING
-    return field(default=absent, metadata={"metric": metric})
+    """Return an entry of `Summary`; see `Metric`."""
+    return Metric(of, unit, note, **shown)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
-    """The metrics of one run, in the order of tables; None for an event that did not happen or a missing recording.
+class Summary(Mapping[str, Any]):
+    """The metrics of one run by name, in the order of tables: `summary["active_time"]`.
+
+    A metric is None if an event did not happen or a recording is missing. The built-in metrics are attributes, too:
+    `summary.active_time`. A run that was stored before a metric existed lacks it: `summary.get(name)` is None.
 
     `str` returns a line with the unit for each metric that is not None.
+
+    Args:
+        values: the value of each metric by name.
+        units: the unit of each metric that is not built in, by name.
     """
 
+    __slots__ = ("_values", "units")
+
+    def __init__(self, values: Mapping[str, Any], units: Mapping[str, str] = MappingProxyType({})):
+        self._values = dict(values)
+        self.units = dict(units)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return f"Summary({self._values!r})"
+
+    def __str__(self) -> str:
+        there = {name: value for name, value in self.items() if value is not None}
+        return "\n".join(
+            f"{words(name)}: {_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in there.items()
+        )
+
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
+    """Seed of the run."""
     captured: bool = entry(captured, in_tables=False)
     capture_time: float | None = entry(capture_time, "s")
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
     """The pursuer that captured the evader, or the last of several."""
-    captures: int | None = entry(lambda result: len(captures(result)), of_several=True)
+    captures: int = entry(lambda result: len(captures(result)))
     """Number of captured evaders; None if and only if the run had one evader."""
-    mean_capture_time: float | None = entry(mean_capture_time, "s", of_several=True)
-    capture_times: Mapping[str, float] | None = entry(capture_times, in_tables=False, is_number=False, of_several=True)
+    mean_capture_time: float | None = entry(mean_capture_time, "s")
+    capture_times: Mapping[str, float] = entry(capture_times, in_tables=False, is_number=False)
     """By the number of the evader, s."""
-    capturers: Mapping[str, int] | None = entry(capturers, in_tables=False, is_number=False, of_several=True)
+    capturers: Mapping[str, int] = entry(capturers, in_tables=False, is_number=False)
     """By the number of the evader."""
     end_time: float = entry(end_time, "s")
     active_time: float = entry(active_time, "s", "summed over the pursuers")
-    idle_time: float = entry(
-        idle_time, "s", "no pursuer active", note_of_several="no pursuer on an evader, summed over those at large"
-    )
-    crowded_time: float = entry(
-        crowded_time, "s", "more than one active", note_of_several="more than one on an evader, summed over evaders"
-    )
+    idle_time: float = entry(idle_time, "s", "no pursuer on an evader at large")
+    crowded_time: float = entry(crowded_time, "s", "more than one pursuer on an evader")
     excess_time: float = entry(excess_time, "s")
     misassigned_time: float | None = entry(
         misassigned_time,
         "s",
-        "active set is not the relay pursuer alone",
-        note_of_several="not the optimal pursuer alone on each evader",
+        "not the relay pursuer alone on each evader",
         given=positions_known,
     )
     time_to_relay: float | None = entry(
         time_to_relay,
         "s",
-        "start of a window with the relay pursuer alone active",
-        note_of_several="start of a window with the optimal pursuer alone on each",
+        "start of a window with the relay pursuer alone on each evader",
         given=positions_known,
     )
     potential_gap: float | None = entry(
@@ -190,38 +221,45 @@ class Summary:
     regret: float | None = entry(
         regret,
         "s",
-        "against the better fixed action, averaged over pursuers",
-        note_of_several="against the best fixed action, averaged over pursuers",
+        "against the best fixed action, averaged over pursuers",
         given=positions_known,
     )
     energy: float = entry(energy, "m^2/s", "v^2 summed over active pursuers, integrated over time")
     decisions: int = entry(
-        lambda result: len(decisions(result)), note=lambda run: f"{run.switches:,} of them changed an action"
+        lambda result: len(decisions(result)), note=lambda run: f"{run['switches']:,} of them changed an action"
     )
+    """Number of decisions."""
     switches: int = entry(switches)
-    handovers: int = entry(handovers, note=lambda run: f"{run.ping_pongs:,} of them ping-pong", label="hand-overs")
+    handovers: int = entry(handovers, note=lambda run: f"{run['ping_pongs']:,} of them ping-pong", label="hand-overs")
     ping_pongs: int = entry(ping_pongs)
     messages_sent: int = entry(lambda result: messages(result).sent, note="each receiver of a broadcast counts as one")
+    """Number of messages; each receiver of a broadcast counts as one."""
     messages_delivered: int = entry(lambda result: messages(result).delivered, note="", label="  delivered")
+    """Number of messages that arrived."""
     messages_lost: int = entry(
         lambda result: messages(result).lost,
-        note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run.messages_lost_by.items())),
+        note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run["messages_lost_by"].items())),
         label="  lost",
     )
+    """Number of messages that were lost."""
     messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by, is_number=False)
+    """Number of lost messages by cause."""
     messages_in_flight: int = entry(
         lambda result: messages(result).in_flight, note="at the end of the run", label="  in flight"
     )
+    """Number of messages that were under way at the end of the run."""
     transmissions: int = entry(lambda result: messages(result).transmissions)
     """Number of transmissions, whatever the number of receivers."""
     bytes_sent: int = entry(
-        lambda result: messages(result).bytes_sent, note=lambda run: f"in {run.transmissions:,} transmissions"
+        lambda result: messages(result).bytes_sent, note=lambda run: f"in {run['transmissions']:,} transmissions"
     )
+    """Number of bytes in all transmissions."""
     utilisation: float = entry(
         lambda result: messages(result).utilisation,
         note="share of the time in which the channels were busy",
         silent_at_0=True,
     )
+    """Share of the time in which the channels were busy."""
     age_mean: float | None = entry(age_mean, "s", "averaged over time and pairs", given=messages_recorded)
     age_peak: float | None = entry(age_peak, "s", "just before a newer record arrived", given=messages_recorded)
     age_at_decision: float | None = entry(
@@ -232,16 +270,104 @@ class Summary:
     )
     believed_leaders: float | None = entry(
         believed_leaders,
-        note="active pursuers that know of no other active one",
-        note_of_several="active pursuers that know of no other on the same evader",
+        note="active pursuers that know of no other on the same evader",
         given=messages_recorded,
     )
 
-    def __str__(self) -> str:
-        there = {name: getattr(self, name) for name in METRICS if getattr(self, name) is not None}
-        return "\n".join(
-            f"{words(name)}: {_formatted(value)} {METRICS[name].unit}".rstrip() for name, value in there.items()
-        )
+
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {name: each for name, each in vars(Summary).items() if isinstance(each, Metric)}
+)
+"""The built-in metrics by name."""
+COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
+"""The columns of tables of runs that are no metrics."""
+UsersMetrics = tuple[tuple[str, Metric], ...]
+"""The names of a user's metrics and the metrics; tuples, so that user code in them is found and sent to workers."""
+
+for _name in METRICS:
+    setattr(Summary, _name, property(itemgetter(_name)))
+
+
+class MetricError(RuntimeError):
+    """Raised when a user's metric fails or returns a wrong type; the text names the metric, the scenario and seed."""
+
+
+def summary(result: Result, metrics: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})) -> Summary:
+    """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
+
+    Use the single functions of this module if you need only one or two.
+
+    Args:
+        result: the result of the run.
+        metrics: further metrics by name: functions of a result that return a number, True, False or None.
+
+    Raises:
+        ValueError: if a metric has the name of another, or one that is not an identifier.
+        MetricError: if a metric that is not built in fails, or returns something else.
+    """
+    return measured(users_metrics(result.scenario, metrics), result)
+
+
+def measured(own: UsersMetrics, result: Result) -> Summary:
+    """Return the built-in metrics of a run and those of a user; see `summary`."""
+    index = trace_index(result)
+    values = {name: metric(index) for name, metric in METRICS.items()}
+    values |= {name: _checked(name, metric, index) for name, metric in own}
+    return Summary(values, {name: metric.unit for name, metric in own})
+
+
+def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | None:
+    """Return the value of a user's metric.
+
+    Raises:
+        MetricError: if it raises an exception, or returns something else than a number, a truth value or None.
+    """
+    where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
+    try:
+        value = metric(result)
+        value = value.item() if isinstance(value, np.generic) else value
+    except (Exception, SystemExit) as error:
+        raise MetricError(f"{where}: {type(error).__name__}: {error}") from error
+    if value is not None and not isinstance(value, bool | int | float):
+        raise MetricError(f"{where}: should return a number, True, False or None, not a {type(value).__name__}")
+    return None if isinstance(value, float) and isnan(value) else value
+
+
+def users_metrics(
+    scenario: Scenario, more: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})
+) -> UsersMetrics:
+    """Return the metrics that a scenario names (`record.metrics`), and more, each with its name.
+
+    Raises:
+        ValueError: if a metric is not a function, or has the name of another, or one that is not an identifier.
+    """
+    found: dict[str, Metric] = {}
+    for name, of in [*((each.name, each.of) for each in scenario.record.metrics), *more.items()]:
+        if not (isinstance(name, str) and name.isidentifier()) or iskeyword(name):
+            raise ValueError(f"the name of a metric should be a Python identifier, got {name!r}")
+        if name in METRICS or name in COLUMNS or name in type(scenario).model_fields:
+            what = "built-in metric" if name in METRICS else "column of tables" if name in COLUMNS else "scenario key"
+            raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
+        if not callable(of) or isinstance(of, type):
+            raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")
+        metric = of if isinstance(of, Metric) else Metric(of)
+        if found.setdefault(name, metric) != metric:
+            raise ValueError(f"metric {name!r} should have another name: another metric has it")
+    return tuple(found.items())
+
+
+def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
+    """Raise ValueError unless a metric is a built-in number or among a user's."""
+    numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
+    if metric not in numeric:
+        close = get_close_matches(metric, numeric, n=1)
+        hint = f", did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"there is no numeric metric {metric!r}{hint}; there are {', '.join(numeric)}")
+
+
+def plain(numbers: Summary) -> dict[str, Any]:
+    """Return the metrics of a run by name, as JSON values."""
+    return {name: to_json(each) for name, each in numbers.items()}
 
 
 def _formatted(value: Any) -> str:
@@ -249,22 +375,19 @@ def _formatted(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-METRICS: Mapping[str, Metric] = MappingProxyType({each.name: each.metadata["metric"] for each in fields(Summary)})
-"""The entries of a summary."""
-COMMON = tuple(name for name, metric in METRICS.items() if not metric.of_several)
-"""The names of the metrics that every run has."""
+def unit_of(name: str, units: Mapping[str, str]) -> str:
+    """Return the unit of a metric, given the units of those that are not built in; "" if it has none."""
+    return METRICS[name].unit if name in METRICS else units.get(name, "")
 
 
-def summary(result: Result) -> Summary:
-    """Return all metrics of one run. Use the single functions of this module if you need only one or two."""
-    index = trace_index(result)
-    return Summary(**{name: metric(index) for name, metric in METRICS.items()})
+def title(name: str, units: Mapping[str, str]) -> str:
+    """Return the name of a metric in words with its unit, as the title of a column; see `unit_of`."""
+    return with_unit(words(name), unit_of(name, units))
 
 
-def plain(numbers: Summary) -> dict[str, Any]:
-    """Return the metrics of a run by name, as JSON values; those of several evaders only if the run had several."""
-    names = METRICS if numbers.captures is not None else COMMON
-    return {name: each for name, each in asdict(numbers).items() if name in names}
+def with_unit(label: str, unit: str) -> str:
+    """Return a label with a unit: "label, unit", or only the label if there is no unit."""
+    return f"{label}, {unit}" if unit else label
 
 
 def words(name: str) -> str:

@@ -65,6 +65,11 @@ def estimate(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.mean(values)), error, count)
 
 
+def mean(values: Sequence[float]) -> Estimate:
+    """Return the mean of independent values; without any, the count is 0 and the mean nan."""
+    return estimate(values) if values else Estimate(nan, nan, 0)
+
+
 def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
     """Return the mean of `values - others` over pairs of runs with common random numbers.
 
@@ -87,7 +92,7 @@ def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Es
         raise ValueError(f"values and others should have the same length, got {len(values)} and {len(others)}")
     pairs = zip(values, others, strict=True)
     differences = [float(one) - float(other) for one, other in pairs if _is_present(one) and _is_present(other)]
-    return estimate(differences) if differences else Estimate(nan, nan, 0)
+    return mean(differences)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -96,7 +101,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     It consists of the probabilities p with |s - p| <= z sqrt(p (1 - p) / n), where s is the share of successes in n
     trials and z the 97.5 % quantile of the normal distribution (Wilson 1927, "Probable Inference, the Law of
     Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have the same
-    outcome.
+    outcome. `scipy.stats` has it, too, and takes longer to import than many a run takes.
 
     Raises:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.

@@ -5,11 +5,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isnan, nan
 from typing import Any
 
-from desim.analysis.metrics import METRICS, Summary, words
+from desim.analysis.metrics import METRICS, Summary, title, users_metrics, words
 from desim.analysis.statistics import Estimate, estimate, wilson
-from desim.config.json_numbers import to_json
+from desim.config.json_numbers import json_number
 from desim.scenario.scenario import Scenario
 
+PER_EVADER = {"captures", "mean_capture_time"}
+"""The metrics that, with one evader, the row of the capture time replaces."""
 SHOWN = 12
 """Most evaders listed in the table of a run."""
 
@@ -33,12 +35,15 @@ def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
     return f"<table><caption>{_html(title)}</caption>{lines}</table>"
 
 
-def run_table(scenario: Scenario, run: Summary, wall_time: float) -> str:
-    """Return the table of one run; `wall_time` in s."""
+def run_table(scenario: Scenario, run: Summary, wall_time: float, shown: Sequence[str] = ()) -> str:
+    """Return the table of one run; `wall_time` in s.
+
+    A built-in metric without a note has a row only if it is among `shown`.
+    """
     rate = run.messages_sent / wall_time
     rows = [
         *_captures(scenario, run),
-        *_rows_of_run(run),
+        *_rows_of_run(scenario, run, shown),
         ("wall time", f"{wall_time:.3f} s", f"{rate:,.0f} messages/s"),
     ]
     return _heading(scenario, f"seed {run.seed}") + aligned(rows, right_from=3)
@@ -48,7 +53,7 @@ def batch_table(scenario: Scenario, runs: Sequence[Summary], wall_time: float) -
     """Return the table of several runs: means with their 95 % intervals; `wall_time` in s."""
     captured = sum(run.captured for run in runs)
     low, high = wilson(captured, len(runs))
-    rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(runs)]
+    rows: list[Sequence[str]] = [("", "mean", "+-", "least", "most", "runs"), *_rows_of_batch(scenario, runs)]
     seeds = f"seeds {runs[0].seed} to {runs[-1].seed}"
     several, needed = len(scenario.evaders), scenario.capture.captures_to_end
     every = "" if several == 1 else "all " if needed in (None, several) else f"{needed} of {several} "
@@ -90,13 +95,6 @@ def from_json(made: Mapping[str, Any]) -> Estimate:
     return Estimate(mean, half_width / float(stdtrit(count - 1, 0.975)) if count > 1 else nan, count)
 
 
-def json_number(value: Any) -> Any:
-    """Return a value as JSON: nan as null, infinity as "Infinity"."""
-    if not isinstance(value, float):
-        return value
-    return None if isnan(value) else to_json(value)
-
-
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
     """Yield the row of the capture; with several evaders, their number and a row for each, in order of time."""
     outcome = (
@@ -104,13 +102,13 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
         if run.captured
         else f"no, the pursuit ended after {run.end_time:.3f} s"
     )
-    if run.captures is None:
+    evaders = len(scenario.evaders)
+    if evaders == 1:
         yield "captured", outcome, ""
         return
-    evaders = len(scenario.evaders)
     end = f"the last after {run.end_time:.3f} s" if run.captured else outcome.removeprefix("no, ")
     yield "captured", f"{run.captures} of {evaders}", end
-    times, by = run.capture_times or {}, run.capturers or {}
+    times, by = run.capture_times, run.capturers
     for evader in [*times, *(j for j in map(str, range(1, evaders + 1)) if j not in times)][:SHOWN]:
         found = f"after {times[evader]:.3f} s by pursuer {by[evader]}" if evader in times else "no"
         yield f"  evader {evader}", found, ""
@@ -118,28 +116,34 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
         yield f"  and {evaders - SHOWN} more", "", ""
 
 
-def _rows_of_run(run: Summary) -> Iterator[tuple[str, str, str]]:
+def _rows_of_run(scenario: Scenario, run: Summary, shown: Sequence[str]) -> Iterator[tuple[str, str, str]]:
     """Yield the rows of the metrics of a run: label, value with unit, note."""
-    for name, metric in METRICS.items():
-        value = getattr(run, name)
-        if metric.note is None or value is None or (metric.silent_at_0 and not value):
+    own = dict(users_metrics(scenario))
+    for name, metric in {**METRICS, **own}.items():
+        value = run[name]
+        is_silent = metric.note is None and name not in own and name not in shown
+        if is_silent or value is None or (metric.silent_at_0 and not value):
             continue
-        text = f"{value:,}" if isinstance(value, int) else f"{value:.3f} {metric.unit}".rstrip()
-        note = metric.note if run.captures is None else metric.note_of_several or metric.note
-        yield metric.label or words(name), text, note(run) if callable(note) else note
+        text = str(value).lower() if isinstance(value, bool) else f"{value:,}" if isinstance(value, int) else None
+        text = f"{text or f'{value:.3f}'} {metric.unit}".rstrip()
+        note = metric.note(run) if callable(metric.note) else metric.note or ""
+        yield metric.label or words(name), text, note
 
 
-def _rows_of_batch(runs: Sequence[Summary]) -> Iterator[Sequence[str]]:
+def _rows_of_batch(scenario: Scenario, runs: Sequence[Summary]) -> Iterator[Sequence[str]]:
     """Yield the rows of the metrics of several runs; a metric that is None in every run has no row."""
-    for name, metric in METRICS.items():
-        values = [value for run in runs if (value := getattr(run, name)) is not None]
-        if not metric.in_tables or not values or (metric.silent_at_0 and not any(values)):
+    for name in runs[0]:
+        if name in PER_EVADER and len(scenario.evaders) == 1:
+            continue
+        values = [value for run in runs if (value := run[name]) is not None]
+        metric = METRICS.get(name)
+        if not values or (metric and (not metric.in_tables or (metric.silent_at_0 and not any(values)))):
             continue
         if isinstance(values[0], dict):
             for key in sorted({key for value in values for key in value}):
                 yield _row(f"  by {words(key)}", [value.get(key, 0) for value in values])
         else:
-            yield _row(f"{words(name)}, {metric.unit}" if metric.unit else words(name), values)
+            yield _row(title(name, runs[0].units), values)
 
 
 def _row(name: str, values: Sequence[float]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import sys
 
 import click
 
-from desim.cli.about import check, keys, protocols, schema
+from desim.cli.about import check, keys, metrics, protocols, schema
 from desim.cli.draw import draw
 from desim.cli.explain import explain
 from desim.cli.many import export, merge, sweep
@@ -31,5 +31,5 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-for command in (run, replay, draw, sweep, explain, report, merge, export, check, keys, protocols, schema):
+for command in (run, replay, draw, sweep, explain, report, merge, export, check, keys, metrics, protocols, schema):
     main.add_command(command)

@@ -1,4 +1,4 @@
-"""Information without a run: `desim check`, `schema`, `keys`, `protocols`."""
+"""Information without a run: `desim check`, `schema`, `keys`, `metrics`, `protocols`."""
 
 import json
 from pathlib import Path
@@ -35,11 +35,10 @@ def check(file: Path, overrides: tuple[str, ...]) -> None:
 @click.command()
 def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
+    from desim.config.json_numbers import to_json
     from desim.scenario.scenario import Scenario
 
-    document = json.dumps(Scenario.model_json_schema())
-    strict = json.loads(document, parse_constant=str)  # infinity becomes a string, as in results
-    echo(json.dumps(strict, indent=2))
+    echo(json.dumps(to_json(Scenario.model_json_schema()), indent=2))
 
 
 @click.command()
@@ -53,6 +52,21 @@ def keys(key: str | None) -> None:
         echo("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
     except ValueError as error:
         fail(str(error))
+
+
+@click.command()
+def metrics() -> None:
+    """List the built-in metrics with their units, and the installed ones."""
+    from desim.analysis.metrics import METRICS, Summary, with_unit
+    from desim.config.model import docs_of
+    from desim.scenario.named_metrics import installed_metrics
+
+    docs = docs_of(Summary)
+    for name, metric in METRICS.items():
+        text = docs.get(name) or (metric.of.__doc__ or "").partition("\n")[0].removeprefix("Return ") or metric.note
+        echo(f"{with_unit(name, metric.unit)}: {text[:1].upper()}{text[1:]}" if isinstance(text, str) else name)
+    for name, point in installed_metrics().items():
+        echo(f"{name}: {point.value}")
 
 
 @click.command()

@@ -13,11 +13,13 @@ from desim.cli.options import (
     FILE,
     JOBS,
     JSON,
+    METRIC,
     SEED,
     SET,
     echo,
     fail,
     folder_for,
+    shown_metrics,
     source_of,
     storing,
     working,
@@ -33,6 +35,7 @@ from desim.config.trust import without_symlink
 @JOBS
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the results; default: out/NAME/explain.")
+@METRIC
 @JSON
 @ALLOW_IMPORT
 @SET
@@ -43,6 +46,7 @@ def explain(
     jobs: int,
     cluster: str | None,
     out: Path | None,
+    metrics: tuple[str, ...],
     as_json: bool,
     overrides: tuple[str, ...],
 ) -> None:
@@ -52,9 +56,11 @@ def explain(
     from desim.scenario.overrides import ScenarioError
     from desim.study.configurations import with_place
     from desim.study.explain import RUNS, Variants
+    from desim.study.explanation import EXPLAINED
     from desim.study.store import Store
 
-    source, scenario = source_of(file, overrides)
+    source, scenario = source_of(file, overrides, metrics)
+    shown = shown_metrics(scenario, metrics, tuple(EXPLAINED))
     try:
         variants = Variants.of(scenario, runs or RUNS, seed)
     except ScenarioError as error:
@@ -66,8 +72,9 @@ def explain(
             "explain", scenario, seed=variants.plan.root, runs=variants.plan.reps, folder=file.parent
         )
         provenance.write(folder, made)
+        store.note_command(str(Path.cwd()), sys.argv)
         with working(jobs, cluster, store) as workers:
-            found = variants.carry_out(store, workers)
+            found = variants.carry_out(store, workers, shown)
         text = json.dumps(found.document(), indent=2)
         without_symlink(folder / "explain.json").write_text(f"{text}\n", encoding="utf-8")
         without_symlink(folder / "explain.txt").write_text(f"{found.table()}\n", encoding="utf-8")

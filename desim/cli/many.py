@@ -16,12 +16,14 @@ from desim.cli.options import (
     FILE,
     JOBS,
     JSON,
+    METRIC,
     SEED,
     SET,
     TIMEOUT,
     echo,
     fail,
     folder_for,
+    shown_metrics,
     source_of,
     storing,
     working,
@@ -31,8 +33,10 @@ from desim.config.trust import without_symlink
 
 if TYPE_CHECKING:
     from desim.study.result import SweepResult
-    from desim.study.store import Store
     from desim.study.sweep import Job, SweepPlan
+
+
+PRECISION = "should be METRIC:HALFWIDTH, active_time:0.1 for instance"
 
 
 class Shard(click.ParamType[tuple[int, int]]):
@@ -54,16 +58,12 @@ class Precision(click.ParamType[tuple[str, float]]):
     name = "METRIC:HALFWIDTH"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
-        """Return the metric and the half width."""
-        from desim.study.sweep import check_target
-
+        """Return the metric, which is checked when the metrics of the scenario are known, and the half width."""
         metric, _, width = str(value).rpartition(":")
         try:
-            target = metric, float(width)
-            check_target(*target)
+            return metric, float(width)
         except ValueError as error:
-            self.fail(f"should be METRIC:HALFWIDTH, active_time:0.1 for instance, got {value!r}: {error}", param, ctx)
-        return target
+            self.fail(f"{PRECISION}, got {value!r}: {error}", param, ctx)
 
 
 @click.command()
@@ -81,7 +81,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 )
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
-@click.option("--metric", "metrics", multiple=True, metavar="NAME", help="Show this metric; can be repeated.")
+@METRIC
 @JSON
 @TIMEOUT
 @ALLOW_IMPORT
@@ -103,20 +103,25 @@ def sweep(
     overrides: tuple[str, ...],
 ) -> None:
     """Run each configuration of the grid of a scenario (`sweep.grid`) many times; skip runs that are stored already."""
+    from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
-    from desim.study.history import note
     from desim.study.result import SHOWN
     from desim.study.store import Store
-    from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out
+    from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
-    source, scenario = source_of(file, overrides)
-    shown = _checked_metrics(metrics) or SHOWN
+    source, scenario = source_of(file, overrides, metrics)
+    shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")
     try:
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
         fail(str(error))
+    if until:
+        try:
+            check_target(*until, plan.metrics)
+        except ValueError as error:
+            raise click.BadParameter(f"{PRECISION}: {error}", param_hint="'--until'") from error
     folder = folder_for(scenario, out)
     path = folder / (f"sweep.{shard[0]}-of-{shard[1]}.sqlite" if shard else STORE)
     jobs_of_plan = plan.shard(*(shard or (1, 1)))
@@ -124,18 +129,32 @@ def sweep(
     if dry_run:
         with storing(folder), Store(path if path.exists() else None) as store:
             plan.check(store)
-            text = _plan_text(plan, jobs_of_plan, store, until)
+            text = _plan_text(plan, jobs_of_plan, plan.done(store, shown), until)
         echo(text)
         return
     with storing(folder), Store(path) as store:
         before = len(store)
         plan.register(store)
-        note(folder, plan, file.parent, until, shard)
+
+        def note() -> None:
+            store.note_command(str(Path.cwd()), sys.argv)
+            count = len(plan.configurations) * plan.reps
+            made = provenance.document("sweep", scenario, seed=plan.root, runs=count, folder=file.parent)
+            provenance.write(folder, made)
+
         with working(jobs, cluster, store) as workers:
             found = carry_out(
-                plan, store, workers, until=until, shard=shard or (1, 1), fail_fast=fail_fast, timeout=timeout
+                plan,
+                store,
+                workers,
+                until=until,
+                shard=shard or (1, 1),
+                fail_fast=fail_fast,
+                timeout=timeout,
+                metrics=shown,
+                on_start=note,
             )
-        done = len(store) - before
+        done = store.added
     table = found.table(shown)
     echo(json.dumps(found.document(shown), indent=2) if as_json else table)
     took = time.perf_counter() - start
@@ -153,7 +172,7 @@ def sweep(
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder of the merged store.")
 def merge(stores: tuple[Path, ...], out: Path) -> None:
     """Merge the runs of several stores (files or folders) of one sweep into one store."""
-    from desim.study.history import note_merged
+    from desim.results import provenance
     from desim.study.store import Store
 
     with storing(), ExitStack() as opened:
@@ -163,8 +182,10 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
         store = opened.enter_context(Store(out / STORE))
         for part in parts:
             store.merge(part)
-        note_merged(out, store, [part.path for part in parts])
-        count = len(store)
+        store.note_command(str(Path.cwd()), sys.argv)
+        count, names = len(store), [str(part.path) for part in parts]
+        root = store.read_property("root seed", int) if "root seed" in store.about else 0  # the store is empty
+        provenance.write(out, provenance.document("merge", seed=root, runs=count, stores=names))
     echo(f"{count} runs are in {out / STORE}")
 
 
@@ -202,27 +223,12 @@ def _store_files(stores: tuple[Path, ...]) -> list[Path]:
     ]
 
 
-def _checked_metrics(metrics: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the given metrics; end the program if one is unknown or not a number."""
-    from desim.analysis.metrics import METRICS
-
-    numbers = [name for name, each in METRICS.items() if each.is_number]
-    for name in metrics:
-        if name not in numbers:
-            fail(f"--metric {name}: there is no such metric; allowed: {', '.join(numbers)}")
-    return metrics
-
-
-def _plan_text(plan: "SweepPlan", jobs: "list[Job]", store: "Store", until: tuple[str, float] | None) -> str:
+def _plan_text(
+    plan: "SweepPlan", jobs: "list[Job]", there: set[tuple[str, int]], until: tuple[str, float] | None
+) -> str:
     """Return the planned runs of each configuration and the number of them already stored, as text."""
     from desim.analysis.tables import aligned
 
-    there = {
-        (configuration.key, row.replication)
-        for configuration in plan.configurations
-        for row in store.runs(configuration.key, plan.root)
-        if row.ok
-    }
     wanted = [(configuration.key, k) for configuration, k in jobs]
     done = [each for each in wanted if each in there]
     rows = [("runs", "stored", *plan.configurations[0].settings)]

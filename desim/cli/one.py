@@ -11,13 +11,16 @@ from desim.cli.options import (
     ALLOW_IMPORT,
     JOBS,
     JSON,
+    METRIC,
     SEED,
     SET,
     TIMEOUT,
+    add_metrics,
     echo,
     fail,
     is_import_allowed,
     make_folder,
+    shown_metrics,
     source_of,
     valid,
 )
@@ -42,6 +45,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Folder for the trace, the metrics and a picture of the trajectories.",
 )
+@METRIC
 @JSON
 @TIMEOUT
 @ALLOW_IMPORT
@@ -53,6 +57,7 @@ def run(
     runs: int | None,
     jobs: int,
     out: Path | None,
+    metrics: tuple[str, ...],
     as_json: bool,
     timeout: float | None,
     overrides: tuple[str, ...],
@@ -64,7 +69,8 @@ def run(
 
     if timeout is not None and runs in {None, 1}:  # the limit includes reading the file and writing results
         click.get_current_context().with_resource(within(timeout))
-    scenario, folder, recorded = _scenario_to_run(file, repeated, overrides)
+    scenario, folder, recorded = _scenario_to_run(file, repeated, overrides, metrics)
+    shown = shown_metrics(scenario, metrics)
     if seed is not None:
         scenario = scenario.model_copy(update={"seed": seed})
     count = runs or recorded
@@ -73,7 +79,7 @@ def run(
     try:
         if count == 1:
             numbers, wall_time = _run_once(scenario, into)
-            results, table = [numbers], run_table(scenario, numbers, wall_time)
+            results, table = [numbers], run_table(scenario, numbers, wall_time, shown)
         else:
             results = _run_several(scenario, count, jobs, into, timeout)
             table = batch_table(scenario, results, time.perf_counter() - start)
@@ -134,17 +140,17 @@ def _run_several(
 
 
 def _scenario_to_run(
-    file: Path | None, repeated: Path | None, overrides: tuple[str, ...]
+    file: Path | None, repeated: Path | None, overrides: tuple[str, ...], metrics: tuple[str, ...]
 ) -> "tuple[Scenario, Path, int]":
     """Return the scenario, the folder of its file, and the default number of runs."""
     if file is not None and repeated is None:
-        return source_of(file, overrides)[1], file.parent, 1
+        return source_of(file, overrides, metrics)[1], file.parent, 1
     if file is None and repeated is not None:
-        return _recorded(repeated, overrides)
+        return _recorded(repeated, overrides, metrics)
     raise click.UsageError("needs a FILE or --from RUN.JSON" + (", not both" if file is not None else ""))
 
 
-def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
+def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
     """Return the same as `_scenario_to_run` for a run.json.
 
     Warn if results may differ from the recorded ones. End the program if the file is invalid.
@@ -156,6 +162,7 @@ def _recorded(path: Path, overrides: tuple[str, ...]) -> "tuple[Scenario, Path, 
     try:
         made = provenance.read(path)
         source = provenance.source(path, made, overrides, allow_import=is_import_allowed())
+        add_metrics(source, metrics)
     except (provenance.ProvenanceError, ScenarioError) as error:
         fail(str(error))
     except OSError as error:

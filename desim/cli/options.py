@@ -59,6 +59,16 @@ ALLOW_IMPORT = click.option(
 )
 
 
+METRIC = click.option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="NAME",
+    help="Measure and show a metric: a built-in or installed one (`desim metrics`), or MODULE:FUNCTION, a function of"
+    " the result of a run; can be repeated.",
+)
+
+
 def is_import_allowed() -> bool:
     """Return whether the current command was given --allow-import."""
     return bool(click.get_current_context().meta.get(ALLOWED))
@@ -80,18 +90,48 @@ TIMEOUT = click.option(
 )
 
 
-def source_of(file: Path, overrides: tuple[str, ...]) -> "tuple[Source, Scenario]":
-    """Return the source of a scenario file and its validated scenario; see `valid`."""
+def source_of(file: Path, overrides: tuple[str, ...], metrics: tuple[str, ...] = ()) -> "tuple[Source, Scenario]":
+    """Return the source of a scenario file, with the metrics of --metric, and its validated scenario; see `valid`."""
     from desim.scenario.overrides import ScenarioError
     from desim.scenario.toml import read
 
     try:
         source = read(file, overrides, allow_import=is_import_allowed())
+        add_metrics(source, metrics)
     except ScenarioError as error:
         fail(str(error))
     except OSError as error:
         fail(f"{file}: cannot be read: {error.strerror}")
     return source, valid(source)
+
+
+def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
+    """Add the metrics of --metric that are not built in to those that a scenario names.
+
+    End the program if one does not exist, or is no number. A MODULE:FUNCTION is imported with the scenario.
+    """
+    if not metrics:
+        return
+    from desim.analysis.metrics import METRICS, check_numeric
+    from desim.scenario.named_metrics import installed_metrics
+
+    for each in metrics:
+        try:
+            if ":" not in each:
+                check_numeric(each, installed_metrics())
+        except ValueError as error:
+            fail(f"--metric {each}: {error}, and MODULE:FUNCTION")
+    table = source.tables.get("record")
+    named = table.get("metrics", []) if isinstance(table, dict) else []
+    added = [each for each in metrics if each not in METRICS]
+    if added and isinstance(named, list):
+        source.set("record.metrics", [*named, *added], " ".join(f"--metric {each}" for each in added))
+
+
+def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Return the names of the metrics of --metric, or the usual ones and those that the scenario names."""
+    names = tuple(each.rpartition(":")[2] for each in metrics)
+    return names or (*usual, *(each.name for each in scenario.record.metrics))
 
 
 def valid(source: "Source") -> "Scenario":
@@ -104,6 +144,13 @@ def valid(source: "Source") -> "Scenario":
         scenario = validate(source)
     except ScenarioError as error:
         fail(str(error))
+    if scenario.record.metrics:
+        from desim.analysis.metrics import users_metrics
+
+        try:
+            users_metrics(scenario)
+        except ValueError as error:
+            fail(f"{source.where(('record', 'metrics'))}: record.metrics: {error}")
     for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
         echo(f"warning: {source.where(place)}: {key}: {why}", err=True)

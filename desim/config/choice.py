@@ -164,8 +164,7 @@ class OneOf:
         kind = table["kind"]
         if names_code(kind) and not is_trusted(info):
             raise PydanticCustomError("import_refused", "{why}", {"why": refusal(kind)})
-        point = _named_by_entry_points().get(kind)
-        found = _load(kind, (info.context or {}).get("folder")) if point is None else point.load()
+        found = load_named(kind, (info.context or {}).get("folder"))
         parameters = {key: each for key, each in table.items() if key != "kind"}
         if not isinstance(found, type):
             if not callable(found):
@@ -224,8 +223,16 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
     return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
 
 
-def _load(kind: str, folder: Path | None) -> Any:
-    """Return the object "module:name"; `folder`, if given, is added to `sys.path`, which worker processes copy."""
+def load_named(kind: str, folder: Path | None) -> Any:
+    """Return the object "module:name"; `folder`, if given, is added to `sys.path`, which worker processes copy.
+
+    The caller has to check that the text that names it is trusted; see `names_code`.
+
+    Raises:
+        ValueError: if it cannot be imported.
+    """
+    if (point := _named_by_entry_points().get(kind)) is not None:
+        return point.load()
     module, _, name = kind.partition(":")
     if folder is not None and str(folder.absolute()) not in sys.path:
         sys.path.append(str(folder.absolute()))

@@ -39,6 +39,11 @@ def to_json(value: Any) -> Any:
     return "NaN" if isnan(value) else "Infinity" if value > 0.0 else "-Infinity"
 
 
+def json_number(value: Any) -> Any:
+    """Return a value as `to_json` does, but NaN, the mean of no values, as None."""
+    return None if isinstance(value, float) and isnan(value) else to_json(value)
+
+
 def from_json(value: Any) -> Any:
     """Return a JSON value with the strings that `to_json` writes replaced by numbers."""
     if isinstance(value, dict):

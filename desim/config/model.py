@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from inspect import cleandoc, get_annotations, getsource
 from itertools import pairwise
-from math import inf
 from types import MappingProxyType
 from typing import Annotated, Any, get_args, get_origin
 
@@ -22,6 +21,8 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
+
+from desim.config.json_numbers import from_json
 
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -46,13 +47,9 @@ Speed = Annotated[float, Field(ge=0, le=MAX_COORDINATE, allow_inf_nan=False, str
 Probability = Annotated[float, Field(ge=0, le=1, strict=True)]
 
 
-def _infinity(value: Any) -> Any:
-    return inf if value == "Infinity" else value
-
-
-Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(_infinity)]
+Extent = Annotated[float, Field(gt=0, strict=True), BeforeValidator(from_json)]
 """A positive number or infinity; in JSON, infinity is the string "Infinity"."""
-Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(_infinity)]
+Limit = Annotated[float, Field(ge=0, strict=True), BeforeValidator(from_json)]
 """An upper bound, possibly infinite."""
 MAX_TIME = 1e9
 """Longest time, about thirty years, s."""

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from desim.config.choice import OneOf
+from desim.config.json_numbers import from_json
 from desim.config.model import Flag, Period, Timeout, Value
 from desim.kernel.events import Broadcast, Sent
 from desim.kernel.inbox import Message
@@ -158,7 +159,7 @@ def one_hop() -> Any:
 
 
 def _form_of_timeout(value: Any) -> str:
-    return "text" if isinstance(value, str) and value != "Infinity" else "number"
+    return "text" if isinstance(from_json(value), str) else "number"
 
 
 class Announcements(Value):

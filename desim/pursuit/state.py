@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.config.arrays import Floats, Points
-from desim.kernel.clock import SECOND
 
 
 class State:
@@ -38,7 +37,7 @@ class State:
     @property
     def t(self) -> float:
         """The instant, s."""
-        return self.stamp / SECOND
+        return self.stamp / 1e9
 
 
 def lengths(vectors: Points) -> Floats:

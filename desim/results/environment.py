@@ -14,6 +14,8 @@ NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
 """The installed distributions that results depend on."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
+METRICS = "analysis/metrics.py"
+"""The list of metrics, to which more may be added without an effect on a run; a store has the code of each metric."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
@@ -30,7 +32,8 @@ def environment() -> dict[str, Any]:
 def code() -> str:
     """Return a hash of the source code that a run depends on: the packages of `COMPUTING` and protocols.
 
-    Code that only stores or shows results (`desim/cli`, `desim/results`, `desim/study`, `desim/view`) is left out.
+    Code that only lists metrics, stores or shows results (`METRICS`, `desim/cli`, `desim/results`, `desim/study`,
+    `desim/view`) is left out.
     """
     here = Path(__file__).parents[1]
     files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
@@ -38,7 +41,7 @@ def code() -> str:
     folders = protocols.submodule_search_locations if protocols is not None else None
     files += [file for folder in folders or () for file in Path(folder).glob("*.py")]
     digest = hashlib.sha256()
-    for file in sorted(files, key=lambda file: (file.parent.name, file.name)):
+    for file in sorted(set(files) - {here / METRICS}, key=lambda file: (file.parent.name, file.name)):
         digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 

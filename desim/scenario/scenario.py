@@ -46,6 +46,7 @@ from desim.pursuit.evasion import STRATEGIES, PureEvasion, Strategy
 from desim.pursuit.guidance import ConstantBearing, Guidance, PurePursuit
 from desim.pursuit.sensing import Sensing
 from desim.pursuit.traits import ProtocolTraits, ScheduleTraits, StrategyTraits, UtilityTraits
+from desim.scenario.named_metrics import MetricName
 from desim.scenario.sweep_table import Sweep
 
 
@@ -223,6 +224,8 @@ class Recording(Value):
     messages: Literal[False, True, "file"] = False
     """Whether every message is recorded, or only counts; file: written to the trace in an output folder during the run
     and not kept in memory, so that ages and beliefs are not measured."""
+    metrics: tuple[MetricName, ...] = ()
+    """Metrics beside the built-in ones (`desim metrics`): functions of a result as "module:name", or installed ones."""
 
 
 def _default_protocol() -> Any:

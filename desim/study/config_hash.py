@@ -81,6 +81,17 @@ def identify(scenario: Scenario) -> Identity:
     return Identity(content_hash(json.dumps(whole, sort_keys=True).encode()), sources)
 
 
+def object_hash(value: Any) -> str:
+    """Return a hash of an object, its user code and its data files; the same in every process.
+
+    Raises:
+        Exception: if it has no stable hash.
+    """
+    pickler = StablePickler({}, {})
+    whole = [pickler.digest(value), pickler.code, sorted(pickler.files.values())]
+    return content_hash(json.dumps(whole, sort_keys=True).encode())
+
+
 def tables(scenario: Scenario) -> dict[str, Any]:
     """Return the part of a configuration that a scenario file can express, as JSON-compatible tables."""
     found: dict[str, Any] = json.loads(scenario.model_dump_json(exclude=set(UNSWEPT)))

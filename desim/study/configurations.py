@@ -20,6 +20,8 @@ SweepGrid = Mapping[str, Sequence[Any]]
 """Dotted keys of a scenario, and the values that each takes."""
 Settings = Mapping[str, Any]
 """The value of each key of a grid."""
+METRICS_UNSWEPT = "every run has the same metrics"
+"""Why `record.metrics` cannot be swept."""
 MAX_FAULTS = 20
 """The largest number of validation errors of a grid that an error message lists."""
 MAX_CONFIGURATIONS = 100_000
@@ -141,7 +143,7 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
     faults: list[str] = []
     for key, value in settings.items():
         where = _where(source, key)
-        if why := UNSWEPT.get(key.partition(".")[0]):
+        if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
             faults.append(f"{where}: cannot be swept; {why}")
             continue
         try:
@@ -154,7 +156,14 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
         faults += str(error).splitlines()
     if faults:
         raise ScenarioError("\n".join(faults))
-    return scenario
+    return without_metrics(scenario)
+
+
+def without_metrics(scenario: Scenario) -> Scenario:
+    """Return a scenario without the metrics that it names: they are measured, and no part of what identifies a run."""
+    if not scenario.record.metrics:
+        return scenario
+    return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
 
 
 def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:

@@ -6,7 +6,7 @@ up to the difference that all imperfections make together, the imperfections int
 enough to delay a capture, removing one alone saves nothing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import reduce
@@ -14,13 +14,14 @@ from operator import index
 from pathlib import Path
 from typing import Self
 
-from desim.analysis.statistics import estimate
+from desim.analysis.metrics import UsersMetrics, check_numeric, unit_of, users_metrics, words
+from desim.analysis.statistics import mean
 from desim.scenario.scenario import Scenario
-from desim.study.configurations import Configuration
+from desim.study.configurations import Configuration, without_metrics
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.store import Row, Store
-from desim.study.sweep import RunError, SweepPlan, carry_out
+from desim.study.sweep import Metrics, RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
@@ -35,21 +36,24 @@ def explain(
     *,
     seed: int | None = None,
     store: str | Path | None = None,
+    metrics: Metrics | None = None,
+    shown: Sequence[str] = tuple(EXPLAINED),
 ) -> Explanation:
-    """Return the cost of each imperfection of a scenario; the arguments are those of `sweep`.
+    """Return the cost of each imperfection of a scenario, in each of the metrics `shown`.
 
-    Use it to learn which of latency, loss, range, faults, ... degrades a protocol before varying it in a sweep.
+    Use it to learn which of latency, loss, range, faults, ... degrades a protocol before varying it in a sweep. The
+    other arguments are those of `sweep`.
 
     Raises:
-        ValueError: if there are fewer than 2 runs, or the seed is negative.
+        ValueError: if there are fewer than 2 runs, the seed is negative, or a metric does not exist.
         StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
         RunError: if for every seed some variant fails.
     """
-    variants = Variants.of(scenario, runs, seed)
+    variants = Variants.of(scenario, runs, seed, metrics)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         variants.plan.register(kept)
-        return variants.carry_out(kept, workers)
+        return variants.carry_out(kept, workers, shown)
 
 
 @dataclass(frozen=True)
@@ -61,14 +65,15 @@ class Variants:
     """By name. Removing an imperfection that the scenario does not have gives the scenario as it is."""
 
     @classmethod
-    def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None) -> Self:
+    def of(cls, scenario: Scenario, runs: int = RUNS, seed: int | None = None, metrics: Metrics | None = None) -> Self:
         """Return the variants of a scenario.
 
         Raises:
-            ValueError: if there are fewer than 2 runs, or the seed is negative.
+            ValueError: if there are fewer than 2 runs, the seed is negative, or a metric has a wrong name.
         """
         if index(runs) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
+        own, scenario = users_metrics(scenario, metrics or {}), without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}
@@ -77,22 +82,28 @@ class Variants:
         for configuration in configurations.values():
             distinct.setdefault(configuration.key, configuration)
         return cls(
-            SweepPlan(scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed)),
+            SweepPlan(
+                scenario, tuple(distinct.values()), runs, scenario.seed if seed is None else index(seed), metrics=own
+            ),
             configurations,
         )
 
-    def carry_out(self, store: Store, workers: Workers) -> Explanation:
-        """Perform the runs that a store lacks, and return the comparison of the variants.
+    def carry_out(self, store: Store, workers: Workers, shown: Sequence[str] = tuple(EXPLAINED)) -> Explanation:
+        """Perform the runs that a store lacks, and return the comparison of the variants in each of some metrics.
 
         Raises:
             RunError: if for every seed some variant fails.
+            ValueError: if a metric does not exist, or is no number.
         """
         plan = self.plan
-        carry_out(plan, store, workers)
-        rows = {
-            name: {row.replication: row for row in store.runs(configuration.key, plan.root)}
-            for name, configuration in self.configurations.items()
+        for metric in shown:
+            check_numeric(metric, dict(plan.metrics))
+        groups = carry_out(plan, store, workers, metrics=shown).groups
+        by_key = {
+            configuration.key: {row.replication: row for row in group.rows}
+            for configuration, group in zip(plan.configurations, groups, strict=True)
         }
+        rows = {name: by_key[configuration.key] for name, configuration in self.configurations.items()}
         complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
         if not complete:
             failed = next(row for found in rows.values() for row in found.values() if not row.ok)
@@ -100,19 +111,29 @@ class Variants:
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )
-        costs = {metric: _cost(metric, rows, complete, absent) for metric in EXPLAINED}
+        costs = {metric: _cost(metric, plan.metrics, rows, complete, absent) for metric in shown}
         return Explanation(plan.base.name, len(complete), plan.reps - len(complete), absent, costs)
 
 
-def _cost(metric: str, rows: Mapping[str, Mapping[int, Row]], complete: list[int], absent: tuple[str, ...]) -> Cost:
-    values = {name: [getattr(found[k].summary, metric) for k in complete] for name, found in rows.items()}
+def _cost(
+    metric: str,
+    own: UsersMetrics,
+    rows: Mapping[str, Mapping[int, Row]],
+    complete: list[int],
+    absent: tuple[str, ...],
+) -> Cost:
+    """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value."""
+    there = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
+    values = {name: [float(found[k].value(metric)) for k in there] for name, found in rows.items()}
     as_it_is = values.pop(AS_IT_IS)
     saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
     rest = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
-        estimate(as_it_is),
-        estimate(values[IDEAL]),
+        EXPLAINED.get(metric) or words(metric),
+        unit_of(metric, {name: each.unit for name, each in own}),
+        mean(as_it_is),
+        mean(values[IDEAL]),
         {name: Saving.of(each) for name, each in parts.items()},
         Saving.of(saved[IDEAL]),
         Saving.of(rest),

@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Self
 
-from desim.analysis.metrics import words
-from desim.analysis.statistics import Estimate, estimate
+from desim.analysis.metrics import with_unit, words
+from desim.analysis.statistics import Estimate, mean
 from desim.analysis.tables import aligned, as_json, from_json, html_table, with_half_width
 
 EXPLAINED: Mapping[str, str] = MappingProxyType(
-    {"active_time": "sum of active times, s", "end_time": "capture time, or horizon, s"}
+    {"active_time": "sum of active times", "end_time": "capture time, or horizon"}
 )
-"""The metrics in which costs are measured, and their titles in tables."""
+"""The metrics in which costs are measured by default, and their titles in tables."""
 NOTHING = 1e-9
-"""The largest difference that is attributed to rounding, s."""
+"""The largest difference that is attributed to rounding."""
 AS_IT_IS, IDEAL = "as it is", "ideal"
 
 
 @dataclass(frozen=True)
 class Saving:
-    """The time saved by removing imperfections: the mean difference between paired runs with the same seed."""
+    """The saving by removing imperfections, mostly of time: the mean difference of paired runs with the same seed."""
 
     mean: Estimate
     differing: int
@@ -29,12 +29,13 @@ class Saving:
 
     @classmethod
     def of(cls, differences: list[float]) -> Self:
-        """Return the saving, given the difference of each pair of runs, s."""
-        return cls(estimate(differences), sum(abs(each) > NOTHING for each in differences))
+        """Return the saving, given the difference of each pair of runs."""
+        return cls(mean(differences), sum(abs(each) > NOTHING for each in differences))
 
     def text(self, runs: int) -> str:
         """Return the saving as the text of a table cell."""
-        return with_half_width(self.mean, runs, "+") if self.differing else "0 in every run"
+        is_0 = self.mean.count and not self.differing
+        return "0 in every run" if is_0 else with_half_width(self.mean, runs, "+")
 
     def document(self) -> dict[str, Any]:
         """Return the saving as JSON-compatible values."""
@@ -43,8 +44,11 @@ class Saving:
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of the imperfections of a scenario in one metric, s."""
+    """The cost of the imperfections of a scenario in one metric."""
 
+    label: str
+    """The label of the metric in tables and figures."""
+    unit: str
     as_it_is: Estimate
     ideal: Estimate
     """The scenario without any imperfection."""
@@ -63,6 +67,8 @@ class Cost:
             return Saving(from_json(part), int(part["differing"]))
 
         return cls(
+            str(made["label"]),
+            str(made["unit"]),
             from_json(made["as_it_is"]),
             from_json(made["ideal"]),
             {str(name): saving(part) for name, part in made["parts"].items()},
@@ -99,7 +105,7 @@ class Explanation:
             ValueError: if the document is not an explanation.
         """
         try:
-            costs = {metric: Cost.of(cost) for metric, cost in made["costs"].items() if metric in EXPLAINED}
+            costs = {str(metric): Cost.of(cost) for metric, cost in made["costs"].items()}
             found = cls(str(made["name"]), int(made["runs"]), int(made["failed"]), tuple(made["absent"]), costs)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"is not an explanation: {type(error).__name__}: {error}") from error
@@ -123,7 +129,7 @@ class Explanation:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return the costs as rows of text; the first row is the header."""
-        rows: list[tuple[str, ...]] = [("", *(EXPLAINED[metric] for metric in self.costs))]
+        rows: list[tuple[str, ...]] = [("", *(with_unit(cost.label, cost.unit) for cost in self.costs.values()))]
         costs = list(self.costs.values())
 
         def add(name: str, found: list[Estimate | Saving]) -> None:
@@ -146,10 +152,10 @@ class Explanation:
         remarks = [f"absent: {', '.join(self.absent)}"] if self.absent else []
         for metric, cost in self.costs.items():
             if cost.interacts:
-                total = sum(part.mean.mean for part in cost.parts.values())
+                total, unit = sum(part.mean.mean for part in cost.parts.values()), f" {cost.unit}".rstrip()
                 remarks.append(
                     f"the effects interact (beyond the 95 % interval): in {words(metric)} the parts add up to"
-                    f" {total:+.3f} s, and all together cost {cost.together.mean.mean:+.3f} s"
+                    f" {total:+.3f}{unit}, and all together cost {cost.together.mean.mean:+.3f}{unit}"
                 )
         return remarks + ([f"{self.failed} seeds are left out because a run failed"] if self.failed else [])
 
@@ -157,6 +163,8 @@ class Explanation:
         """Return the explanation as JSON-compatible values."""
         costs = {
             metric: {
+                "label": cost.label,
+                "unit": cost.unit,
                 "as_it_is": as_json(cost.as_it_is),
                 "ideal": as_json(cost.ideal),
                 "parts": {name: part.document() for name, part in cost.parts.items()},

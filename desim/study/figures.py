@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from desim.analysis.metrics import METRICS, words
+from desim.analysis.metrics import unit_of as unit_of_metric
+from desim.analysis.metrics import words
 from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Figure, styled
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
 from desim.config.trust import escaped
-from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation
+from desim.study.explanation import AS_IT_IS, IDEAL, Cost, Explanation
 from desim.study.result import SweepResult, text
 
 MARKERS = "osD^v"
@@ -51,7 +52,7 @@ def means(result: SweepResult, metric: str) -> Figure:
     The abscissa is the first key of the grid that takes several numbers, with a line for each combination of the other
     keys. If no key does, each configuration has a row.
     """
-    title = _with_unit(metric)
+    title = _with_unit(metric, result)
     abscissa = next(iter(swept_numbers(result)), None)
     height = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
     with styled(figsize=(6.4, height)) as figure:
@@ -86,7 +87,7 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
     with styled(figsize=size, font=8.0) as figure:
         panels = figure.subplots(rows, columns, squeeze=False, sharey=abscissa is None)
         for axes, metric in zip(panels.flat, metrics, strict=False):
-            axes.set_title(_with_unit(metric), loc="left")
+            axes.set_title(_with_unit(metric, result), loc="left")
             if abscissa is None:
                 _draw_rows(axes, result, metric)
             else:
@@ -145,7 +146,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
             axes.set_axis_off()
         for axes in shared.flat:
             axes.label_outer()
-        figure.suptitle(_with_unit(metric), fontsize=8)
+        figure.suptitle(_with_unit(metric, result), fontsize=8)
     return figure
 
 
@@ -177,9 +178,9 @@ def swept_numbers(result: SweepResult) -> list[str]:
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
-def _with_unit(metric: str) -> str:
-    unit = METRICS[metric].unit
-    return f"{words(metric)} ({unit})" if unit else words(metric)
+def _with_unit(metric: str, result: SweepResult) -> str:
+    unit = unit_of_metric(metric, result.units)
+    return _literal(f"{words(metric)} ({unit})" if unit else words(metric))
 
 
 def _key_with_unit(key: str) -> str:
@@ -273,11 +274,11 @@ def _literal(name: str) -> str:
 def waterfall(found: Explanation) -> Figure:
     """Draw the cost of each imperfection in each metric as a waterfall chart, with 95 % intervals."""
     with styled(figsize=(4.4 * len(found.costs), 4.0)) as figure:
-        for axes, (metric, cost) in zip(
-            figure.subplots(1, len(found.costs), squeeze=False)[0], found.costs.items(), strict=True
+        for axes, cost in zip(
+            figure.subplots(1, len(found.costs), squeeze=False)[0], found.costs.values(), strict=True
         ):
             draw_waterfall(axes, cost)
-            axes.set_ylabel(EXPLAINED[metric].replace(", s", " (s)"))
+            axes.set_ylabel(_literal(f"{cost.label} ({cost.unit})" if cost.unit else cost.label))
         title = f"{escaped(found.name)}: what imperfections cost, {found.runs} runs of equal seeds"
         figure.suptitle(title, fontsize=9, parse_math=False)
     return figure

@@ -5,12 +5,15 @@ import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
-from desim.analysis.metrics import COMMON, METRICS, words
-from desim.analysis.statistics import Estimate, estimate, paired, wilson
-from desim.analysis.tables import aligned, as_json, html_table, json_number, with_half_width
+from desim.analysis.metrics import METRICS, title, words
+from desim.analysis.statistics import Estimate, mean, paired, wilson
+from desim.analysis.tables import aligned, as_json, html_table, with_half_width
+from desim.config.json_numbers import json_number
 from desim.config.trust import escaped
 from desim.study.store import Row, Store, StoreError
 
@@ -32,7 +35,11 @@ class Group:
 
     def values(self, metric: str) -> list[Any]:
         """Return a metric of each run that did not fail; None for a run without a value."""
-        return [getattr(row.summary, metric) for row in self.rows if row.summary is not None]
+        return [row.value(metric) for row in self.rows if row.ok]
+
+    def present(self, metric: str) -> list[Any]:
+        """Return a metric of each run that has a value."""
+        return [value for value in self.values(metric) if value is not None]
 
     def in_words(self, without: Sequence[str] = ()) -> str:
         """Return the settings as one line of text, without those of the keys in `without`."""
@@ -57,8 +64,15 @@ class SweepResult:
     """Whether run k of every configuration has the same seed."""
 
     @classmethod
-    def of(cls, store: Store, configurations: Sequence[str] | None = None) -> Self:
+    def of(
+        cls,
+        store: Store,
+        configurations: Sequence[str] | None = None,
+        failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
+    ) -> Self:
         """Return the result from a store, of all configurations or of those with given hashes.
+
+        The rows of `failed`, by configuration and replication, take the place of those in the store.
 
         Raises:
             StoreError: if the store is empty or damaged.
@@ -73,8 +87,20 @@ class SweepResult:
                 raise StoreError(f"{store.path}: configuration {key}: should have the settings {', '.join(grid)}")
         chosen = settings if configurations is None else configurations
         keys = tuple(next(iter(settings.values()), grid))  # in the order of the last sweep
-        groups = (Group({each: settings[key][each] for each in keys}, tuple(store.runs(key, root))) for key in chosen)
-        return cls(name, keys, tuple(groups), seeds == "common")
+        groups = tuple(
+            Group(
+                {each: settings[key][each] for each in keys},
+                tuple(failed.get((key, row.replication), row) for row in store.runs(key, root)),
+            )
+            for key in chosen
+        )
+        return cls(name, keys, groups, seeds == "common")
+
+    @cached_property
+    def units(self) -> Mapping[str, str]:
+        """The unit of each metric that some run has and that is not built in, by name."""
+        summaries = (row.summary for group in self.groups for row in group.rows if row.summary is not None)
+        return {name: unit for each in summaries for name, unit in each.units.items() if name in each}
 
     @property
     def failed(self) -> list[Row]:
@@ -83,7 +109,7 @@ class SweepResult:
 
     def estimates(self, metric: str) -> list[Estimate]:
         """Return the mean of a metric for each configuration, over its runs with a value."""
-        return [_mean([value for value in group.values(metric) if value is not None]) for group in self.groups]
+        return [mean(group.present(metric)) for group in self.groups]
 
     def differences(self, metric: str, reference: int | None = None) -> list[Estimate]:
         """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
@@ -154,20 +180,23 @@ class SweepResult:
             yield f"difference from {first}, run by run with the same seed", self._difference_rows(metrics)
 
     def _failures(self) -> Iterator[str]:
-        if self.failed:
-            yield f"{_counted(len(self.failed), 'run')} failed; the first: {self.failed[0].error}"
+        for group in self.groups:
+            if group.failed:
+                first = f"{group.in_words()}, seed {group.failed[0].seed}: {group.failed[0].error}"
+                yield f"{_counted(len(self.failed), 'run')} failed; the first, with {first}"
+                return
 
     def _mean_rows(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         """Return rows of text: settings, number of runs, share with a capture, and the mean of each metric."""
-        titles = (f"{words(name)}{f', {METRICS[name].unit}' if METRICS[name].unit else ''}" for name in metrics)
+        titles = (title(name, self.units) for name in metrics)
         failed = ("failed",) if self.failed else ()
         rows: list[tuple[str, ...]] = [(*self.keys, "runs", *failed, "captured", *titles)]
         found = [self.estimates(metric) for metric in metrics]
         for k, group in enumerate(self.groups):
-            captured = group.values("captured")
+            captured = group.present("captured")
             share = _share(captured) if captured else "-"
             counts = (str(len(group.rows)), *([str(len(group.failed))] if self.failed else []))
-            means = (with_half_width(each[k], len(captured)) for each in found)
+            means = (with_half_width(each[k], len(group.rows) - len(group.failed)) for each in found)
             rows.append((*map(text, group.settings.values()), *counts, share, *means))
         return rows
 
@@ -184,9 +213,8 @@ class SweepResult:
 
     @property
     def _measured(self) -> tuple[str, ...]:
-        """The names of the metrics, including those that need several evaders only if a run had several."""
-        several = any(each is not None for group in self.groups for each in group.values("captures"))
-        return tuple(METRICS) if several else COMMON
+        """The names of the metrics."""
+        return (*METRICS, *self.units)
 
     @property
     def _columns(self) -> tuple[str, ...]:
@@ -212,7 +240,7 @@ class SweepResult:
         differences = {metric: self.differences(metric) for metric in metrics} if self.common else {}
         configurations = []
         for k, group in enumerate(self.groups):
-            captured = group.values("captured")
+            captured = group.present("captured")
             configurations.append(
                 {
                     "settings": {key: json_number(value) for key, value in group.settings.items()},
@@ -277,13 +305,9 @@ def _cell(value: Any) -> Any:
 
 
 def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
-    """Return metrics of a run by name; one that is a dict, as JSON text."""
-    values = {name: getattr(row.summary, name) for name in measured}
+    """Return metrics of a run by name, None if missing; one that is a dict, as JSON text."""
+    values = {name: row.value(name) for name in measured}
     return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in values.items()}
-
-
-def _mean(values: Sequence[float]) -> Estimate:
-    return estimate(values) if values else Estimate(float("nan"), float("nan"), 0)
 
 
 def _pairs(one: Group, other: Group) -> list[tuple[Row, Row]]:
@@ -294,7 +318,7 @@ def _pairs(one: Group, other: Group) -> list[tuple[Row, Row]]:
 
 def _aligned_values(one: Group, other: Group, metric: str) -> tuple[list[Any], list[Any]]:
     pairs = _pairs(one, other)
-    return [getattr(a.summary, metric) for a, _ in pairs], [getattr(b.summary, metric) for _, b in pairs]
+    return [a.value(metric) for a, _ in pairs], [b.value(metric) for _, b in pairs]
 
 
 def _share(captured: Sequence[bool]) -> str:

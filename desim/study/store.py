@@ -3,6 +3,10 @@
 Committed rows survive a driver that is killed. Configuration, replication and root seed identify a row, so a run that
 is in the store is not repeated. `SELECT * FROM results` has a column per metric.
 
+A row has the metrics that were computed for its run, and the store the code of each. A metric that is added later is
+missing in earlier rows, until their runs are repeated because it is asked for. Values of a metric whose code has
+changed since are removed.
+
 Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store that was damaged or
 edited is refused. The checksums detect accidents; they do not protect against forgery.
 """
@@ -14,22 +18,23 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache, wraps
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, ParamSpec, Self, TypeVar, get_type_hints
 from zlib import crc32
 
-from pydantic import ConfigDict, Field, Json, TypeAdapter, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, Json, TypeAdapter, ValidationError, create_model
 
-from desim.analysis.metrics import COMMON, Summary, plain
+from desim.analysis.metrics import METRICS, Summary
+from desim.config.json_numbers import from_json, to_json
 from desim.study.configurations import Configuration
 
 Status = Literal["ok", "error", "crashed"]
 FORMAT = "3"
 """The version of the tables below, and of the hashes of configurations."""
-TABLES = f"""
+TABLES = """
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE IF NOT EXISTS configurations (
     configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL,
@@ -46,16 +51,15 @@ CREATE TABLE IF NOT EXISTS runs (
     checksum INTEGER NOT NULL,
     PRIMARY KEY (configuration, replication, root_seed)
 );
-CREATE VIEW IF NOT EXISTS results AS SELECT settings, replication, root_seed, runs.seed AS seed, status, traceback,
-    {", ".join(f"json_extract(summary, '$.{name}') AS {name}" for name in COMMON if name != "seed")}
-    FROM runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication;
+CREATE TABLE IF NOT EXISTS metrics (
+    name TEXT PRIMARY KEY, unit TEXT NOT NULL, code TEXT NOT NULL, checksum INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS commands (
+    folder TEXT NOT NULL, argv TEXT NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (folder, argv)
+);
 """
-"""The schema of a store. Seeds are texts, because they may have more than 64 bits."""
-INSTEAD = """ON CONFLICT (configuration, replication, root_seed) DO UPDATE SET seed = excluded.seed,
-    status = excluded.status, summary = excluded.summary, traceback = excluded.traceback, checksum = excluded.checksum
-    WHERE"""
-"""The start of a clause that replaces an existing run if a condition holds; the condition is to be appended."""
-NAMED_BY = {"about": 1, "configurations": 1, "runs": 4}
+"""The tables of a store. Seeds are texts, because they may have more than 64 bits."""
+NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
 """The number of leading columns of each table that identify a row in an error message."""
 PATIENCE = 30.0
 """The time-out for a file that another process has locked, s of wall time."""
@@ -83,6 +87,10 @@ class Row:
     """The metrics, if ok."""
     traceback: str = ""
     """The traceback and the exception, if the run failed."""
+
+    def value(self, metric: str) -> Any:
+        """Return a metric of the run; None if it has no value or is missing, or if the run failed."""
+        return None if self.summary is None else self.summary.get(metric)
 
     @property
     def ok(self) -> bool:
@@ -124,6 +132,8 @@ class Store:
 
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
         self.path: Any = path or "the store in memory"
+        self.added = 0
+        """The number of runs that were added since the store was opened, repeated ones included."""
         if read_only and not (path and path.is_file()):
             raise StoreError(f"{path}: there is no such store")
         if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
@@ -144,13 +154,13 @@ class Store:
     def _prepare(self, path: Path | None, read_only: bool) -> None:
         """Check the content of the store, or create its tables."""
         if there := _schema(self._database):
-            _check_schema(path, there)
+            _check_schema(path, there, self._database)
             self._check_content()
         elif read_only:
             raise StoreError(f"{path}: is empty")
         else:
             self._create(path)
-        about = {"format": FORMAT, "metrics": json.dumps(COMMON)}
+        about = {"format": FORMAT}
         if read_only:
             self._database.execute("PRAGMA query_only = ON")
             self.check_same(about)
@@ -165,7 +175,7 @@ class Store:
             self._database.close()
             _use_rollback_journal(path)
             self._database = _connected(path)
-        self._database.executescript(f"BEGIN IMMEDIATE; {TABLES} COMMIT")
+        self._database.executescript(f"BEGIN IMMEDIATE; {TABLES} {_view(())}; COMMIT")
         if fault:
             warnings.warn(
                 f"{path}: this file system allows no write-ahead log ({fault}), so the store has a rollback journal:"
@@ -277,28 +287,94 @@ class Store:
             )
 
     @_naming_the_file
-    def add(self, key: str, root: int, row: Row) -> None:
-        """Add a run of a configuration and a root seed; it replaces the same run only if that one failed."""
-        numbers = None if row.summary is None else json.dumps(plain(row.summary))
-        values = (key, row.replication, str(root), str(row.seed), row.status, numbers, row.traceback)
+    def register_metrics(self, metrics: Mapping[str, tuple[str, str]]) -> None:
+        """Record the unit and the hash of the code of metrics; values that other code computed are removed."""
         with self._writing() as database:
-            database.execute(
-                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?) {INSTEAD} runs.status != 'ok'",
-                _with_checksum(values),
+            there = {name: (unit, code) for name, unit, code in self._rows("metrics")}
+            changed = {name: each for name, each in metrics.items() if there.get(name) != each}
+            outdated = {name for name, (_, code) in changed.items() if name in there and there[name][1] != code}
+            for row in list(self._rows("runs")) if outdated else ():
+                if (numbers := self._values(row)) is not None:
+                    self._put_run(row, {name: each for name, each in numbers.items() if name not in outdated})
+            database.executemany(
+                "INSERT INTO metrics VALUES (?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET unit = excluded.unit,"
+                " code = excluded.code, checksum = excluded.checksum",
+                [_with_checksum((name, *each)) for name, each in changed.items()],
             )
+            if not changed.keys() <= there.keys():
+                database.execute("DROP VIEW results")
+                database.execute(_view(tuple(there | changed)))
+
+    @property
+    @_naming_the_file
+    def units(self) -> Mapping[str, str]:
+        """The unit of each metric that runs of the store may have, by name."""
+        return MappingProxyType({name: unit for name, unit, _ in self._rows("metrics", "ORDER BY rowid")})
+
+    @_naming_the_file
+    def note_command(self, folder: str, argv: Sequence[str]) -> None:
+        """Record a command that adds runs to the store, and its working folder; one that is there is not repeated."""
+        with self._writing() as database:
+            values = _with_checksum((folder, json.dumps(argv)))
+            database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?, ?)", values)
+
+    @property
+    @_naming_the_file
+    def commands(self) -> list[tuple[str, list[str]]]:
+        """The working folder and the words of each command that added runs, oldest first."""
+        return [(row[0], self._read(_adapter(ARGV), "commands", row, 1)) for row in self._rows("commands", ROWID)]
+
+    @_naming_the_file
+    def add(self, key: str, root: int, row: Row) -> None:
+        """Add a run of a configuration and a root seed.
+
+        It replaces the same run if that one failed. A run that did not fail only receives the metrics that it lacks.
+        """
+        values = (key, row.replication, str(root), str(row.seed), row.status, None, row.traceback)
+        with self._writing():
+            self._add(values, None if row.summary is None else dict(row.summary))
+        self.added += 1
+
+    def _add(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None, *, keeps_failed: bool = False) -> None:
+        """Add the row of a run and its metrics; see `add`. With `keeps_failed` no failure replaces another."""
+        there = list(self._rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3]))
+        known = self._values(there[0]) if there else None
+        if known is None:
+            if numbers is not None or not (there and keeps_failed):
+                self._put_run(row, numbers)
+        elif numbers is not None and not numbers.keys() <= known.keys():
+            self._put_run(there[0], {**numbers, **known})
+
+    def _values(self, row: tuple[Any, ...]) -> dict[str, Any] | None:
+        """Return the metrics in the row of a run by name, as JSON values; None if the run failed."""
+        found: dict[str, Any] | None = self._read(_adapter(Json[dict[str, Any]] | None), "runs", row, SUMMARY)
+        return found
+
+    def _put_run(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None) -> None:
+        """Write the row of a run with some metrics, in place of the same run."""
+        text = None if numbers is None else json.dumps(to_json(numbers))
+        values = _with_checksum((*row[:SUMMARY], text, *row[SUMMARY + 1 :]))
+        self._database.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
 
     @_naming_the_file
     def runs(self, key: str, root: int) -> list[Row]:
         """Return the runs of a configuration and a root seed, in the order of replications."""
-        where = "WHERE configuration = ? AND root_seed = ? ORDER BY replication"
-        return [self._run(row) for row in self._rows("runs", where, (key, str(root)))]
+        where, units = "WHERE configuration = ? AND root_seed = ? ORDER BY replication", self.units
+        return [self._run(row, units) for row in self._rows("runs", where, (key, str(root)))]
 
-    def _run(self, row: tuple[Any, ...]) -> Row:
-        """Return the run in a row."""
+    def _run(self, row: tuple[Any, ...], units: Mapping[str, str]) -> Row:
+        """Return the run in a row, given the units of the metrics of the store."""
         _, replication, _, seed, status, numbers, trace = self._read(_adapter(RUN), "runs", row)
         if (numbers is None) == (status == "ok"):
             raise self._error("runs", row, "should have a summary if its status is ok, and none if not")
-        return Row(replication, int(seed), status, numbers and Summary(**dict(numbers)), trace)
+        if numbers is None:
+            return Row(replication, int(seed), status, None, trace)
+        if strange := sorted(numbers.model_fields_set - units.keys()):
+            raise self._error("runs", row, f"summary.{strange[0]}: is no metric of this store")
+        own = {name: unit for name, unit in units.items() if name not in METRICS}
+        return Row(
+            replication, int(seed), status, Summary(from_json(numbers.model_dump(exclude_unset=True)), own), trace
+        )
 
     @_naming_the_file
     def configurations(self) -> list[tuple[str, dict[str, Any]]]:
@@ -315,21 +391,28 @@ class Store:
     def merge(self, other: "Store") -> None:
         """Add the runs of another store of the same sweep; a run that succeeded there replaces one that failed here.
 
+        A run that succeeded in both has the metrics of both.
+
         Raises:
-            StoreError: if the other store belongs to another sweep.
+            StoreError: if the other store belongs to another sweep, or has a metric that other code computed.
         """
         self.record_properties(other.about)
+        codes = {name: code for name, _, code in self._rows("metrics")}
+        metrics = {name: (unit, code) for name, unit, code in other._rows("metrics", ROWID)}
+        for name, (_, code) in metrics.items():
+            if codes.get(name, code) != code:
+                raise StoreError(f"{self.path}: the metric {name} was computed by other code in {other.path}; {HINT}")
+        self.register_metrics(metrics)
+        for folder, argv in other.commands:
+            self.note_command(folder, argv)
         # Runs first: if `other` is being written, each of them then has its configuration.
         runs, configurations = list(other._rows("runs")), list(other._rows("configurations"))
         with self._writing() as database:
             database.executemany(
                 "INSERT OR IGNORE INTO configurations VALUES (?, ?, ?, ?, ?)", map(_with_checksum, configurations)
             )
-            database.executemany(
-                f"INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?) {INSTEAD}"
-                " runs.status != 'ok' AND excluded.status = 'ok'",
-                map(_with_checksum, runs),
-            )
+            for row in runs:
+                self._add(row, other._values(row), keeps_failed=True)
 
     @_naming_the_file
     def check(self) -> str:
@@ -349,11 +432,22 @@ class Store:
 
 Digits = Annotated[str, Field(pattern="^[0-9]{1,4000}$")]
 """A seed as text: a non-negative integer, short enough for Python's parser."""
-_FIELDS: dict[str, Any] = {
-    each.name: (get_type_hints(Summary)[each.name], ... if each.name in COMMON else None) for each in fields(Summary)
-}
-_Numbers = create_model("Numbers", __config__=ConfigDict(strict=True, extra="forbid"), **_FIELDS)
-"""The model of a summary in JSON."""
+ROWID = "ORDER BY rowid"
+SUMMARY = 5
+"""The column of `runs` with the metrics."""
+
+
+class _Metrics(BaseModel):
+    """Metrics that are not built in."""
+
+    model_config = ConfigDict(strict=True, extra="allow", protected_namespaces=())
+    __pydantic_extra__: dict[str, bool | int | float | Literal["Infinity", "-Infinity"] | None]
+
+
+_FIELDS: dict[str, Any] = {name: (kind | None, None) for name, kind in get_type_hints(Summary).items()}
+_Numbers = create_model("Numbers", __base__=_Metrics, **_FIELDS)
+"""The model of a summary in JSON; a run that was stored before a metric existed lacks it."""
+ARGV = Json[list[str]]
 RUN: Any = tuple[str, Annotated[int, Field(ge=0)], Digits, Digits, Status, Json[_Numbers] | None, str]
 SETTINGS = Json[dict[str, bool | int | float | str]]
 """The types of a row of `runs`, and of the settings of a configuration."""
@@ -427,18 +521,26 @@ def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
     return {name: (kind, sql) for name, kind, sql in found}
 
 
+def _view(metrics: Sequence[str]) -> str:
+    """Return the SQL of the view with a row per run and a column per metric."""
+    columns = [f"json_extract(summary, '$.{name}') AS \"{name}\"" for name in metrics if name != "seed"]
+    named = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
+    source = "runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication"
+    return f"CREATE VIEW IF NOT EXISTS results AS SELECT {named} FROM {source}"
+
+
 @cache
-def _known_schema() -> Mapping[str, tuple[str, str | None]]:
-    """Return the schema of a store; see `_schema`."""
+def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str | None]]:
+    """Return the schema of a store with some metrics; see `_schema`."""
     database = sqlite3.connect(":memory:")
     try:
-        database.executescript(TABLES)
+        database.executescript(f"{TABLES} {_view(metrics)}")
         return MappingProxyType(_schema(database))
     finally:
         database.close()
 
 
-def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]]) -> None:
+def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]], database: sqlite3.Connection) -> None:
     """Raise StoreError unless a database has exactly the schema of a store.
 
     Otherwise a trigger, or a view in place of a table, could run SQL of the file's author in every command.
@@ -448,6 +550,19 @@ def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]]
         raise StoreError(f"{path}: is a database, but not the store of a sweep")
     if strange := sorted(there.keys() - known.keys()):
         raise StoreError(f"{path}: has an unexpected object ({there[strange[0]][0]} {strange[0]}); {HINT}")
+    _check_same_schema(path, {name: each for name, each in known.items() if each[0] == "table"}, there)
+    metrics = tuple(name for (name,) in database.execute(f"SELECT name FROM metrics {ROWID}"))
+    if strange := [name for name in metrics if not (isinstance(name, str) and name.isidentifier())]:
+        raise StoreError(f"{path}: metrics: name {strange[0]}: should be a Python identifier")
+    _check_same_schema(path, _known_schema(metrics), there)
+
+
+def _check_same_schema(
+    path: Path | None,
+    known: Mapping[str, tuple[str, str | None]],
+    there: Mapping[str, tuple[str, str | None]],
+) -> None:
+    """Raise StoreError if a table or view of the known schema is missing or different in a database."""
     for name, each in known.items():
         if each != there.get(name):
             state = "missing" if name not in there else "different"
@@ -465,7 +580,7 @@ def _with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
 
 def _differs(name: str, one: Any, other: Any) -> str:
     """Return the difference between two sweeps, given a recorded property of each, as the end of an error message."""
-    if name in {"format", "metrics"}:
+    if name == "format":
         return "by another version of desim"
     if name == "scenario":
         old, new = flat(one), flat(other)

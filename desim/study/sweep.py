@@ -2,10 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import count, takewhile
 from operator import index
 from pathlib import Path
@@ -13,20 +14,24 @@ from typing import Any, Self
 
 from tqdm import tqdm
 
-from desim.analysis.metrics import METRICS
+from desim.analysis.metrics import UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
 from desim.config.trust import escaped
 from desim.results import environment
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
+from desim.simulation.run import Result
 from desim.study.config_hash import tables
-from desim.study.configurations import Configuration, SweepGrid, configurations
+from desim.study.configurations import Configuration, SweepGrid, configurations, without_metrics
 from desim.study.dispatch import drive, simulation
-from desim.study.result import SweepResult
+from desim.study.metric_code import units_and_codes
+from desim.study.result import SHOWN, SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 
+Metrics = Mapping[str, Callable[[Result], Any]]
+"""Metrics of a user by name: functions of a result that return a number, True, False or None."""
 Job = tuple[Configuration, int]
 """A configuration and the number of one of its runs (its replication), from 0 on."""
 MAX_RUNS = 10_000
@@ -50,6 +55,8 @@ class SweepPlan:
     """The seed of the first run."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
+    metrics: UsersMetrics = ()
+    """The metrics of each run beside the built-in ones."""
 
     @classmethod
     def of(
@@ -58,18 +65,21 @@ class SweepPlan:
         grid: SweepGrid | None = None,
         reps: int | None = None,
         seed: int | None = None,
+        metrics: Metrics | None = None,
     ) -> Self:
         """Return the plan in a scenario's table `sweep`; the arguments take precedence over it.
 
+        `metrics` are measured beside those that the scenario names (`record.metrics`).
+
         Raises:
             ScenarioError: with all faults of the grid.
-            ValueError: if there are no runs, or the seed is negative.
+            ValueError: if there are no runs, the seed is negative, or a metric has a wrong name.
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
-        found = tuple(configurations(source, grid))
-        return cls(base, found, reps, root, base.sweep.seeds == "common")
+        own, found = users_metrics(base, metrics or {}), tuple(configurations(source, grid))
+        return cls(without_metrics(base), found, reps, root, base.sweep.seeds == "common", own)
 
     def __post_init__(self) -> None:
         if self.reps < 1:
@@ -105,13 +115,28 @@ class SweepPlan:
         store.check_same(self._properties_as_json())
 
     def register(self, store: Store) -> None:
-        """Record the properties and the configurations of the sweep in a store.
+        """Record the properties, the configurations and the metrics of the sweep in a store.
 
         Raises:
             StoreError: if the store belongs to another sweep, or cannot be written.
+            ValueError: if a metric holds an object without a stable hash.
         """
         store.record_properties(self._properties_as_json())
         store.register(self.configurations)
+        store.register_metrics(units_and_codes(self.metrics))
+
+    def done(self, store: Store, metrics: Collection[str] = ()) -> set[tuple[str, int]]:
+        """Return the hash of the configuration and the number of each run that a store has, with some metrics.
+
+        A run that lacks one of these metrics or of the plan's is not done.
+        """
+        needed = {*metrics, *dict(self.metrics)}
+        return {
+            (configuration.key, row.replication)
+            for configuration in self.configurations
+            for row in store.runs(configuration.key, self.root)
+            if row.summary is not None and needed <= row.summary.keys()
+        }
 
     def _properties_as_json(self) -> dict[str, str]:
         return {name: json.dumps(each) for name, each in self.about.items()}
@@ -142,6 +167,7 @@ def sweep(
     until: tuple[str, float] | None = None,
     fail_fast: bool = False,
     timeout: float | None = None,
+    metrics: Metrics | None = None,
 ) -> SweepResult:
     """Run each configuration of a grid over a scenario many times, and return the metrics of the runs.
 
@@ -150,6 +176,7 @@ def sweep(
         found = sweep(Scenario(), {"network.latency.value": [0.0, 0.1], "network.range": [5.0, inf]}, reps=100)
         print(found)
         found.to_frame().groupby("network.range").active_time.mean()
+        print(sweep(Scenario(), grid, metrics={"late": lambda result: end_time(result) > 4.0}).table(["late"]))
 
     Args:
         scenario: the scenario that is varied.
@@ -164,17 +191,19 @@ def sweep(
             most this half width. It is first checked after 30 runs, and `reps` (10,000 if None) is the maximum number.
         fail_fast: whether the first run that fails ends the sweep.
         timeout: the wall time after which a run counts as failed, s; see `desim.simulation.watchdog`.
+        metrics: metrics to compute beside the built-in ones, by name; see `desim.analysis.metrics`. A stored run that
+            lacks one is repeated. A run whose metric raises an exception counts as failed.
 
     Raises:
         ScenarioError: with all faults of the grid.
-        ValueError: if there are no runs, or the metric of `until` does not exist.
+        ValueError: if there are no runs, the metric of `until` does not exist, or a metric has a wrong name.
         StoreError: if the store cannot be written, or belongs to another sweep.
         ConnectionError: if a scheduler does not answer.
         RunError: if a run fails and `fail_fast` is set.
     """
+    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed, metrics)
     if until is not None:
-        check_target(*until)
-    plan = SweepPlan.of(scenario, grid, MAX_RUNS if until and reps is None else reps, seed)
+        check_target(*until, plan.metrics)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         plan.register(kept)
         return carry_out(plan, kept, workers, until=until, fail_fast=fail_fast, timeout=timeout)
@@ -189,56 +218,64 @@ def carry_out(
     shard: tuple[int, int] = (1, 1),
     fail_fast: bool = False,
     timeout: float | None = None,
+    metrics: Collection[str] = SHOWN,
+    on_start: Callable[[], None] = lambda: None,
 ) -> SweepResult:
     """Perform the runs of a plan that its store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout`, s, counts as failed.
+    A run that takes longer than `timeout`, s, counts as failed. A stored run that lacks one of the given metrics, that
+    of `until` or one of the plan's is repeated; if that fails, the stored run is kept, and the result has the failure.
+    If any run is to be performed, `on_start` is called before.
     """
     if until is not None:
-        check_target(*until)
+        check_target(*until, plan.metrics)
         if shard != (1, 1):
             raise ValueError("`until` and a shard exclude each other: `until` needs the results of all shards")
-    done = {
-        (configuration.key, row.replication)
-        for configuration in plan.configurations
-        for row in store.runs(configuration.key, plan.root)
-        if row.ok
-    }
+    done = plan.done(store, {"captured", *metrics, *(() if until is None else until[:1])})
+    failed: dict[tuple[str, int], Row] = {}
+    is_started = False
     while True:
         jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until)
         jobs = [(configuration, k) for configuration, k in jobs if (configuration.key, k) not in done]
         if not jobs:
-            return SweepResult.of(store, [configuration.key for configuration in plan.configurations])
-        _run(jobs, plan, store, workers, fail_fast, timeout)
+            return SweepResult.of(store, [configuration.key for configuration in plan.configurations], failed)
+        if not is_started:
+            on_start()
+            is_started = True
+        failed |= _run(jobs, plan, store, workers, fail_fast, timeout)
         done |= {(configuration.key, k) for configuration, k in jobs}
 
 
 def _run(
     jobs: Sequence[Job], plan: SweepPlan, store: Store, workers: Workers, fail_fast: bool, timeout: float | None
-) -> None:
-    """Perform some runs, and add each to the store as it ends."""
+) -> dict[tuple[str, int], Row]:
+    """Perform some runs, add each to the store as it ends, and return those that failed."""
+    failed: dict[tuple[str, int], Row] = {}
     seeds = [plan.seed(configuration, k) for configuration, k in jobs]
     tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
+    measure = partial(measured, plan.metrics)
     bar: tqdm[Any]
     with (
         tqdm(total=len(jobs), desc=escaped(plan.base.name), unit="run", disable=None) as bar,
-        closing(drive(tasks, workers, simulate=simulation(timeout))) as outcomes,
+        closing(drive(tasks, workers, measure=measure, simulate=simulation(timeout))) as outcomes,
     ):
         for at, outcome in outcomes:
             (configuration, k), seed = jobs[at], seeds[at]
-            store.add(configuration.key, plan.root, Row(k, seed, outcome.status, outcome.value, outcome.traceback))
+            row = Row(k, seed, outcome.status, outcome.value, outcome.traceback)
+            store.add(configuration.key, plan.root, row)
             bar.update()
-            if fail_fast and outcome.status != "ok":
+            if not row.ok:
+                failed[configuration.key, k] = row
+            if fail_fast and not row.ok:
                 raise RunError(
                     f"the run of {configuration} with seed {seed} failed ({outcome.status})\n{outcome.traceback}"
                 )
+    return failed
 
 
-def check_target(metric: str, half_width: float) -> None:
+def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None:
     """Raise ValueError if a metric is not numeric, or its target half width is not positive."""
-    numeric = [name for name, each in METRICS.items() if each.is_number]
-    if metric not in numeric:
-        raise ValueError(f"there is no numeric metric {metric!r}; there are {', '.join(numeric)}")
+    check_numeric(metric, dict(own))
     if not half_width > 0.0:
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
@@ -247,9 +284,10 @@ def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> li
     """Return the runs needed to reach a half width, predicted from those in the store; the latter are included."""
     jobs: list[Job] = []
     for configuration in plan.configurations:
-        rows = {row.replication: row for row in store.runs(configuration.key, plan.root)}
+        found = store.runs(configuration.key, plan.root)
+        rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
         # Only the runs before the first that is missing count: short runs end first, so the others would be biased.
         first = takewhile(rows.__contains__, count())
-        values = [getattr(rows[k].summary, metric, None) for k in first]
+        values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]
     return jobs

@@ -5,7 +5,7 @@ The page has no script and requests no resources. Its figures are inline SVG in 
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
@@ -19,7 +19,7 @@ from desim.config.trust import regular_or_missing
 from desim.results import provenance
 from desim.study.explanation import Explanation
 from desim.study.figures import unit_of
-from desim.study.history import commands, wanted
+from desim.study.history import shell_lines, wanted
 from desim.study.result import SHOWN, SweepResult, text
 from desim.study.store import Store, flat
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches", "messages_sent")
-"""The metrics drawn as small multiples, if they were measured."""
+"""The built-in metrics drawn as small multiples, if they were measured."""
 MAPPED = "active_time"
 """The metric of the phase diagram."""
 MAX_FAILURES = 20
@@ -49,6 +49,8 @@ class Study:
     """The provenance; None if the folder has no run.json."""
     explanation: Explanation | None = None
     """The cost of each imperfection, if `desim explain` computed it."""
+    commands: Sequence[tuple[str, Sequence[str]]] = ()
+    """The working folder and the words of each command that added runs."""
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -60,13 +62,14 @@ class Study:
         """
         with Store(folder / STORE, read_only=True) as kept:
             result, base = SweepResult.of(kept), kept.read_property("scenario", dict[str, Any])
+            commands = kept.commands
         path = folder / provenance.FILE
         made = provenance.read(path) if path.exists() else None
         scenario = (made and made["scenario"]) or base
         swept = tuple(f"{key}." for key in (*result.keys, "sweep", "seed", "name"))
         found = flat(scenario, _has_keys).items()
         fixed = {key: json.dumps(each, ensure_ascii=False) for key, each in found if not f"{key}.".startswith(swept)}
-        return cls(result, fixed, made, _explanation(folder))
+        return cls(result, fixed, made, _explanation(folder), commands)
 
     @property
     def runs(self) -> int:
@@ -84,13 +87,12 @@ class Study:
     @property
     def measured(self) -> list[str]:
         """The metrics with a value in at least one run, except `captured`, which every table includes."""
+        names = [name for name, metric in METRICS.items() if metric.is_number and name != "captured"]
         groups = self.result.groups
         return [
             name
-            for name, metric in METRICS.items()
-            if metric.is_number
-            and name != "captured"
-            and any(each is not None for group in groups for each in group.values(name))
+            for name in (*names, *self.result.units)
+            if any(each is not None for group in groups for each in group.values(name))
         ]
 
 
@@ -101,7 +103,7 @@ def report(study: Study) -> str:
     from desim.study.figures import multiples, phase, swept_numbers, waterfall
 
     result, measured = study.result, study.measured
-    panels = [metric for metric in PANELS if metric in measured]
+    panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
     found = study.explanation
     pictures = {
         "multiples": multiples(result, panels) if panels else None,
@@ -116,12 +118,12 @@ def report(study: Study) -> str:
     return environment.from_string(template).render(
         study=study,
         result=result,
-        tables=result.tables(SHOWN),
+        tables=result.tables([*SHOWN, *result.units]),
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
         failures=failures[:MAX_FAILURES],
         more_failures=len(failures) - MAX_FAILURES,
-        commands=[] if made is None else commands(made),
-        asked=None if made is None else wanted(made),
+        commands=shell_lines(study.commands),
+        asked=None if made is None else wanted(made, study.commands),
         origin={} if made is None else _origin(made),
         **{name: figure and _inline(figure, name) for name, figure in pictures.items()},
     )

@@ -1,6 +1,5 @@
 """Tables, letter by letter."""
 
-from dataclasses import replace
 from math import inf, nan
 
 import pytest
@@ -16,6 +15,7 @@ from desim.analysis.tables import (
 )
 from desim.scenario.scenario import Capture, Evader, Scenario, Team
 from tests.golden import golden
+from tests.summaries import changed
 from tests.view.by_hand import history
 
 SCENARIO = Scenario(name="relay", team=Team(count=3))
@@ -23,26 +23,26 @@ PACK = SCENARIO.model_copy(update={"evader": (Evader(), Evader(count=2))})
 MANY = SCENARIO.model_copy(update={"evader": Evader(count=30)})
 WITHOUT_AGES = dict.fromkeys(("age_mean", "age_peak", "age_at_decision", "belief_error", "believed_leaders"))
 UNSEEN = dict.fromkeys(("misassigned_time", "time_to_relay", "potential_gap", "regret"))
-CAUGHT = replace(
+CAUGHT = changed(
     summary(history()), seed=7, capture_time=3.9454, end_time=3.9454, active_time=12.7394, idle_time=0.0,
     crowded_time=1.23, excess_time=0.5, energy=16.25, decisions=1358, switches=19, handovers=3, ping_pongs=1,
     messages_sent=6802, messages_delivered=6610, messages_lost=116, messages_in_flight=76,
     messages_lost_by={"out_of_range": 16, "half_duplex": 100}, transmissions=3401, bytes_sent=81624, utilisation=0.0,
     **WITHOUT_AGES, **UNSEEN,
 )  # fmt: skip
-SEEN = replace(CAUGHT, misassigned_time=1.5, time_to_relay=1.25, potential_gap=40.5, regret=-0.125)
+SEEN = changed(CAUGHT, misassigned_time=1.5, time_to_relay=1.25, potential_gap=40.5, regret=-0.125)
 AGES = {"age_mean": 0.0519, "age_peak": 0.1021, "age_at_decision": 0.0498}
-WITH_AGES = replace(CAUGHT, **AGES, utilisation=0.25, belief_error=0.03125, believed_leaders=0.75)
-ESCAPED = replace(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
-LOSSLESS = replace(CAUGHT, messages_lost=0, messages_lost_by={})
-TAKEN = replace(
+WITH_AGES = changed(CAUGHT, **AGES, utilisation=0.25, belief_error=0.03125, believed_leaders=0.75)
+ESCAPED = changed(CAUGHT, seed=8, captured=False, capture_time=None, capturer=None, end_time=30.0)
+LOSSLESS = changed(CAUGHT, messages_lost=0, messages_lost_by={})
+TAKEN = changed(
     SEEN, captures=3, mean_capture_time=2.5, capture_times={"3": 1.5, "1": 2.0545, "2": 3.9454},
     capturers={"3": 0, "1": 0, "2": 2},
 )  # fmt: skip
-ONE_OF = replace(ESCAPED, captures=1, mean_capture_time=1.5, capture_times={"3": 1.5}, capturers={"3": 0})
-NONE_OF = replace(ONE_OF, captures=0, mean_capture_time=None, capture_times={}, capturers={})
+ONE_OF = changed(ESCAPED, captures=1, mean_capture_time=1.5, capture_times={"3": 1.5}, capturers={"3": 0})
+NONE_OF = changed(ONE_OF, captures=0, mean_capture_time=None, capture_times={}, capturers={})
 THREE = [
-    replace(each, seed=7 + k, idle_time=3.0 * k, switches=10, capture_time=(2.0, 4.0, None)[k])
+    changed(each, seed=7 + k, idle_time=3.0 * k, switches=10, capture_time=(2.0, 4.0, None)[k])
     for k, each in enumerate((CAUGHT, CAUGHT, ESCAPED))
 ]
 RUNS = {
@@ -59,8 +59,8 @@ RUNS = {
 BATCHES = {
     "0, 3 and 6 s idle: s.e. sqrt(9 / 3), t(2, 0.975) = 4.3027; captured after 2 and 4 s: s.e. 1, t(1, 0.975) = 12.706":
     (SCENARIO, THREE),
-    "word was measured, the peak once": (SCENARIO, [replace(WITH_AGES, age_peak=None), WITH_AGES]),
-    "the third without positions": (SCENARIO, [SEEN, replace(SEEN, time_to_relay=None, misassigned_time=2.5), CAUGHT]),
+    "word was measured, the peak once": (SCENARIO, [changed(WITH_AGES, age_peak=None), WITH_AGES]),
+    "the third without positions": (SCENARIO, [SEEN, changed(SEEN, time_to_relay=None, misassigned_time=2.5), CAUGHT]),
     "16 and 0 losses by reach: mean 8, s.e. 8": (SCENARIO, [CAUGHT, LOSSLESS]),
     "one capture has no interval": (SCENARIO, [CAUGHT, ESCAPED]),
     "no capture has no time": (SCENARIO, [ESCAPED, ESCAPED]),

@@ -1,7 +1,5 @@
 """The study of evaders: what is in its tables and its picture, and what it claims."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,6 +17,7 @@ from desim.study.batch import run_many
 from scenarios import evaders, evaders_runs
 from scenarios.evaders_runs import CLAIMED, IDEAL, REFERENCE
 from tests.scenarios.patching import patch_study
+from tests.summaries import changed
 
 TINY = ("pure evasion", "pure, of active", "still")
 
@@ -75,7 +74,7 @@ def test_a_scenario_is_of_the_strategy_the_protocol_and_the_latency_it_is_named_
 def test_a_cell_is_compared_with_pure_evasion_run_by_run():
     """Times 5 and 7 s, and 4 and 5 s of pure evasion: 1 and 2 s more, so 1.5 s, +- 12.706 * 0.5 s."""
     one = summary(run(evaders_runs.chase("still", "voronoi").model_copy(update={"horizon": 0.02}), 0))
-    runs, reference = ([replace(one, end_time=t) for t in times] for times in ((5.0, 7.0), (4.0, 5.0)))
+    runs, reference = ([changed(one, end_time=t) for t in times] for times in ((5.0, 7.0), (4.0, 5.0)))
     found = evaders_runs.cell(("still", "sap"), 0.1, runs, reference=reference)
     assert (found.survival, found.difference, found.captured) == (6.0, 1.5, 0.0)
     assert found.difference_half_width == pytest.approx(12.706 * 0.5, rel=1e-4)

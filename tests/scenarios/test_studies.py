@@ -1,7 +1,6 @@
 """Studies: what they measure is what the simulator does, and what they print is what they measured."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +27,7 @@ from scenarios import (
 )
 from scenarios import range as ranges
 from tests.scenarios.patching import patch_study
+from tests.summaries import changed
 
 STUDIES = (benchmarks, delay, evaders, figures, find_table1, many, ranges, rivals, table1, two_clocks)
 
@@ -221,7 +221,7 @@ def test_the_saving_by_communication_is_relative_to_the_silent_team_of_the_same_
     def runs(*times):
         base = summary(run(rivals_runs.scenario("paper", "cbaa", 0.0).model_copy(update={"horizon": 0.1})))
         sent = {"transmissions": 20, "bytes_sent": 1000, "end_time": 4.0}
-        return [(replace(base, active_time=t, potential_gap=2 * t, **sent), t if t < 5.0 else None) for t in times]
+        return [(changed(base, active_time=t, potential_gap=2 * t, **sent), t if t < 5.0 else None) for t in times]
 
     others = {"reference": runs(3.0, 3.0), "silent": runs(10.0, 20.0), "prompt": runs(2.0, 2.0)}
     cell = rivals_runs.cell(("paper", "cbaa", 0.2), runs(4.0, 6.0), **others)

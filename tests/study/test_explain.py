@@ -3,7 +3,6 @@
 import importlib
 import json
 import sys
-from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -38,6 +37,7 @@ from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Rounds, SharedSeed
 from protocols.server import Server
 from protocols.token import TokenRing, TokenWalk
+from tests.summaries import changed
 
 ROUNDS = Rounds(period=0.2)
 GOOD = Scenario(
@@ -205,7 +205,7 @@ def explanation_of(**times):
             if cell.key == variants.configurations[AS_IT_IS].key and name != AS_IT_IS:
                 continue
             for k, time in enumerate(times[named.get(name, name)]):
-                store.add(cell.key, variants.plan.root, Row(k, k, "ok", replace(RUN, active_time=time)))
+                store.add(cell.key, variants.plan.root, Row(k, k, "ok", changed(RUN, active_time=time)))
         return variants.carry_out(store, workers)
 
 
@@ -282,7 +282,7 @@ def test_parts_interact_if_what_they_leave_over_is_not_within_its_interval_of_0(
     """Half widths: 4.303 x 0.1 / sqrt(3) = 0.25; 4.303 x 1.04 / sqrt(3) = 2.6; of two, 12.706 / 2 times their distance:
     0.953 < 1.075, and 1.27 > 1.1; 0 for what is rounding, up to 1e-9 s; one run has no interval."""
     none = Saving.of([0.0, 0.0])
-    assert Cost(none.mean, none.mean, {}, none, Saving.of(rest)).interacts is interact
+    assert Cost("time", "s", none.mean, none.mean, {}, none, Saving.of(rest)).interacts is interact
 
 
 @pytest.mark.parametrize(

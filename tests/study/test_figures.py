@@ -14,6 +14,7 @@ from desim.simulation.run import run
 from desim.study.figures import INK, means, multiples, phase
 from desim.study.result import Group, SweepResult
 from desim.study.store import Row
+from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 
@@ -22,7 +23,7 @@ def result(grid, runs=3, name="a <b> & $c$"):
     """Return a sweep in which the active time of configuration k is k, k + 1, ... s, without captures."""
     groups = []
     for k, values in enumerate(product(*grid.values())):
-        rows = [Row(r, r, "ok", replace(RUN, active_time=float(k + r), capture_time=None)) for r in range(runs)]
+        rows = [Row(r, r, "ok", changed(RUN, active_time=float(k + r), capture_time=None)) for r in range(runs)]
         groups.append(Group(dict(zip(grid, values, strict=True)), tuple(rows)))
     return SweepResult(name, tuple(grid), tuple(groups))
 
@@ -270,7 +271,7 @@ def test_the_text_of_a_cell_fits_into_it(panels, size):
     found = result(grid)
     many = tuple(
         replace(
-            group, rows=tuple(replace(row, summary=replace(row.summary, active_time=1e4 + k)) for row in group.rows)
+            group, rows=tuple(replace(row, summary=changed(row.summary, active_time=1e4 + k)) for row in group.rows)
         )
         for k, group in enumerate(found.groups)
     )

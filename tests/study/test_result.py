@@ -10,20 +10,22 @@ from math import inf, nan
 
 import pytest
 
-from desim.analysis.metrics import COMMON, METRICS, summary
+from desim.analysis.metrics import METRICS, summary
 from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
+from desim.study.metric_code import units_and_codes
 from desim.study.result import SHOWN, Group, SweepResult
 from desim.study.store import Row, Store, StoreError
 from tests.command import strict_json
+from tests.summaries import changed
 
 RUN = summary(run(Scenario(horizon=0.05, team=Team(count=2))))
 TRACE = 'Traceback (most recent call last):\n  File "x.py", line 1\nValueError: no <b> today\n'
 
 
 def ok(replication, **numbers):
-    return Row(replication, 10 + replication, "ok", replace(RUN, seed=10 + replication, **numbers))
+    return Row(replication, 10 + replication, "ok", changed(RUN, seed=10 + replication, **numbers))
 
 
 def failed(replication, status="error"):
@@ -141,7 +143,10 @@ def test_failed_runs_are_counted_and_the_first_is_reported():
     assert lines[1].split()[:4] == ["protocol", "team.speeds", "runs", "failed"]
     assert [line.split("  ")[0] for line in lines[2:4]] == ["sap", "<lambda>"]
     assert re.search(r"1\.5 +3 +1 ", lines[2])
-    assert lines[-1] == "2 runs failed; the first: ValueError: no <b> today"
+    assert (
+        lines[-1]
+        == "2 runs failed; the first, with protocol = sap, team.speeds = 1.5, seed 11: ValueError: no <b> today"
+    )
 
 
 def test_a_single_run_has_no_interval():
@@ -259,7 +264,7 @@ def test_a_record_is_a_run():
         "replication",
         "status",
         "seed",
-        *(name for name in COMMON if name != "seed"),
+        *(name for name in METRICS if name != "seed"),
         "error",
     ]
     assert {tuple(each) for each in records} == {tuple(records[0])}
@@ -275,11 +280,11 @@ PACK = {"captures": 2, "mean_capture_time": 1.5, "capture_times": {"2": 1.0, "1"
 
 
 @pytest.mark.slow
-def test_records_have_the_captures_of_several_evaders_if_some_run_had_them(tmp_path):
+def test_records_have_the_captures_of_each_evader(tmp_path):
     some = SweepResult("some", ("x",), (group({"x": 1}, ok(0), failed(1)), group({"x": 2}, ok(0, **PACK), ok(1))))
     records = list(some.records())
     assert {tuple(each) for each in records} == {("x", "replication", "status", *METRICS, "error")}
-    assert [each["captures"] for each in records] == [None, None, 2, None]
+    assert [each["captures"] for each in records] == [0, None, 2, 0]
     assert json.loads(records[2]["capture_times"]) == PACK["capture_times"]
     some.write(tmp_path / "x.csv")
     with (tmp_path / "x.csv").open(newline="") as file:
@@ -287,14 +292,15 @@ def test_records_have_the_captures_of_several_evaders_if_some_run_had_them(tmp_p
     assert some.to_frame()["captures"].dtype.name == "Int64"
 
 
-def test_a_store_keeps_captures_per_evader_only_for_several_evaders(tmp_path):
+def test_a_store_keeps_captures_per_evader(tmp_path):
     with Store(tmp_path / "x.sqlite") as store:
+        store.register_metrics(units_and_codes(()))
         for row in (ok(0), ok(1, **PACK)):
             store.add("key", 0, row)
         assert store.runs("key", 0) == [ok(0), ok(1, **PACK)]
         ((one,), (two,)) = store._database.execute("SELECT summary FROM runs ORDER BY replication")
-    assert tuple(json.loads(one)) == COMMON
-    assert tuple(json.loads(two)) == tuple(METRICS)
+    assert tuple(json.loads(one)) == tuple(json.loads(two)) == tuple(METRICS)
+    assert [json.loads(two)[name] for name in PACK] == list(PACK.values())
 
 
 @pytest.mark.slow

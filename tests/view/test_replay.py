@@ -32,7 +32,7 @@ from desim.kernel.reception import LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.evasion import Still
-from desim.pursuit.events import BrokeDown, Captured, Decided, Sampled
+from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Motion, Recording, Team
@@ -152,7 +152,7 @@ def wrong_now(result, t):
             break
         if isinstance(event, Decided):
             does[event.pursuer] = event.active
-        if isinstance(event, Captured):
+        if isinstance(event, Captured) and event.t < result.trace.of(Ended)[0].t:
             does[does == event.evader] = 0
         if isinstance(event, Broadcast):
             arrival = event.arrival if len(event.arrival) == len(event.dst) else event.arrival * len(event.dst)
@@ -709,15 +709,18 @@ def test_the_page_shows_chases_and_captures_per_evader_as_in_the_trace(shown, re
 
 
 def profile(result, t):
-    """Return the actions at a time (ns), and the captured evaders with their capturers."""
-    actions, captured = list(started(result).active), []
+    """Return the actions at a time (ns), and the captured evaders with their capturers.
+
+    The pursuers of an evader that is captured at the end of the run chase it until then.
+    """
+    actions, captured, end = list(started(result).active), [], result.trace.of(Ended)[0].t
     for event in result.trace:
         if event.t > t:
             break
         if isinstance(event, Decided):
             actions[event.pursuer] = event.active
         elif isinstance(event, Captured):
-            actions = [0 if each == event.evader else each for each in actions]
+            actions = [0 if each == event.evader and event.t < end else each for each in actions]
             captured.append([event.evader, event.capturer])
     return actions, captured
 
@@ -745,7 +748,7 @@ def test_with_two_evaders_the_texts_name_the_evader(shown):
     assert opened.value(f"{text}(2)") == [
         "2 of 2",
         "1: captured by 0\n2: captured by 0",
-        "0 is inactive (1 m/s), receives from 2 teammates and believes that 1 chases 2.",
+        "0 chases 2 (1 m/s), receives from 2 teammates and believes that 1 chases 2.",
         "1.000 s: 0 captures evader 2",
     ]
     for key in ("Home", "e", "ArrowRight"):
@@ -784,7 +787,7 @@ def test_a_line_leads_from_a_pursuer_to_the_evader_that_it_chases(shown):
     """Half way from 0, which runs along x at 4 m/s, to evader 1 and, from 400 ms on, to evader 2; the other is free."""
     opened = shown(pair())
     opened.until("(replay.draw(), replay.scale > 1)")
-    for t, expected in ((0.2, [True, False]), (0.6, [False, True]), (2.0, [False, False])):
+    for t, expected in ((0.2, [True, False]), (0.6, [False, True]), (2.0, [False, True])):
         opened.value(f"replay.seek({t})")
         drawn = []
         for x, y in ((5, 5 + min(t, 0.4)), (8 + min(t, 1.0), 2)):

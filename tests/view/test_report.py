@@ -24,12 +24,13 @@ from desim.cli.pages import report as command
 from desim.results import provenance
 from desim.scenario.scenario import Team
 from desim.study.explain import Variants
-from desim.study.history import commands, wanted
+from desim.study.history import shell_lines, wanted
 from desim.study.store import Row, Store
 from desim.study.sweep import SweepPlan
 from desim.study.workers import workers_for
 from desim.view.report import MAX_FAILURES, Study, report
 from tests.golden import golden
+from tests.summaries import changed
 from tests.view.browser import in_chromium
 from tests.view.by_hand import history
 from tests.view.elements import Elements
@@ -40,8 +41,10 @@ GRID = {"horizon": [0.05, 0.1, 0.2], "network.range": [4.0, inf], "prune": ["inf
 ONE = {"prune": ["none"]}
 RUN = summary(history())
 TRACE = 'Traceback (most recent call last):\n  File "<x>", line 1\nValueError: <b>'
+COMMAND = ("/a b", ["/a/bin/desim", "sweep", "x y.toml"])
+"""Where the command that made a sweep was typed, and its words."""
 MADE = {
-    **{"argv": ["/a/bin/desim", "sweep", "x y.toml"], "cwd": "/a b", "runs": 99, "commit": "c0ffee", "dirty": True},
+    **{"argv": COMMAND[1], "runs": 99, "commit": "c0ffee", "dirty": True},
     **{"versions": {"python": "3.11", "jinja2": None}, "platform": {"system": "Linux"}, "code": "5eed"},
     **{"folder": None, "unrecorded": ["protocol.x"]},
 }
@@ -53,8 +56,9 @@ def swept(folder, grid=ONE, reps=1, failing=(), made=MADE):
     plan = SweepPlan.of(BASE, grid, reps, 7)
     with Store(folder / "sweep.sqlite") as store:
         plan.register(store)
+        store.note_command(*COMMAND)
         for (k, cell), r in product(enumerate(plan.configurations), range(reps)):
-            row = Row(r, 7 + r, "ok", replace(RUN, active_time=float(k + r), capture_time=None))
+            row = Row(r, 7 + r, "ok", changed(RUN, active_time=float(k + r), capture_time=None))
             if k == 0 and r < len(failing):
                 row = Row(r, 7 + r, "error", None, failing[r])
             store.add(cell.key, plan.root, row)
@@ -80,6 +84,7 @@ def full(tmp_path_factory):
     variants = Variants.of(BASE, 2, 7)
     with Store(folder / "explain" / "sweep.sqlite") as store, workers_for(1) as workers:
         variants.plan.register(store)
+        store.note_command(*COMMAND)
         found = variants.carry_out(store, workers)
     (folder / "explain" / "explain.json").write_text(json.dumps(found.document()))
     provenance.write(folder / "explain", provenance.document("explain", BASE, seed=7, runs=2) | MADE)
@@ -143,18 +148,19 @@ def test_a_swept_table_is_not_fixed(tmp_path):
         ([], "desim"),
     ],
 )
-def test_the_command_is_that_of_run_json(argv, expected):
-    assert commands({"argv": argv}) == [expected]
+def test_the_command_is_shown_as_it_may_be_typed(argv, expected):
+    assert shell_lines([("/a", argv)]) == ["cd /a", expected]
 
 
 def test_all_commands_and_their_working_folders_are_listed():
     """Then it is unknown how many runs there should be, and if they go on until something is known."""
-    earlier = {"argv": ["desim", "sweep", "first.toml"], "cwd": "/a b"}
-    made = {"what": "sweep", "runs": 99, "argv": ["desim", "sweep", "x y.toml"], "cwd": "/c"}
-    told = ["cd '/a b'", "desim sweep first.toml", "desim sweep first.toml", "cd /c", "desim sweep 'x y.toml'"]
-    assert commands(made | {"earlier": [earlier, earlier]}) == told
-    others = ({"earlier": [earlier]}, {"argv": ["desim", "--until", "regret:1"]}, {"what": "explain"})
-    assert [wanted(made | more) for more in ({}, *others)] == [99, None, None, None]
+    first, more = ("/a b", ["desim", "sweep", "first.toml"]), ("/a b", ["desim", "sweep", "first.toml", "-n", "9"])
+    other, until = ("/c", ["desim", "sweep", "x y.toml"]), ("/c", ["desim", "sweep", "--until", "regret:1"])
+    told = ["cd '/a b'", "desim sweep first.toml", "desim sweep first.toml -n 9", "cd /c", "desim sweep 'x y.toml'"]
+    assert shell_lines([first, more, other]) == told
+    made = {"what": "sweep", "runs": 99}
+    assert [wanted(made, each) for each in ([first], [first, other], [until], [])] == [99, None, None, None]
+    assert wanted(made | {"what": "explain"}, [first]) is None
 
 
 def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full):
@@ -375,10 +381,10 @@ def test_on_paper_it_is_light_and_no_wider_than_the_paper(shown):
     """A4 at 96 px/in with margins: 718 px."""
     opened = shown(theme="dark", width=718)
     dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-    opened.tell("Emulation.setEmulatedMedia", media="print", features=dark)
+    opened.send("Emulation.setEmulatedMedia", media="print", features=dark)
     try:
         assert opened.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         assert opened.value(CONTRAST) >= 4.5
         assert opened.value("document.documentElement.scrollWidth") <= 718
     finally:
-        opened.tell("Emulation.setEmulatedMedia", media="")
+        opened.send("Emulation.setEmulatedMedia", media="")

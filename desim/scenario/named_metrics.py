@@ -1,0 +1,75 @@
+"""Metrics that a scenario names: functions of a user, which the summary of a run has beside the built-in metrics."""
+
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from types import FunctionType
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
+
+from desim.config.choice import import_name, load_named, names_code, refusal
+from desim.config.trust import is_trusted
+
+GROUP = "desim.metrics"
+"""The entry point group of installed metrics."""
+
+
+class NamedMetric(BaseModel):
+    """A function of the result of a run, and its name."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    """The name of the metric in tables."""
+    given: str
+    """The name in scenario files: "module:name", or the name of an installed metric."""
+    of: Callable[[Any], Any]
+
+
+def installed_metrics() -> Mapping[str, EntryPoint]:
+    """Return the entry points of the installed metrics by name."""
+    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+
+
+def _named(value: Any, info: ValidationInfo) -> NamedMetric:
+    """Return the metric that a text or a function stands for; the module of a text is imported if it is trusted."""
+    if isinstance(value, NamedMetric):
+        return value
+    if isinstance(value, FunctionType):
+        return NamedMetric(name=value.__name__, given=import_name(value), of=value)
+    if not isinstance(value, str):
+        raise ValueError(f'should be "module:name" or the name of an installed metric (got {value!r})')
+    if ":" in value:
+        if names_code(value) and not is_trusted(info):
+            raise ValueError(refusal(value))
+        name, of = value.rpartition(":")[2], load_named(value, (info.context or {}).get("folder"))
+    elif value in (installed := installed_metrics()):
+        name, of = value, load_named(f"{installed[value].module}:{installed[value].attr}", None)
+    else:
+        close = get_close_matches(value, installed, n=1)
+        hint = f", did you mean {close[0]!r}?" if close else ""
+        names = ", ".join(['"module:name"', *installed])
+        raise ValueError(f"there is no installed metric {value!r}{hint}; allowed: {names}")
+    _check_called(value, of)
+    return NamedMetric(name=name, given=value, of=of)
+
+
+def _check_called(given: str, of: Any) -> None:
+    """Raise ValueError if an object is not a function of one argument."""
+    if not callable(of) or isinstance(of, type):
+        raise ValueError(f"{given!r} should be a function of a result (got {of!r})")
+    try:
+        signature(of).bind("result")
+    except TypeError as error:
+        raise ValueError(f"{given!r} should be called with (result): {error}") from error
+
+
+MetricName = Annotated[
+    Any,
+    PlainValidator(_named),
+    PlainSerializer(lambda metric: metric.given, return_type=str),
+    WithJsonSchema({"type": "string"}),
+]
+"""A metric that a scenario file names as "module:name", or as an installed one."""

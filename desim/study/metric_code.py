@@ -1,0 +1,33 @@
+"""The hash of the code of each metric, by which a store notices that a metric has changed since it was computed."""
+
+import hashlib
+import inspect
+from functools import cache
+
+from desim.analysis.metrics import METRICS, Metric, UsersMetrics
+from desim.study.config_hash import object_hash
+
+
+def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
+    """Return the unit and the hash of the code of each metric by name: of the built-in ones and of a user's.
+
+    Raises:
+        ValueError: if a metric holds an object without a stable hash.
+    """
+    found = {name: (metric.unit, _source_hash(metric)) for name, metric in METRICS.items()}
+    for name, metric in own:
+        try:
+            found[name] = metric.unit, object_hash([metric.of, metric.given])
+        except Exception as error:  # code of the metric may raise anything
+            raise ValueError(f"metric {name!r}: {error}") from error
+    return found
+
+
+@cache
+def _source_hash(metric: Metric) -> str:
+    """Return a hash of the source of the function of a built-in metric; a store records that of all other code."""
+    try:
+        source = inspect.getsource(metric.of)
+    except OSError:  # desim is installed without its source
+        source = ""
+    return hashlib.sha256(source.encode()).hexdigest()[:16]

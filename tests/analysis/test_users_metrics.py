@@ -1,0 +1,123 @@
+"""Metrics of users: what they may return, how they may be named, and where they are shown."""
+
+import json
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from desim.analysis.metrics import METRICS, Metric, MetricError, active_time, plain, summary
+from desim.analysis.tables import batch_table, run_table
+from desim.scenario.scenario import Recording, Scenario, Team
+from desim.scenario.toml import dump
+from desim.simulation.run import run
+from desim.simulation.watchdog import TimedOut
+from tests.command import strict_json
+
+SHORT = Scenario(name="short", horizon=0.1, team=Team(count=2))
+
+
+@pytest.fixture(scope="module")
+def result():
+    return run(SHORT, 7)
+
+
+def half(result):
+    return active_time(result) / 2.0
+
+
+def test_a_metric_that_is_given_is_in_the_summary_after_the_built_in_ones(result):
+    numbers = summary(result, {"half": half})
+    assert list(numbers) == [*METRICS, "half"]
+    assert numbers["half"] == numbers["active_time"] / 2.0 == numbers.active_time / 2.0
+    assert str(numbers).splitlines()[-1] == f"half: {numbers['half']:.6g}"
+    assert plain(numbers) == plain(summary(result)) | {"half": numbers["half"]}
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(1, 1), (2.5, 2.5), (True, True), (None, None), (nan, None), (inf, inf), (np.float32(0.5), 0.5), (np.int64(3), 3),
+     (np.bool_(True), True), (np.float64("nan"), None)],
+)  # fmt: skip
+def test_a_metric_is_a_number_a_truth_value_or_none(result, value, expected):
+    found = summary(result, {"x": lambda result: value})["x"]
+    assert (found, type(found)) == (expected, type(expected))
+
+
+def test_infinity_is_a_text_in_json(result):
+    numbers = summary(result, {"x": lambda result: -inf})
+    assert strict_json(json.dumps(plain(numbers)))["x"] == "-Infinity"
+
+
+@pytest.mark.parametrize("value", ["3", [1.0], 1j, np.array([1.0]), {}, np.complex128(1j)])
+def test_anything_else_is_an_error_that_names_the_metric_the_scenario_and_the_seed(result, value):
+    kind = type(value.item() if isinstance(value, np.generic) else value).__name__
+    said = f"metric 'x' of 'short' with seed 7: should return a number, True, False or None, not a {kind}$"
+    with pytest.raises(MetricError, match=said):
+        summary(result, {"x": lambda result: value})
+
+
+@pytest.mark.parametrize("error", [ValueError("oh"), SystemExit("oh")])
+def test_an_exception_of_a_metric_names_the_metric_the_scenario_and_the_seed(result, error):
+    def wrong(result):
+        raise error
+
+    with pytest.raises(MetricError, match=f"^metric 'x' of 'short' with seed 7: {type(error).__name__}: oh$"):
+        summary(result, {"x": wrong})
+
+
+def test_a_time_limit_ends_a_metric_as_it_ends_a_run(result):
+    def slow(result):
+        raise TimedOut
+
+    with pytest.raises(TimedOut):
+        summary(result, {"x": slow})
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("active_time", "there is a built-in metric of this name"),
+        ("replication", "there is a column of tables of this name"),
+        ("horizon", "there is a scenario key of this name"),
+        ("a b", "should be a Python identifier, got 'a b'"),
+        ("class", "should be a Python identifier, got 'class'"),
+        (3, "should be a Python identifier, got 3"),
+    ],
+)
+def test_a_name_that_is_taken_or_no_identifier_is_refused(result, name, said):
+    with pytest.raises(ValueError, match=said):
+        summary(result, {name: half})
+
+
+@pytest.mark.parametrize("wrong", [3, Scenario, "half"])
+def test_what_is_no_function_is_refused(result, wrong):
+    with pytest.raises(ValueError, match="metric 'x' should be a function of a result"):
+        summary(result, {"x": wrong})
+
+
+def test_a_scenario_names_metrics_which_every_summary_of_it_has():
+    scenario = SHORT.model_copy(update={"record": Recording(metrics=(half,))})
+    result = run(scenario)
+    assert summary(result)["half"] == half(result)
+    assert summary(result, {"half": half})["half"] == half(result)
+    with pytest.raises(ValueError, match="another metric has it"):
+        summary(result, {"half": active_time})
+    assert f'metrics = [\n    "{__name__}:half",\n]' in dump(scenario)
+
+
+def test_a_metric_may_need_recordings_and_is_none_without(result):
+    numbers = summary(result, {"x": Metric(half, given=lambda result: False), "y": Metric(half)})
+    assert (numbers["x"], numbers["y"]) == (None, half(result))
+
+
+def test_tables_have_a_row_for_it_with_its_label_unit_and_note():
+    metric = Metric(half, "m/s", "fast", label="my speed")
+    scenario = Scenario.model_validate(SHORT.model_dump() | {"record": {"metrics": ["tests.analysis.of_users:speed"]}})
+    first, second = (summary(run(scenario, seed)) for seed in (0, 1))
+    assert scenario.record.metrics[0].of == metric._replace(of=scenario.record.metrics[0].of.of)
+    (row,) = [line for line in run_table(scenario, first, 1.0).splitlines() if line.startswith("my speed")]
+    assert row.split() == ["my", "speed", f"{first['speed']:.3f}", "m/s", "fast"]
+    (row,) = [line for line in batch_table(scenario, [first, second], 1.0).splitlines() if "speed, m/s" in line]
+    assert row.split()[:2] == ["speed,", "m/s"]
+    assert row.split()[-1] == "2"

@@ -1,0 +1,433 @@
+"""Metrics of users in many runs: what a store has of them, when runs are repeated, and where they are shown."""
+
+import csv
+import json
+import re
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from functools import partial
+from math import inf
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from desim import explain, sweep
+from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time, summary
+from desim.analysis.statistics import runs_needed
+from desim.scenario import named_metrics
+from desim.scenario.overrides import ScenarioError
+from desim.scenario.scenario import Recording, Scenario, Team
+from desim.study import sweep as module
+from desim.study.config_hash import identify
+from desim.study.configurations import without_metrics
+from desim.study.figures import means
+from desim.study.metric_code import units_and_codes
+from desim.study.result import SweepResult
+from desim.study.store import Row, Store, StoreError
+from desim.study.sweep import RunError, SweepPlan
+from desim.view.report import Study, report
+from tests.analysis import of_users
+from tests.command import accepted, refused
+from tests.view.elements import Elements
+
+ROOT = Path(__file__).parents[2]
+BASE = Scenario(name="coins", horizon=0.2, team=Team(count=3, box=(9.0, 11.0)), motion={"step": 0.05})
+GRID = {"capture.radius": [0.05, 0.2]}
+RANGES = {"network.range": [3.0, 9.0]}
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """Return the list of the seeds of all runs that sweeps perform from now on."""
+    seeds, drive = [], module.drive
+
+    def watched(tasks, *rest, **options):
+        seeds.extend(seed for _, seed in tasks)
+        return drive(tasks, *rest, **options)
+
+    monkeypatch.setattr(module, "drive", watched)
+    return seeds
+
+
+def half(result):
+    return active_time(result) / 2.0
+
+
+def stored(path):
+    """Return the metrics in each row of a store."""
+    with closing(sqlite3.connect(path)) as database:
+        return [json.loads(text) for (text,) in database.execute("SELECT summary FROM runs ORDER BY rowid")]
+
+
+@pytest.mark.slow
+def test_a_metric_is_in_the_rows_the_table_the_files_the_view_and_the_figure(tmp_path):
+    store = tmp_path / "s.sqlite"
+    found = sweep(BASE, GRID, 2, store=store, metrics={"half": Metric(half, "s"), "late": lambda result: True})
+    for group in found.groups:
+        assert group.values("half") == [time / 2.0 for time in group.values("active_time")]
+        assert group.values("late") == [True, True]
+    assert "half, s" in found.table(["half"])
+    assert found.document(["half"])["configurations"][0]["metrics"]["half"]["runs"] == 2
+    found.write(tmp_path / "x.csv")
+    values = [value for group in found.groups for value in group.values("half")]
+    with (tmp_path / "x.csv").open() as file:
+        assert [float(row["half"]) for row in csv.DictReader(file)] == values
+    frame = found.to_frame()
+    assert [frame[name].dtype.name for name in ("half", "late")] == ["float64", "bool"]
+    with closing(sqlite3.connect(store)) as database:
+        times = database.execute("SELECT half, active_time / 2, late FROM results").fetchall()
+    assert times == [(time, time, 1) for time in frame["half"]]
+    assert means(found, "half").axes[0].get_ylabel() == "half (s)"
+    with Store(store, read_only=True) as kept:
+        assert SweepResult.of(kept) == found
+        assert SweepResult.of(kept).units == {"half": "s", "late": ""}
+
+
+@pytest.mark.slow
+def test_metrics_of_a_script_are_computed_by_other_processes():
+    metrics = {"half": Metric(half, "s"), "more": partial(lambda more, result: active_time(result) + more, 1.0)}
+    assert sweep(BASE, GRID, 4, executor=2, metrics=metrics) == sweep(BASE, GRID, 4, metrics=metrics)
+
+
+def test_infinity_is_kept(tmp_path):
+    for _ in range(2):
+        found = sweep(BASE, GRID, 1, store=tmp_path / "s.sqlite", metrics={"x": lambda result: -inf})
+        assert [group.values("x") for group in found.groups] == [[-inf], [-inf]]
+    assert found.document(["x"])["configurations"][0]["metrics"]["x"]["mean"] == "-Infinity"
+
+
+# What is stored, and what is done again.
+
+
+def test_a_metric_is_no_part_of_what_identifies_a_run():
+    named = BASE.model_copy(update={"record": Recording(metrics=(half,))})
+    plans = [SweepPlan.of(BASE, GRID), SweepPlan.of(named, GRID), SweepPlan.of(BASE, GRID, metrics={"half": half})]
+    assert plans[0].about == plans[1].about == plans[2].about
+    assert plans[0].configurations == plans[1].configurations == plans[2].configurations
+    assert identify(without_metrics(named)) == identify(BASE)
+    assert plans[0].metrics == ()
+    assert plans[1].metrics == plans[2].metrics == (("half", Metric(half)),)
+
+
+@pytest.mark.parametrize("key", ["record.metrics", "record.metrics.0"])
+def test_metrics_cannot_be_swept(key):
+    with pytest.raises(ScenarioError, match="cannot be swept; every run has the same metrics"):
+        SweepPlan.of(BASE.model_copy(update={"record": Recording(metrics=(half,))}), {key: [[], ["a:b"]]})
+
+
+def test_runs_are_repeated_only_for_a_metric_that_is_asked_for_and_keep_what_they_have(tmp_path, done):
+    store = tmp_path / "s.sqlite"
+    first = sweep(BASE, GRID, 2, store=store, metrics={"half": half})
+    assert len(done) == 4
+    assert sweep(BASE, GRID, 2, store=store) == first
+    assert len(done) == 4
+    both = sweep(BASE, GRID, 2, store=store, metrics={"end": end_time})
+    assert len(done) == 8
+    assert all({"half", "end"} <= numbers.keys() for numbers in stored(store))
+    more = sweep(BASE, GRID, 3, store=store, metrics={"end": end_time})
+    assert len(done) == 8 + 2
+    assert [group.values("half")[:2] for group in more.groups] == [group.values("half") for group in first.groups]
+    assert [group.values("half")[2] for group in more.groups] == [None, None]
+    assert [group.values("end") for group in both.groups] == [[0.2, 0.2], [0.2, 0.2]]
+    assert both.units == {"half": "", "end": ""}
+
+
+def test_an_older_row_without_a_metric_is_missing_and_not_0(tmp_path):
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, GRID, 1, store=store)
+    found = sweep(BASE, {"capture.radius": [0.05, 0.2, 0.3]}, 1, seed=0, store=store)
+    with Store(store) as kept:
+        kept.register_metrics({"half": ("s", "1")})
+        row = found.groups[2].rows[0]
+        key = SweepPlan.of(BASE, {"capture.radius": [0.3]}).configurations[0].key
+        kept.add(key, 0, Row(0, 0, "ok", type(row.summary)({**row.summary, "half": 0.5})))
+        found = SweepResult.of(kept)
+    assert [group.values("half") for group in found.groups] == [[None], [None], [0.5]]
+    rows = [line.split() for line in found.table(["half"]).splitlines() if line.startswith("0.")]
+    assert [row[-1] for row in rows[:3]] == ["-", "-", "-"]
+    assert rows[0][-1] == "-"
+    assert rows[2][-3:] == ["0.500", "+-", "-"]
+    assert [estimate.count for estimate in found.estimates("half")] == [0, 0, 1]
+    assert [record["half"] for record in found.records()] == [None, None, 0.5]
+    assert found.to_frame()["half"].isna().tolist() == [True, True, False]
+
+
+def test_values_of_a_metric_whose_code_has_changed_are_removed_and_computed_anew(tmp_path, done):
+    """Those of the others stay, and nothing is done while nobody asks."""
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, GRID, 2, store=store, metrics={"x": lambda result: 1.0, "half": half})
+    again = sweep(BASE, GRID, 2, store=store, metrics={"x": lambda result: 2.0})
+    assert [group.values("x") for group in again.groups] == [[2.0, 2.0]] * 2
+    assert None not in again.groups[0].values("half")
+    assert len(done) == 8
+    with Store(store) as kept:
+        codes = units_and_codes(())
+        kept.register_metrics({name: (codes[name][0], "other") for name in ("energy", "capture_time")})
+    assert not any({"energy", "capture_time"} & numbers.keys() for numbers in stored(store))
+    found = sweep(BASE, GRID, 2, store=store)
+    assert len(done) == 12, "capture_time is in every table, and so is asked for"
+    assert found.groups[0].values("energy") == again.groups[0].values("energy")
+
+
+def test_a_built_in_metric_that_is_new_is_added_to_a_store_only_if_it_is_asked_for(tmp_path, done, monkeypatch):
+    store, older = tmp_path / "s.sqlite", units_and_codes(())
+    older.pop("energy")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "units_and_codes", lambda own: older)
+        patch.setattr(module, "measured", lambda own, result: older_summary(result))
+        sweep(BASE, GRID, 1, store=store)
+    assert not any("energy" in numbers for numbers in stored(store))
+    found = sweep(BASE, GRID, 1, store=store)
+    assert len(done) == 2
+    assert found.groups[0].values("energy") == [None]
+    with closing(sqlite3.connect(store)) as database:
+        assert database.execute("SELECT energy FROM results").fetchall() == [(None,), (None,)]
+    found = sweep(BASE, GRID, 1, store=store, until=("energy", 100.0))
+    assert len(done) == 4
+    assert None not in found.groups[0].values("energy")
+
+
+def older_summary(result):
+    return Summary({name: each for name, each in summary(result).items() if name != "energy"})
+
+
+def test_a_metric_that_fails_is_told_with_configuration_and_seed_and_the_stored_run_is_kept(tmp_path):
+    store = tmp_path / "s.sqlite"
+    before = sweep(BASE, GRID, 2, store=store)
+    found = sweep(BASE, GRID, 2, store=store, metrics={"wrong": of_users.wrong})
+    assert [[row.status for row in group.rows] for group in found.groups] == [["error", "ok"]] * 2
+    assert found.table().splitlines()[-1] == (
+        "2 runs failed; the first, with capture.radius = 0.05, seed 0: desim.analysis.metrics.MetricError:"
+        " metric 'wrong' of 'coins' with seed 0: ValueError: not today"
+    )
+    assert found.groups[0].values("wrong") == [1.0]
+    again = sweep(BASE, GRID, 2, store=store)
+    assert [group.values("active_time") for group in again.groups] == [
+        group.values("active_time") for group in before.groups
+    ]
+    assert [group.values("wrong") for group in again.groups] == [[None, 1.0]] * 2
+    with pytest.raises(RunError, match=r"capture\.radius = 0\.05 with seed 0 failed(?s:.*)metric 'wrong'"):
+        sweep(BASE, GRID, 2, store=store, metrics={"wrong": of_users.wrong}, fail_fast=True)
+
+
+@pytest.mark.slow
+def test_a_precision_of_a_metric_takes_as_many_runs_whether_or_not_there_are_runs_without_it(tmp_path):
+    grid, target = {"capture.radius": [0.2]}, ("half", 0.012)
+    (whole,) = sweep(BASE, grid, 60, until=target, metrics={"half": half}).groups
+    assert 30 < len(whole.rows) < 60
+    assert len(whole.rows) == runs_needed(whole.values("half"), 0.012, at_most=60)
+    sweep(BASE, grid, 50, store=tmp_path / "s.sqlite")
+    (group,) = sweep(BASE, grid, 60, store=tmp_path / "s.sqlite", until=target, metrics={"half": half}).groups
+    assert [each for each in group.values("half") if each is not None] == whole.values("half")
+
+
+@pytest.mark.parametrize("name", ["active_time", "a b", "status"])
+def test_a_name_that_is_taken_or_no_identifier_is_refused_before_anything_is_written(tmp_path, name):
+    with pytest.raises(ValueError, match=f"metric.*{name}"):
+        sweep(BASE, GRID, 1, store=tmp_path / "s.sqlite", metrics={name: half})
+    assert not (tmp_path / "s.sqlite").exists()
+
+
+def test_stores_are_merged_with_the_metrics_of_both_unless_their_code_differs(tmp_path):
+    one, other, third = (tmp_path / f"{name}.sqlite" for name in ("one", "other", "third"))
+    sweep(BASE, GRID, 2, store=one, metrics={"half": half})
+    sweep(BASE, GRID, 2, store=other, metrics={"end": end_time})
+    sweep(BASE, GRID, 2, store=third, metrics={"half": lambda result: 0.0})
+    with Store(tmp_path / "all.sqlite") as merged, Store(one) as first, Store(other) as second, Store(third) as last:
+        for each in (first, second, first):
+            merged.merge(each)
+        result = SweepResult.of(merged)
+        with pytest.raises(StoreError, match=f"the metric half was computed by other code in {third}"):
+            merged.merge(last)
+    assert result == sweep(BASE, GRID, 2, metrics={"half": half, "end": end_time})
+
+
+# Explanations and reports.
+
+
+def test_an_explanation_is_in_any_metrics_with_their_units():
+    late = BASE.model_copy(update={"network": BASE.network.model_copy(update={"range": 1.0})})
+    found = explain(late, 2, metrics={"half": Metric(half, "s")}, shown=["half", "active_time", "capture_time"])
+    assert list(found.costs) == ["half", "active_time", "capture_time"]
+    cost, twice = found.costs["half"], found.costs["active_time"]
+    assert 2.0 * cost.as_it_is.mean == pytest.approx(twice.as_it_is.mean)
+    assert found.costs["capture_time"].as_it_is.count == 0
+    assert found.rows()[0] == ("", "half, s", "sum of active times, s", "capture time, s")
+    assert {row[3] for row in found.rows()[1:]} == {"-"}
+    assert type(found).of(json.loads(json.dumps(found.document()))).rows() == found.rows()
+    with pytest.raises(ValueError, match="there is no numeric metric 'haf', did you mean 'half'"):
+        explain(late, 2, metrics={"half": half}, shown=["haf"])
+
+
+@pytest.mark.slow
+def test_a_report_shows_a_metric_in_its_tables_and_as_a_panel(tmp_path):
+    sweep(BASE, RANGES, 2, store=tmp_path / "sweep.sqlite", metrics={"half": Metric(half, "furlongs")})
+    elements = Elements(report(Study.read(tmp_path)))
+    assert sum("half, furlongs" in row for row in elements.rows) == 2
+    assert any("half (furlongs)" in each for each in elements.texts)
+
+
+# The commands.
+
+FILE = """\
+name = "mine"
+horizon = 0.2
+team.count = 3
+network.range = 9.0
+[record]
+metrics = ["mine_of_commands:gap"]
+[sweep]
+reps = 2
+[sweep.grid]
+"network.latency.value" = [0.0, 0.1]
+"""
+MODULE = """\
+from desim.analysis.metrics import Metric, active_time
+
+
+def gap(result):
+    return active_time(result) - 0.25
+
+
+twice = Metric(lambda result: 2.0 * gap(result), "s", "twice the gap")
+energy = gap
+"""
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
+    (tmp_path / "mine_of_commands.py").write_text(MODULE)
+    (tmp_path / "mine.toml").write_text(FILE)
+    yield tmp_path / "mine.toml"
+    sys.modules.pop("mine_of_commands", None)
+
+
+TRUSTED = "--allow-import"
+TWICE = ("--metric", "mine_of_commands:twice")
+
+
+def test_a_run_shows_metrics_of_its_file_and_of_the_command_line(file):
+    shown = accepted("run", file, TRUSTED, *TWICE, "--metric", "excess_time").stdout
+    lines = {line.split("  ")[0]: line.split() for line in shown.splitlines()}
+    assert 2.0 * float(lines["gap"][1]) == pytest.approx(float(lines["twice"][1]), abs=2e-3)
+    assert lines["twice"][2:] == ["s", "twice", "the", "gap"]
+    assert "excess time" in lines
+    (numbers,) = json.loads(accepted("run", file, TRUSTED, *TWICE, "--json").stdout)["runs"]
+    assert numbers["twice"] == 2.0 * numbers["gap"] == 2.0 * (numbers["active_time"] - 0.25)
+    assert "twice, s" in accepted("run", file, TRUSTED, *TWICE, "-n", 2).stdout
+
+
+def test_a_run_in_a_folder_has_its_metrics_and_so_has_its_repetition(file, tmp_path):
+    accepted("run", file, TRUSTED, *TWICE, "-o", tmp_path / "out")
+    numbers = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert numbers["twice"] == 2.0 * numbers["gap"]
+    accepted("run", "--from", tmp_path / "out" / "run.json", TRUSTED, "-o", tmp_path / "again")
+    assert (tmp_path / "again" / "summary.json").read_bytes() == (tmp_path / "out" / "summary.json").read_bytes()
+    assert "names code to be run" in refused("run", "--from", tmp_path / "out" / "run.json")
+
+
+@pytest.mark.parametrize("command", ["run", "sweep", "explain"])
+def test_a_file_and_an_option_that_name_code_are_refused_without_trust(file, tmp_path, command):
+    assert f"{file}:6: record.metrics.0: 'mine_of_commands:gap' names code to be run" in refused(command, file)
+    (tmp_path / "plain.toml").write_text(FILE.replace('"mine_of_commands:gap"', ""))
+    said = refused(command, tmp_path / "plain.toml", *TWICE)
+    assert said.startswith("--metric mine_of_commands:twice: record.metrics.0: 'mine_of_commands:twice' names code")
+    assert "mine_of_commands" not in sys.modules
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_installed_metric_is_measured_without_trust_and_is_among_those_that_are_suggested(file, monkeypatch):
+    point = SimpleNamespace(name="half", value="x:half", module="tests.analysis.of_users", attr="half")
+    monkeypatch.setattr(named_metrics, "entry_points", lambda group: [point] if group == "desim.metrics" else [])
+    file.write_text(FILE.replace('"mine_of_commands:gap"', ""))
+    (numbers,) = json.loads(accepted("run", file, "--metric", "half", "--json").stdout)["runs"]
+    assert numbers["half"] == numbers["active_time"] / 2.0
+    assert accepted("metrics").stdout.splitlines()[-1] == "half: x:half"
+    assert refused("run", file, "--metric", "haf").startswith("--metric haf: there is no numeric metric 'haf', did you")
+
+
+@pytest.mark.parametrize("command", ["run", "sweep", "explain"])
+def test_a_name_of_a_built_in_metric_is_refused_with_file_line_and_key(file, command):
+    file.write_text(FILE.replace(":gap", ":energy").replace("energy", "active_time"))
+    (file.parent / "mine_of_commands.py").write_text(MODULE.replace("energy", "active_time"))
+    assert refused(command, file, TRUSTED).startswith(
+        f"{file}:6: record.metrics: metric 'active_time' should have another name: there is a built-in metric"
+    )
+
+
+def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
+    shown = accepted("sweep", file, TRUSTED, "-o", "out").stdout
+    assert shown.splitlines()[1].endswith("gap")
+    assert "\n0 runs in " in accepted("sweep", file, TRUSTED, "-o", "out").stderr
+    made = accepted("sweep", file, TRUSTED, *TWICE, "-o", "out")
+    assert made.stdout.splitlines()[1].split()[-2:] == ["twice,", "s"]
+    assert re.search(r"\n4 runs in .*, 4 already stored", made.stderr)
+    dry = accepted("sweep", file, TRUSTED, *TWICE, "-o", "out", "--dry-run").stdout
+    assert dry.startswith("mine: 2 configurations, 4 runs; 4 are stored, 0 remain")
+    accepted("export", "out", "x.csv")
+    with Path("x.csv").open() as rows:
+        assert all(float(row["twice"]) == 2.0 * float(row["gap"]) for row in csv.DictReader(rows))
+    record = json.loads(Path("out/run.json").read_text())["scenario"]["record"]
+    assert record["metrics"] == ["mine_of_commands:gap", "mine_of_commands:twice"]
+
+
+@pytest.mark.slow
+def test_a_sweep_ends_at_the_precision_of_a_metric_which_has_to_be_there(file):
+    accepted("sweep", file, TRUSTED, "--until", "gap:100", "-o", "out")
+    assert len(stored("out/sweep.sqlite")) == 60
+    said = refused("sweep", file, TRUSTED, "--until", "gab:100", "-o", "out")
+    assert "there is no numeric metric 'gab', did you mean 'gap'?" in said
+
+
+def test_an_explanation_is_in_the_metrics_of_the_command(file):
+    rows = accepted("explain", file, TRUSTED, "-n", 2, *TWICE, "--metric", "energy").stdout.splitlines()
+    assert rows[1].split() == ["twice,", "s", "energy,", "m^2/s"]
+    rows = accepted("explain", file, TRUSTED, "-n", 2).stdout.splitlines()
+    assert re.search("capture time, or horizon, s +gap$", rows[1])
+
+
+def test_the_command_lists_all_metrics(monkeypatch):
+    lines = accepted("metrics").stdout.splitlines()
+    assert [line.partition(":")[0].partition(",")[0] for line in lines] == list(METRICS)
+    assert "active_time, s: The active time summed over the pursuers" in lines[9]
+    assert all(": " in line for line in lines)
+
+
+ENTRY = '''    hasty: float = entry(lambda result: 1.0 / (1.0 + end_time(result)), "1/s", "made up")
+    """Made up, for a test."""
+'''
+
+
+@pytest.mark.slow
+def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
+    """And a store that was made before has it as soon as it is asked for."""
+    for package in ("desim", "protocols"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
+
+    def said(*words):
+        command = [sys.executable, "-m", "desim", *words]
+        made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)})
+        assert made.returncode == 0, made.stderr
+        return made.stdout
+
+    before = said("sweep", "x.toml", "-o", "out")
+    list_of_all = tmp_path / "desim" / "analysis" / "metrics.py"
+    text = list_of_all.read_text()
+    list_of_all.write_text(text.replace("    energy: float = entry(", f"{ENTRY}    energy: float = entry("))
+    assert "hasty, 1/s: Made up" in said("metrics")
+    assert "hasty " in said("run", "x.toml")
+    assert "0.833" in said("run", "x.toml", "--json")
+    assert said("sweep", "x.toml", "-o", "out") == before
+    assert "hasty" not in stored(tmp_path / "out" / "sweep.sqlite")[0]
+    assert "hasty, 1/s" in said("sweep", "x.toml", "-o", "out", "--metric", "hasty")
+    assert "hasty" in stored(tmp_path / "out" / "sweep.sqlite")[0]
+    said("sweep", "x.toml", "-o", "out", "--until", "hasty:0.5", "-n", "2")
+    said("export", "out", "x.csv")
+    assert "hasty" in (tmp_path / "x.csv").read_text().splitlines()[0]
