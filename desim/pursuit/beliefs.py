@@ -11,7 +11,7 @@ import numpy as np
 
 from desim.config.arrays import Floats, Points
 from desim.config.model import MAX_TIME
-from desim.kernel.clock import NodeClock
+from desim.kernel.clock import SECOND, NodeClock
 from desim.kernel.network import Network
 from desim.kernel.records import Record
 from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedAssignment
@@ -98,9 +98,9 @@ class Beliefs:
 
     def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
-        now = self._clock.now
+        now = self._clock.stamp
         return {
-            j: Belief(record.body.active, self._time(record, evader, orders), now - record.sent)
+            j: Belief(record.body.active, self._time(record, evader, orders), (now - record.stamp) / SECOND)
             for j, record in self.trusted(period).items()
         }
 

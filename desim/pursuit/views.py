@@ -79,9 +79,10 @@ class View:
         """Return the capture times of some pursuers, s; like `capture_times`, and faster for a few."""
         state = self.state
         if self.unlimited or self.sees(evader):
-            if state.now == state.step_end:  # all positions will be needed at this instant
+            now = state.now
+            if now == state.step_end:  # all positions will be needed at this instant
                 state.players.positions()
-            return state.body(evader).capture_times_of(pursuers, state.now)
+            return state.bodies[evader - 1].capture_times_of(pursuers, now)
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 

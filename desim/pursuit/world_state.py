@@ -4,6 +4,7 @@ Views read it; the world changes it.
 """
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,8 @@ class WorldState:
         step_end: end of the present motion step, ns.
     """
 
+    now: int = property(attrgetter("_env.now"), doc="The present, ns.")  # type: ignore[assignment]  # as in `Clock`
+
     def __init__(
         self,
         env: Clock,
@@ -60,11 +63,6 @@ class WorldState:
         self.broken: NDArray[np.bool_] = np.zeros(self.size, dtype=bool)
         self.step_end = 0
         self.set_actions(actions)
-
-    @property
-    def now(self) -> int:
-        """The present, ns."""
-        return self._env.now
 
     def body(self, evader: int) -> EvaderBody:
         """Return an evader, 1 .. M."""
