@@ -360,7 +360,7 @@ def test_a_claim_decodes_to_the_bids_it_encodes(action, bids):
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_loss_and_random_latency_only_slow_it(auction, dissemination):
     """30 % lost, latency 0.05 s on average (cv 1, so messages overtake), on random connected graphs of 2 to 12."""
-    for number in range(8 if dissemination is None else 3):
+    for number in range(5 if dissemination is None else 2):
         graph = random_graph(number)
         result = frozen(
             auction(schedule=Poisson(rate=5.0)),

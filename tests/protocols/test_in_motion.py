@@ -60,7 +60,7 @@ class Forgetful(Server):
 @pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.2, 1.0])
 def test_the_server_keeps_the_evader_although_orders_are_late_and_lost(latency):
-    """Latency uniform by 5 %, a tenth lost, and pursuers that would be late may not chase: all of 4 captured.
+    """Latency uniform by 5 %, a tenth lost, and pursuers that would be late may not chase: all of 3 captured.
 
     The active time is that of a centre that sees everything and whose orders are 2 L late, within 2 s. (In 1 of 48
     seeds, which is not among these, the evader has fled too far by 2 L = 2 s: then that centre gives up as well.)
@@ -70,8 +70,8 @@ def test_the_server_keeps_the_evader_although_orders_are_late_and_lost(latency):
         "prune": "infeasible",
         "announce": Announcements(warm_start=False),
     }
-    server = outcome(4, Server(), **rough)
-    centre = outcome(4, RoundTrip(down=2.0 * latency), prune="infeasible")
+    server = outcome(3, Server(), **rough)
+    centre = outcome(3, RoundTrip(down=2.0 * latency), prune="infeasible")
     assert server.captured == centre.captured == 1.0
     assert server.active < centre.active + 2.0
     assert server.idle < 2.0 * latency + 0.5
@@ -93,7 +93,7 @@ def test_no_protocol_loses_the_evader_to_latency(kind):
     The centralised benchmark captures all in these seeds.
     """
     announce = Announcements(payload="action" if kind in GEOMETRIC else "state")
-    found = outcome(3, {"kind": kind}, announce=announce, **late(1.0))
+    found = outcome(2, {"kind": kind}, announce=announce, **late(1.0))
     assert found.captured == 1.0
     assert found.idle < 2.5
 

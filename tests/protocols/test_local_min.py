@@ -98,10 +98,10 @@ ONE_AT_A_TIME = {name: ANY_CLOCK[name] for name in ("poisson", "shared_seed", "p
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ANY_CLOCK)
 def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
-    """60 random graphs for each schedule (30 for the slowest): settled by the middle of the 10 s, in any order of
+    """30 random graphs for each schedule (15 for the slowest): settled by the middle of the 10 s, in any order of
     decisions.
     """
-    for number in range(30 if clock == "local_mutex" else 60):
+    for number in range(15 if clock == "local_mutex" else 30):
         graph, phi = random_graph(number)
         profile, times = changes_of(run(static_game(LocalMin(schedule=ANY_CLOCK[clock]), graph, phi, number)))
         assert profile == greedy_maximal_independent_set(phi, 10.0, neighbour_lists(graph)), f"graph {number}"
@@ -112,8 +112,8 @@ def test_local_min_ends_in_the_greedy_maximal_independent_set(clock):
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", ONE_AT_A_TIME)
 def test_best_response_with_a_penalty_on_edges_ends_in_a_maximal_independent_set(clock):
-    """60 random graphs for each schedule (30 for the slowest); not always in the greedy one, which is the control."""
-    greedy, graphs = 0, 30 if clock == "local_mutex" else 60
+    """30 random graphs for each schedule (15 for the slowest); not always in the greedy one, which is the control."""
+    greedy, graphs = 0, 15 if clock == "local_mutex" else 30
     for number in range(graphs):
         graph, phi = random_graph(number)
         protocol = BestResponse(utility=EdgePenalty(), schedule=ONE_AT_A_TIME[clock])
@@ -134,10 +134,10 @@ def test_simultaneous_best_responses_to_a_penalty_cycle():
 
 @pytest.mark.slow
 def test_local_min_settles_despite_latency_and_loss_with_heartbeats():
-    """40 random graphs, latency of 0.1 s, three tenths of messages lost, heartbeats every 0.1 s: the greedy set after
+    """20 random graphs, latency of 0.1 s, three tenths of messages lost, heartbeats every 0.1 s: the greedy set after
     20 s.
     """
-    for number in range(40):
+    for number in range(20):
         graph, phi = random_graph(number)
         scenario = static_game(
             LocalMin(schedule=Poisson(rate=5.0)),
