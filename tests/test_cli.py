@@ -873,8 +873,8 @@ def test_every_command_that_adds_runs_is_kept_once_and_the_last_is_in_run_json(f
     assert asked(tmp_path / "out") == [small, wide, other]
     assert provenance.read(tmp_path / "out" / "run.json")["argv"][1:] == other
     with Store(tmp_path / "out" / "sweep.sqlite") as store:
-        store._database.execute("DELETE FROM runs")
-        store._database.commit()
+        store.database.execute("DELETE FROM runs")
+        store.database.commit()
     typed("sweep", path, *out, "-n", 2)
     assert asked(tmp_path / "out") == [small, wide, other]
 

@@ -25,7 +25,8 @@ from desim.scenario.toml import read
 from desim.simulation.run import run
 from desim.study.explain import explain
 from desim.study.figures import waterfall
-from desim.study.store import Store, StoreError
+from desim.study.store import Store
+from desim.study.store_file import StoreError
 from desim.study.sweep import sweep
 from tests.command import accepted, refused
 from tests.command import desim as call
@@ -471,9 +472,10 @@ def test_a_file_lies_in_the_folder_of_the_scenario_that_names_it(tmp_path, path)
     file = home / "f.toml"
     file.write_text(f'{SHORT}network.latency = {{ kind = "empirical", file = "{named}" }}')
     said = refused("check", file)
-    assert said.startswith(f"{file}:3: network.latency: {named} ")
-    if path == "loop":
+    if path == "loop":  # found when the path is resolved or, from Python 3.13 on, when it is opened
+        assert said.startswith((f"{file}:3: network.latency: {named} ", f"{file}:3: network.latency: {home / named} "))
         return
+    assert said.startswith(f"{file}:3: network.latency: {named} ")
     assert "leads out of the folder" in said
     assert "--allow-import" in said
     assert desim.load(file, allow_import=True).network.latency.values == (0.125,)

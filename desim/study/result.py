@@ -15,7 +15,8 @@ from desim.analysis.statistics import Estimate, mean, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, with_half_width
 from desim.config.json_numbers import json_number
 from desim.config.trust import escaped
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
+from desim.study.store_file import StoreError
 
 if TYPE_CHECKING:
     import pandas as pd

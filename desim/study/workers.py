@@ -21,7 +21,7 @@ from desim.simulation.interrupts import SIGNALS
 from desim.study.serialization import Call, called, packed
 
 Returned = TypeVar("Returned")
-PATIENCE = 10.0
+START_TIMEOUT = 10.0
 """The time-out for answers of a cluster, s of wall time."""
 WATCH = 0.5
 """The interval at which a worker checks that its driver is alive, s of wall time."""
@@ -185,7 +185,7 @@ def workers_for(executor: Executor | int | str) -> Workers:
         ValueError: if a number is negative.
     """
     if isinstance(executor, str):
-        return Cluster(executor, PATIENCE)
+        return Cluster(executor, START_TIMEOUT)
     if isinstance(executor, Executor):
         return Workers(executor)
     if executor < 0:

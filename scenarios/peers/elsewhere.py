@@ -17,7 +17,7 @@ from desim.kernel.latency import Constant
 from scenarios.peers.workloads import TICK, Workload
 
 PROGRAMS = Path(__file__).parent
-PATIENCE = 600.0
+TIMEOUT = 600.0
 """Time-out of a command, s."""
 
 
@@ -117,12 +117,12 @@ def _run_command(command: Sequence[str], folder: Path | None = None, stdin: str 
     """
     try:
         ended = subprocess.run(
-            command, cwd=folder, input=stdin, capture_output=True, text=True, check=True, timeout=PATIENCE
+            command, cwd=folder, input=stdin, capture_output=True, text=True, check=True, timeout=TIMEOUT
         )
     except FileNotFoundError as error:
         raise UnavailableError(f"there is no {command[0]}") from error
     except subprocess.TimeoutExpired as error:
-        raise UnavailableError(f"{command[0]} takes more than {PATIENCE:g} s") from error
+        raise UnavailableError(f"{command[0]} takes more than {TIMEOUT:g} s") from error
     except subprocess.CalledProcessError as error:
         complaint = (error.stderr.strip() or error.stdout.strip()).splitlines() or [f"exit code {error.returncode}"]
         raise UnavailableError(f"{Path(command[0]).name}: {complaint[-1].strip()}") from error

@@ -27,7 +27,8 @@ from desim.study.explain import Variants
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Saving
 from desim.study.figures import waterfall
 from desim.study.imperfections import IMPERFECTIONS
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
+from desim.study.store_file import StoreError
 from desim.study.sweep import RunError, sweep
 from desim.study.workers import workers_for
 from protocols.cbba import CBBA

@@ -16,7 +16,8 @@ from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
 from desim.study.metric_code import units_and_codes
 from desim.study.result import SHOWN, Group, SweepResult
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
+from desim.study.store_file import StoreError
 from tests.command import strict_json
 from tests.summaries import changed
 
@@ -298,7 +299,7 @@ def test_a_store_keeps_captures_per_evader(tmp_path):
         for row in (ok(0), ok(1, **PACK)):
             store.add("key", 0, row)
         assert store.runs("key", 0) == [ok(0), ok(1, **PACK)]
-        ((one,), (two,)) = store._database.execute("SELECT summary FROM runs ORDER BY replication")
+        ((one,), (two,)) = store.database.execute("SELECT summary FROM runs ORDER BY replication")
     assert tuple(json.loads(one)) == tuple(json.loads(two)) == tuple(METRICS)
     assert [json.loads(two)[name] for name in PACK] == list(PACK.values())
 

@@ -16,13 +16,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-import desim.study.store as module
+import desim.study.store_file as module
 from desim.analysis.metrics import summary
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import load, read
 from desim.simulation.run import run
 from desim.study.result import SweepResult
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
+from desim.study.store_file import StoreError
 from desim.study.sweep import SweepPlan, sweep
 from tests.study import sweeps
 from tests.study.test_workers import command
@@ -77,10 +78,16 @@ def test_a_database_of_something_else_is_refused_and_left_alone(tmp_path, file):
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize(("name", "other"), [("FORMAT", "0"), ("TABLES", None)])
-def test_a_store_of_another_version_is_refused(tmp_path, file, name, other, monkeypatch):
+ANOTHER = {
+    "desim.study.store.FORMAT": "0",
+    "desim.study.store_file.TABLES": module.TABLES.replace("unit TEXT", "scale TEXT"),
+}
+
+
+@pytest.mark.parametrize("name", ANOTHER)
+def test_a_store_of_another_version_is_refused(tmp_path, file, name, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(module, name, other or module.TABLES.replace("unit TEXT", "scale TEXT"))
+        patch.setattr(name, ANOTHER[name])
         with Store(tmp_path / "sweep.sqlite"):
             pass
     told = refused("sweep", file, "--allow-import", "-o", tmp_path)
@@ -107,7 +114,7 @@ def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monk
 
     def small(self, *args):
         begin(self, *args)
-        self._database.execute("PRAGMA max_page_count = 16")
+        self.database.execute("PRAGMA max_page_count = 16")
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
@@ -340,7 +347,7 @@ def test_a_store_that_another_process_is_about_to_make_is_waited_for(tmp_path, m
             with Store(path) as store:
                 assert (store.check(), len(pauses)) == ("ok", 3)
         else:
-            monkeypatch.setattr(module, "PATIENCE", 0.0)
+            monkeypatch.setattr(module, "LOCK_TIMEOUT", 0.0)
             with pytest.raises(StoreError, match=r"sweep\.sqlite: database is locked"):
                 Store(path)
 
@@ -356,7 +363,7 @@ def test_without_a_write_ahead_log_there_is_a_rollback_journal_and_a_warning(tmp
     with pytest.warns(UserWarning, match=f"{path}: .* no write-ahead log"), Store(path) as store:
         store.register([])
     with Store(path) as store:
-        assert store._database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+        assert store.database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
     with Store(path, read_only=True) as store:
         assert (store.check(), len(store)) == ("ok", 0)
 

@@ -25,7 +25,8 @@ from desim.scenario.toml import read
 from desim.study import sweep as module
 from desim.study.batch import run_many
 from desim.study.result import SweepResult
-from desim.study.store import Store, StoreError
+from desim.study.store import Store
+from desim.study.store_file import StoreError
 from desim.study.sweep import MAX_RUNS, RunError, SweepPlan, sweep
 from protocols.rule import Rule
 
@@ -516,7 +517,7 @@ def test_errors_in_a_grid_are_reported_before_a_store_is_created(tmp_path):
 def test_a_store_has_the_scenario_of_each_configuration(tmp_path):
     sweep(BASE, {"network.range": [3.0, inf]}, 1, store=tmp_path / "s.sqlite")
     with Store(tmp_path / "s.sqlite") as store:
-        texts = [text for (text,) in store._database.execute("SELECT scenario FROM configurations ORDER BY place")]
+        texts = [text for (text,) in store.database.execute("SELECT scenario FROM configurations ORDER BY place")]
     assert [Scenario.model_validate_json(each).network.range for each in texts] == [3.0, inf]
 
 

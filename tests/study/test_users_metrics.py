@@ -27,7 +27,8 @@ from desim.study.configurations import without_metrics
 from desim.study.figures import means
 from desim.study.metric_code import units_and_codes
 from desim.study.result import SweepResult
-from desim.study.store import Row, Store, StoreError
+from desim.study.store import Row, Store
+from desim.study.store_file import StoreError
 from desim.study.sweep import RunError, SweepPlan
 from desim.view.report import Study, report
 from tests.analysis import of_users

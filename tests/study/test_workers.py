@@ -208,7 +208,7 @@ def closed_port(silent_port):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["silent_port", "closed_port"])
 def test_an_unresponsive_scheduler_is_reported_in_time(request, tmp_path, monkeypatch, name):
-    monkeypatch.setattr(places, "PATIENCE", 1.0)
+    monkeypatch.setattr(places, "START_TIMEOUT", 1.0)
     address = f"tcp://127.0.0.1:{request.getfixturevalue(name)}"
     begin = time.monotonic()
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
@@ -222,7 +222,7 @@ def test_an_unresponsive_scheduler_is_reported_in_time(request, tmp_path, monkey
 @pytest.mark.slow
 @pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:1", "tcp://127.0.0.1:port", ""])
 def test_a_malformed_address_is_reported(tmp_path, monkeypatch, address):
-    monkeypatch.setattr(places, "PATIENCE", 1.0)
+    monkeypatch.setattr(places, "START_TIMEOUT", 1.0)
     made = command("sweep", sweeps.write(tmp_path), "--allow-import", "-o", tmp_path / "out", "--cluster", address)
     assert made.exit_code == 2
     (line,) = made.stderr.splitlines()
@@ -241,7 +241,7 @@ def dask(program, *options):
 @pytest.mark.slow
 def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tmp_path, monkeypatch):
     """What was done by then is kept."""
-    monkeypatch.setattr(places, "PATIENCE", 2.0)
+    monkeypatch.setattr(places, "START_TIMEOUT", 2.0)
     file, out, note = sweeps.write(tmp_path / "in", pause=0.05), tmp_path / "out", tmp_path / "scheduler.json"
     store = out / "sweep.sqlite"
     with dask("scheduler", "--host", "127.0.0.1", "--port", 0, "--scheduler-file", note) as scheduler:
@@ -272,7 +272,7 @@ def test_a_cluster_without_workers_and_the_loss_of_its_scheduler_are_reported(tm
 @pytest.mark.slow
 def test_a_cluster_that_loses_its_workers_is_reported(tmp_path, monkeypatch):
     """A worker that leaves with exit code 0 has left of its own will, and no other is started."""
-    monkeypatch.setattr(places, "PATIENCE", 2.0)
+    monkeypatch.setattr(places, "START_TIMEOUT", 2.0)
     file = sweeps.write(tmp_path / "in", losses=(0.2,), reps=40, bad=(6,), how="leave")
     note = tmp_path / "scheduler.json"
     with dask("scheduler", "--host", "127.0.0.1", "--port", 0, "--scheduler-file", note) as scheduler:

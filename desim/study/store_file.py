@@ -1,0 +1,327 @@
+"""The SQLite file of a store: its tables, its journal, and the checks of what is read.
+
+Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store that was damaged or
+edited is refused. The checksums detect accidents; they do not protect against forgery.
+"""
+
+import json
+import os
+import sqlite3
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache, wraps
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ParamSpec, Self, TypeVar
+from zlib import crc32
+
+from pydantic import TypeAdapter, ValidationError
+
+FORMAT = "3"
+"""The version of the tables below, and of the hashes of configurations."""
+TABLES = """
+CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS configurations (
+    configuration TEXT PRIMARY KEY, place INTEGER NOT NULL, settings TEXT NOT NULL, scenario TEXT NOT NULL,
+    checksum INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS runs (
+    configuration TEXT NOT NULL REFERENCES configurations,
+    replication INTEGER NOT NULL,
+    root_seed TEXT NOT NULL,
+    seed TEXT NOT NULL,
+    status TEXT NOT NULL CHECK (status IN ('ok', 'error', 'crashed')),
+    summary TEXT,
+    traceback TEXT NOT NULL,
+    checksum INTEGER NOT NULL,
+    PRIMARY KEY (configuration, replication, root_seed)
+);
+CREATE TABLE IF NOT EXISTS metrics (
+    name TEXT PRIMARY KEY, unit TEXT NOT NULL, code TEXT NOT NULL, checksum INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS commands (
+    folder TEXT NOT NULL, argv TEXT NOT NULL, checksum INTEGER NOT NULL, PRIMARY KEY (folder, argv)
+);
+"""
+"""The tables of a store. Seeds are texts, because they may have more than 64 bits."""
+NAMED_BY = {"about": 1, "configurations": 1, "runs": 4, "metrics": 1, "commands": 2}
+"""The number of leading columns of each table that identify a row in an error message."""
+LOCK_TIMEOUT = 30.0
+"""The time-out for a file that another process has locked, s of wall time."""
+PAUSE = 0.02
+"""The pause between two attempts where SQLite itself does not wait, s of wall time."""
+HINT = "remove it, or choose another folder (-o)"
+ROWID = "ORDER BY rowid"
+Arguments = ParamSpec("Arguments")
+Returned = TypeVar("Returned")
+
+
+class StoreError(OSError):
+    """Raised when a store cannot be read or written, or does not belong to the sweep; the text names its file."""
+
+
+def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """Return a method of a store such that its SQLite errors become StoreErrors, which name the file."""
+
+    @wraps(method)
+    def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
+        try:
+            return method(*args, **kwargs)
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite may quote damaged text
+            raise StoreError(f"{args[0].path}: {error}") from error  # type: ignore[attr-defined]
+
+    return call
+
+
+class StoreFile:
+    """An open file with the tables of a store.
+
+    Args:
+        path: the path of the file, which is created if it does not exist; None: in memory.
+        read_only: whether the store is only read; its file must exist and need not be writable.
+
+    Raises:
+        StoreError: if the file is not a store, has another version, or is damaged.
+    """
+
+    def __init__(self, path: Path | None = None, *, read_only: bool = False):
+        self.path: Any = path or "the store in memory"
+        if read_only and not (path and path.is_file()):
+            raise StoreError(f"{path}: there is no such store")
+        if path and path.is_symlink():  # in an untrusted folder it may point to any file of the user
+            raise StoreError(f"{path}: is a link, and its target would be written: give the folder of the store itself")
+        self._open(path, read_only)
+
+    @naming_the_file
+    def _open(self, path: Path | None, read_only: bool) -> None:
+        if path is not None and not read_only:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        self.database = _connected(path, read_only)
+        try:
+            self._prepare(path, read_only)
+        except BaseException:
+            self.close()
+            raise
+
+    def _prepare(self, path: Path | None, read_only: bool) -> None:
+        """Check the content of the store, or create its tables."""
+        if there := _schema(self.database):
+            _check_schema(path, there, self.database)
+            self._check_content()
+        elif read_only:
+            raise StoreError(f"{path}: is empty")
+        else:
+            self._create(path)
+        self.database.execute("PRAGMA query_only = ON" if read_only else "PRAGMA synchronous = NORMAL")
+
+    def _create(self, path: Path | None) -> None:
+        """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
+        fault = _use_write_ahead_log(self.database)
+        if fault:
+            self.database.close()
+            _use_rollback_journal(path)
+            self.database = _connected(path)
+        self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
+        if fault:
+            warnings.warn(
+                f"{path}: this file system allows no write-ahead log ({fault}), so the store has a rollback journal:"
+                " let only one sweep at a time use it",
+                stacklevel=2,
+            )
+
+    def _check_content(self) -> None:
+        """Raise StoreError unless the structure of the file is sound and each row matches its checksum."""
+        if (found := self.check()) != "ok":
+            raise StoreError(f"{self.path}: is damaged: {found}")
+        for table in NAMED_BY:
+            for _ in self.rows(table):
+                pass
+        if self.database.execute("PRAGMA foreign_key_check").fetchone():
+            raise StoreError(f"{self.path}: is damaged: it has runs of a configuration that is missing")
+
+    def rows(self, table: str, where: str = "", values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of a table without their checksums.
+
+        Raises:
+            StoreError: if a row does not match its checksum.
+        """
+        found = self.database.execute(f"SELECT * FROM {table} {where}", values)
+        for *row, checksum in found:
+            if checksum != _checksum(row):
+                raise self.error(table, row, "does not match its checksum, so it was damaged or edited")
+            yield tuple(row)
+
+    def error(self, table: str, row: Sequence[Any], why: str) -> StoreError:
+        """Return an error that names a row of a table."""
+        named = zip(self._columns(table)[: NAMED_BY[table]], row, strict=False)
+        return StoreError(f"{self.path}: {table}: {', '.join(f'{name} {value}' for name, value in named)}: {why}")
+
+    def _columns(self, table: str) -> list[str]:
+        return [name for _, name, *_ in self.database.execute(f"PRAGMA table_info({table})")]
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """Yield the database inside a transaction that excludes other writers."""
+        with self.database:
+            self.database.execute("BEGIN IMMEDIATE")
+            yield self.database
+
+    def read(self, adapter: TypeAdapter[Any], table: str, row: Sequence[Any], column: int | None = None) -> Any:
+        """Return a row, or one column of it, parsed and checked against a type.
+
+        Raises:
+            StoreError: if a value has another type.
+        """
+        try:
+            return adapter.validate_python(row if column is None else row[column], strict=True)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            number, *inner = fault["loc"] if column is None else (column, *fault["loc"])
+            place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
+            raise self.error(table, row, f"{place}: {fault['msg']}") from error
+
+    @naming_the_file
+    def check(self) -> str:
+        """Return "ok", or the damage that SQLite finds in the file."""
+        return str(self.database.execute("PRAGMA integrity_check").fetchone()[0])
+
+    def close(self) -> None:
+        """Close the file; SQLite moves the content of its journal into it."""
+        self.database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@cache
+def adapter_of(kind: Any) -> TypeAdapter[Any]:
+    """Return the adapter that validates a type."""
+    return TypeAdapter(kind)
+
+
+def _address(path: Path, read_only: bool) -> str:
+    """Return the URI with which SQLite opens a file.
+
+    A file that is not writable is opened as immutable, because SQLite could not open it otherwise if it has a
+    write-ahead log. If its journal has content, it is not opened as immutable, because SQLite would ignore the journal.
+    """
+    options = "rwc"
+    if read_only:
+        pending = any(each.is_file() and each.stat().st_size for each in map(Path, (f"{path}-wal", f"{path}-journal")))
+        is_writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+        options = "rw" if is_writable else "ro" if pending else "ro&immutable=1"
+    return f"{path.absolute().as_uri()}?mode={options}"
+
+
+def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection:
+    """Return a connection to a file, or to a new database in memory."""
+    database = sqlite3.connect(
+        ":memory:" if path is None else _address(path, read_only), timeout=LOCK_TIMEOUT, uri=True
+    )
+    database.text_factory = lambda raw: raw.decode(errors="replace")  # then the checksum reveals invalid UTF-8
+    try:
+        database.execute("PRAGMA trusted_schema = OFF")
+    except sqlite3.Error:
+        database.close()
+        raise
+    return database
+
+
+def _use_write_ahead_log(database: sqlite3.Connection) -> str:
+    """Give a new file a write-ahead log, so that readers and a writer do not block each other.
+
+    Return "", or the reason why the file cannot have one. Changing the journal takes an exclusive lock. SQLite does not
+    wait for it while another connection is about to write, as when several processes create the store simultaneously.
+    """
+    end = time.monotonic() + LOCK_TIMEOUT
+    while True:
+        try:
+            (mode,) = database.execute("PRAGMA journal_mode = WAL").fetchone()
+            database.executescript("BEGIN IMMEDIATE; ROLLBACK")  # fails if memory cannot be shared
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
+                return str(error)
+            if time.monotonic() > end:
+                raise
+            time.sleep(PAUSE)
+        else:
+            return "" if mode in {"wal", "memory"} else f"the journal is {mode}"
+
+
+def _use_rollback_journal(path: Path | None) -> None:
+    """Give a file a rollback journal, with exclusive locking, which needs no shared memory."""
+    database = _connected(path)
+    try:
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+        database.execute("PRAGMA journal_mode = DELETE")
+    finally:
+        database.close()
+
+
+def _schema(database: sqlite3.Connection) -> dict[str, tuple[str, str | None]]:
+    """Return the type and the SQL of each table, index, view and trigger of a database, by name."""
+    found = database.execute("SELECT name, type, sql FROM sqlite_master")
+    return {name: (kind, sql) for name, kind, sql in found}
+
+
+def view_of(metrics: Sequence[str]) -> str:
+    """Return the SQL of the view with a row per run and a column per metric."""
+    columns = [f"json_extract(summary, '$.{name}') AS \"{name}\"" for name in metrics if name != "seed"]
+    named = ", ".join(["settings", "replication", "root_seed", "runs.seed AS seed", "status", "traceback", *columns])
+    source = "runs JOIN configurations USING (configuration) ORDER BY place, root_seed, replication"
+    return f"CREATE VIEW IF NOT EXISTS results AS SELECT {named} FROM {source}"
+
+
+@cache
+def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str | None]]:
+    """Return the schema of a store with some metrics; see `_schema`."""
+    database = sqlite3.connect(":memory:")
+    try:
+        database.executescript(f"{TABLES} {view_of(metrics)}")
+        return MappingProxyType(_schema(database))
+    finally:
+        database.close()
+
+
+def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]], database: sqlite3.Connection) -> None:
+    """Raise StoreError unless a database has exactly the schema of a store.
+
+    Otherwise a trigger, or a view in place of a table, could run SQL of the file's author in every command.
+    """
+    known = _known_schema()
+    if "about" not in there:
+        raise StoreError(f"{path}: is a database, but not the store of a sweep")
+    if strange := sorted(there.keys() - known.keys()):
+        raise StoreError(f"{path}: has an unexpected object ({there[strange[0]][0]} {strange[0]}); {HINT}")
+    _check_same_schema(path, {name: each for name, each in known.items() if each[0] == "table"}, there)
+    metrics = tuple(name for (name,) in database.execute(f"SELECT name FROM metrics {ROWID}"))
+    if strange := [name for name in metrics if not (isinstance(name, str) and name.isidentifier())]:
+        raise StoreError(f"{path}: metrics: name {strange[0]}: should be a Python identifier")
+    _check_same_schema(path, _known_schema(metrics), there)
+
+
+def _check_same_schema(
+    path: Path | None,
+    known: Mapping[str, tuple[str, str | None]],
+    there: Mapping[str, tuple[str, str | None]],
+) -> None:
+    """Raise StoreError if a table or view of the known schema is missing or different in a database."""
+    for name, each in known.items():
+        if each != there.get(name):
+            state = "missing" if name not in there else "different"
+            raise StoreError(f"{path}: was made by another version of desim, or edited: {name} is {state}; {HINT}")
+
+
+def _checksum(row: Sequence[Any]) -> int:
+    """Return the CRC-32 of a row."""
+    return crc32(json.dumps(row, default=repr).encode())
+
+
+def with_checksum(row: Sequence[Any]) -> tuple[Any, ...]:
+    """Return a row with its checksum."""
+    return *row, _checksum(row)
