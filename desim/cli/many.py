@@ -68,7 +68,12 @@ class Precision(click.ParamType[tuple[str, float]]):
 
 @click.command()
 @FILE
-@click.option("-n", "--runs", type=click.IntRange(min=1), help="Runs of each configuration; default: sweep.reps.")
+@click.option(
+    "-n",
+    "--runs",
+    type=click.IntRange(min=1),
+    help="Runs of each configuration, with --until at most; default: sweep.reps, with --until 10000.",
+)
 @SEED
 @JOBS
 @CLUSTER
@@ -102,7 +107,7 @@ def sweep(
     timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Run each configuration of the grid of a scenario (`sweep.grid`) many times; skip runs that are stored already."""
+    """Run each configuration of the grid of a scenario (`sweep.grid`) many times; skip runs that have succeeded."""
     from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
     from desim.study.result import SHOWN
@@ -195,7 +200,8 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
 def export(store: Path, file: Path) -> None:
     """Write the runs of a STORE (a file or its folder) to FILE, one row per run: .csv or .parquet.
 
-    In CSV, a text that a spreadsheet would take for a formula is prefixed with ', and control characters are escaped.
+    In CSV, a text that a spreadsheet would take for a formula is prefixed with an apostrophe, and control characters
+    are escaped.
     """
     from desim.study.result import SweepResult
     from desim.study.store import Store
