@@ -14,7 +14,7 @@ Robust to loss: yes, with heartbeats; flooding also without them where there are
 """
 
 from functools import partial
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
@@ -43,6 +43,7 @@ class OneHop(Value):
     """Announcements reach the neighbours only; they are not forwarded."""
 
     kind: Literal["one_hop"] = "one_hop"
+    hops: ClassVar[int] = 1
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
         """Publish the announcement."""

@@ -536,3 +536,25 @@ def test_restarts_count_the_restarts_of_a_protocol(scope, memory, restarts):
     play(protocol, *(Crash(node=1, start=t, end=t + 0.5, scope=scope, memory=memory) for t in (1.0, 2.0)))
     assert begun == restarts
     assert last == [restarts[-1]]
+
+
+def test_a_broken_pursuer_cannot_be_sent_by_a_centre():
+    """Without a body of its own the protocol of pursuer 0 goes on, and orders pursuer 1, which is down, to chase."""
+
+    class Centre:
+        announces = False
+        embodied = False
+        omniscient = True
+
+        def __call__(self, me):
+            yield me.at(1.5)
+            if me.id == 0:
+                me.global_state.set_action(1, 1)
+                seen.append(me.global_state.profile())
+                me.global_state.broken()[:] = True  # a copy
+                me.global_state.set_action(2, 1)
+                seen.append(me.global_state.profile())
+
+    seen = []
+    play(Centre(), Crash(node=1, start=1.0, end=3.0))
+    assert seen == [[0, 0, 0], [0, 0, 1]]

@@ -192,7 +192,7 @@ class Summary(Mapping[str, Any]):
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
     """The pursuer that captured the evader, or the last of several."""
     captures: int = entry(lambda result: len(captures(result)))
-    """Number of captured evaders; None if and only if the run had one evader."""
+    """Number of captured evaders."""
     mean_capture_time: float | None = entry(mean_capture_time, "s")
     capture_times: Mapping[str, float] = entry(capture_times, in_tables=False, is_number=False)
     """By the number of the evader, s."""
@@ -343,10 +343,11 @@ def users_metrics(
     """
     found: dict[str, Metric] = {}
     for name, of in [*((each.name, each.of) for each in scenario.record.metrics), *more.items()]:
-        if not (isinstance(name, str) and name.isidentifier()) or iskeyword(name):
-            raise ValueError(f"the name of a metric should be a Python identifier, got {name!r}")
-        if name in METRICS or name in COLUMNS or name in type(scenario).model_fields:
-            what = "built-in metric" if name in METRICS else "column of tables" if name in COLUMNS else "scenario key"
+        if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
+            raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
+        low = name.lower()  # SQL does not tell cases apart
+        if low in METRICS or low in COLUMNS or low in type(scenario).model_fields:
+            what = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
             raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
         if not callable(of) or isinstance(of, type):
             raise ValueError(f"metric {name!r} should be a function of a result, got {of!r}")

@@ -109,7 +109,7 @@ class Agent(Knowledge):
 
     def broadcast(self) -> None:
         """Announce its action through `announce.dissemination`, whether or not it has changed."""
-        self._announced = self._news()
+        self._announced = self._news() if self._announcements.trigger in {"change", "both"} else None
         self._announcements.dissemination.broadcast(self, self.announcement())
 
     def set_payload(self, body: Any) -> None:

@@ -71,8 +71,8 @@ class DisseminationTraits(Assuming):
 
     @property
     def relays(self) -> bool:
-        """Whether announcements travel over several hops: true of every kind but `one_hop`."""
-        return self.kind not in {None, "one_hop"}
+        """Whether announcements travel over several hops."""
+        return self.hops > 1
 
 
 class StrategyTraits(Traits):

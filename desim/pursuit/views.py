@@ -82,13 +82,16 @@ class View:
             now = state.now
             if now == state.step_end:  # all positions will be needed at this instant
                 state.players.positions()
-            return state.bodies[evader - 1].capture_times_of(pursuers, now)
+            return state.body(evader).capture_times_of(pursuers, now)
         times = self.capture_times(evader)
         return [times[pursuer] for pursuer in pursuers]
 
     def capture_time_from(self, pursuer: int, position: complex, evader: int) -> float:
-        """Return the capture time of a pursuer from a hypothetical position (m), s; inf if the evader is unknown."""
-        estimate = self.estimate(evader)
+        """Return the capture time of a pursuer from a hypothetical position (m), s.
+
+        It is inf if the evader has been captured or is unknown.
+        """
+        estimate = None if self.state.body(evader).captured is not None else self.estimate(evader)
         if estimate is None:
             return inf
         distance = abs(estimate.position - position) + estimate.uncertainty
@@ -166,4 +169,4 @@ class GlobalState(View):
 
     def broken(self) -> NDArray[np.bool_]:
         """Return the (N,) mask of the pursuers that are down and follow no action."""
-        return self.state.broken
+        return self.state.broken.copy()

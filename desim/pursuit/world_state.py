@@ -65,7 +65,13 @@ class WorldState:
         self.set_actions(actions)
 
     def body(self, evader: int) -> EvaderBody:
-        """Return an evader, 1 .. M."""
+        """Return an evader, 1 .. M.
+
+        Raises:
+            ValueError: if there is no such evader.
+        """
+        if not 1 <= evader <= self.evader_count:
+            raise ValueError(f"there is no evader {evader}: they are 1 .. {self.evader_count}")
         return self.bodies[evader - 1]
 
     def position(self, pursuer: int) -> complex:

@@ -78,11 +78,14 @@ def test_a_time_limit_ends_a_metric_as_it_ends_a_run(result):
     ("name", "said"),
     [
         ("active_time", "there is a built-in metric of this name"),
+        ("Active_Time", "there is a built-in metric of this name"),
+        ("Status", "there is a column of tables of this name"),
+        ("gr\u00f6sse", "should be a Python identifier in ASCII"),
         ("replication", "there is a column of tables of this name"),
         ("horizon", "there is a scenario key of this name"),
-        ("a b", "should be a Python identifier, got 'a b'"),
-        ("class", "should be a Python identifier, got 'class'"),
-        (3, "should be a Python identifier, got 3"),
+        ("a b", "should be a Python identifier in ASCII, got 'a b'"),
+        ("class", "should be a Python identifier in ASCII, got 'class'"),
+        (3, "should be a Python identifier in ASCII, got 3"),
     ],
 )
 def test_a_name_that_is_taken_or_no_identifier_is_refused(result, name, said):

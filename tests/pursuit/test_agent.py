@@ -340,3 +340,19 @@ def test_periodic_actions_start_at_a_phase_of_the_named_stream():
         times = [time for who, time in seen if who == pursuer]
         assert times == pytest.approx([0.5 + phase + 0.3 * k for k in range(len(times))], abs=1e-9)
         assert len(times) == 5
+
+
+@pytest.mark.parametrize("evader", [0, 2, -1])
+def test_an_evader_that_does_not_exist_is_refused(evader):
+    """0 is the action of a pursuer that stays, no evader; there is one evader."""
+
+    def protocol(me):
+        for read in (me.capture_time, me.evader, me.may_chase, lambda each: me.gain(evader=each)):
+            with pytest.raises(ValueError, match=rf"there is no evader {evader}: they are 1 \.\. 1"):
+                read(evader)
+            asked.append(me.id)
+        yield from ()
+
+    asked = []
+    run(Scenario(horizon=0.1, team=Team(count=2), protocol=protocol))
+    assert len(asked) == 8

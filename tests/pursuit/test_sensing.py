@@ -224,6 +224,7 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
     ("who", "scope", "memory", "knows"),
     [
         (0, "robot", False, False),
+        (0, "radio", False, True),
         (1, "radio", False, False),
         (1, "robot", False, False),
         (1, "radio", True, True),
