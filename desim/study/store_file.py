@@ -107,8 +107,11 @@ class StoreFile:
 
     def _prepare(self, path: Path | None, read_only: bool) -> None:
         """Check the content of the store, or create its tables."""
+        self.database.execute("BEGIN")  # one snapshot, because another process may add metrics and thus columns
         if there := _schema(self.database):
             _check_schema(path, there, self.database)
+        self.database.commit()
+        if there:
             self._check_content()
         elif read_only:
             raise StoreError(f"{path}: is empty")

@@ -662,7 +662,8 @@ def test_the_page_has_the_message_counts_of_the_trace(shown, result_of):
     for name in ("faults", "crowded"):
         tally = messages(result_of(name))
         opened = shown(result_of(name))
-        found = opened.value("(replay.seek(1e9), [replay.sent, replay.lost, replay.drawn.flying])")
+        opened.until("(replay.draw(), replay.scale > 1)")  # laid out
+        found = opened.value("(replay.seek(1e9), replay.draw(), [replay.sent, replay.lost, replay.drawn.flying])")
         assert found == [tally.sent, tally.lost, tally.in_flight]
 
 
