@@ -53,7 +53,7 @@ class LinkLayer:
     Args:
         env: the clock of the simulation.
         links: the models of the links.
-        topology: who is linked to whom, and within range.
+        topology: the links of the graph, and which of them are within range.
         sampler: draws latencies and losses.
         records: receives the records that arrive.
         inboxes: receive the messages that arrive.

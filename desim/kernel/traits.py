@@ -11,7 +11,7 @@ from desim.config.traits import Traits
 
 
 class LinkTraits(Traits):
-    """What a latency or loss model may have in addition to its call."""
+    """The optional attributes of a latency or loss model, besides its call."""
 
     start_run: Callable[[int], Any] | None = None
     """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
@@ -22,7 +22,7 @@ class LinkTraits(Traits):
 
 
 class ReceptionTraits(Traits):
-    """What a reception model may have in addition to its call."""
+    """The optional attributes of a reception model, besides its call."""
 
     bound: Callable[[float], float] | None = None
     """`bound(range)` returns the distance beyond which no message is received, m; without it there is none."""

@@ -19,7 +19,7 @@ class Assuming(Traits):
 
 
 class ProtocolTraits(Assuming):
-    """What a protocol may have in addition to its call."""
+    """The optional attributes of a protocol, besides its call."""
 
     announces: Literal[True, False, "unseen"] = True
     """Whether pursuers announce their actions; "unseen": only where positions are not sensed."""
@@ -44,7 +44,7 @@ class ProtocolTraits(Assuming):
 
 
 class ScheduleTraits(Assuming):
-    """What a schedule may have in addition to its call and `mean_slot`."""
+    """The optional attributes of a schedule, besides its call and `mean_slot`."""
 
     at_once: Flag = False
     """Whether several pursuers may revise at the same instant."""
@@ -57,14 +57,14 @@ class ScheduleTraits(Assuming):
 
 
 class UtilityTraits(Assuming):
-    """What a utility may have in addition to its call and `scope`."""
+    """The optional attributes of a utility, besides its call and `scope`."""
 
     expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
     """`expected(own, others, chances, reward)` returns the mean gain if the others are active at random, s."""
 
 
 class DisseminationTraits(Assuming):
-    """What a dissemination may have in addition to its call and `broadcast`."""
+    """The optional attributes of a dissemination, besides its call and `broadcast`."""
 
     hops: float = inf
     """Largest number of hops that an announcement travels."""
@@ -76,7 +76,7 @@ class DisseminationTraits(Assuming):
 
 
 class StrategyTraits(Traits):
-    """What an evader's strategy may have in addition to its call."""
+    """The optional attributes of an evader's strategy, besides its call."""
 
     listens: Flag = False
     """Whether it overhears the pursuers' radio, so that `state.handover` is set."""

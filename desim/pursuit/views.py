@@ -1,4 +1,4 @@
-"""Views of the world: what a pursuer knows of the evaders. All that a view returns follows from what it sees."""
+"""Views of the world: the knowledge of a pursuer about the evaders, which follows from the evaders that it sees."""
 
 from cmath import isnan
 from collections.abc import Callable, Collection, Sequence
@@ -31,7 +31,7 @@ class EvaderEstimate(NamedTuple):
 
 
 class View:
-    """What a pursuer knows of the evaders; this view sees all of them at any distance.
+    """The knowledge of a pursuer about the evaders; this view sees all of them at any distance.
 
     A view with limited sensing redefines `sees`, `estimate` and `unlimited`; the rest follows. The positions, speeds
     and actions of pursuers are in `state`.
@@ -110,10 +110,8 @@ class View:
     def options(self, pursuer: int) -> Sequence[int]:
         """Return the actions that a pursuer may choose: 0, and each evader that it may chase."""
         at_large = self.state.at_large
-        if not self.unlimited or self._prune == "infeasible":
-            return (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))
-        if self._options_at is not at_large:  # options change with captures only
-            self._options, self._options_at = {}, at_large
+        if not self.unlimited or self._prune == "infeasible" or self._options_at is not at_large:
+            self._options, self._options_at = {}, at_large  # otherwise options change with captures only
         known = self._options.get(pursuer)
         if known is None:
             known = (0, *(evader for evader in at_large if self.may_chase(pursuer, evader)))

@@ -35,7 +35,7 @@ class WorldState:
         size: number of pursuers, N.
         evader_count: number of evaders at the start, M.
         at_large: numbers of the evaders that have not been captured, ascending.
-        actions: see `Actions`; read-only.
+        actions: see `Actions`; replaced by `set_actions`, never changed in place.
         profile: the same as a list.
         broken: (N,) mask of the pursuers that are down and follow no action.
         step_end: end of the present motion step, ns.

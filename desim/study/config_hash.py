@@ -61,7 +61,7 @@ class Identity(NamedTuple):
 
 
 def identify(scenario: Scenario) -> Identity:
-    """Return what identifies the runs of a scenario; the same in every process, with equal versions of Python.
+    """Return the identity of the runs of a scenario; the same in every process, with equal versions of Python.
 
     Raises:
         ScenarioError: if an object has no stable hash, or a data file cannot be read; the text names its key.
@@ -134,7 +134,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return content_hash(self._content.getvalue())
 
     def persistent_id(self, value: Any) -> Any:
-        """Return what stands for an object whose pickle depends on the process; None for any other object."""
+        """Return a substitute for an object whose pickle depends on the process; None for any other object."""
         kind = type(value)
         if kind in PICKLED:
             return None
