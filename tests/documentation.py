@@ -13,7 +13,7 @@ import protocols
 
 
 def specifications() -> list[str]:
-    """Return what pdoc is to look at: the packages, and the modules in them, which are not in their `__all__`."""
+    """Return the names for pdoc: the packages, and the modules in them, which are not in their `__all__`."""
     packages = (desim, protocols)
     inner = [f"{package.__name__}.{each.name}" for package in packages for each in iter_modules(package.__path__)]
     return [*(package.__name__ for package in packages), *inner]

@@ -1,4 +1,4 @@
-"""What identifies the runs of a configuration: a hash of its parameters, its user code and their data files.
+"""The identity of the runs of a configuration: a hash of its parameters, its user code and their data files.
 
 User code is hashed with the source of its module and of the user modules that this one imports, and with the values
 that it holds. In a script or a notebook, its compiled code and the globals that it reads are hashed, as the rest of the
@@ -52,7 +52,7 @@ ADVICE = "store plain values instead, or leave it out in the __getstate__ of the
 
 
 class Identity(NamedTuple):
-    """What identifies the runs of a configuration, apart from their seeds."""
+    """The identity of the runs of a configuration, apart from their seeds."""
 
     key: str
     """A hash of all of it, 16 hexadecimal digits."""

@@ -37,7 +37,7 @@ class Configuration:
 
     @cached_property
     def identity(self) -> Identity:
-        """What identifies the runs of the configuration, apart from their seeds."""
+        """The identity of its runs, apart from their seeds."""
         return identify(self.scenario)
 
     @property

@@ -16,12 +16,12 @@ from desim.config.traits import Parameter, Traits, is_one_letter_off
 
 
 class Singing(Traits):
-    """What a bird may have."""
+    """The optional attributes of a bird."""
 
     melodic: Flag = False
     """Whether it sings."""
     volume: Literal["low", "high"] = "low"
-    """How loudly."""
+    """Loudness of its song."""
     answer: Callable[[str], str] | None = None
     """`answer(song)` returns its answer."""
     wingspan: Annotated[float | None, Parameter(float)] = None

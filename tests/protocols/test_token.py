@@ -52,7 +52,7 @@ class Circulation(OneToken):
             self.visits[event.pursuer].append(event.t / SECOND)
 
     def fault(self, since, until, *, everybody=True):
-        """Return what is wrong from a time on (s): two tokens, or a pursuer, or all, not reached before the end."""
+        """Return the faults after a time (s): two tokens, or a pursuer, or all, not reached before the end."""
         if self.spoilt >= since * SECOND:
             return f"two tokens among {self._members} at {self.spoilt / SECOND} s"
         starved = [j for j in self._members if not any(since <= t < until for t in self.visits[j])]
@@ -448,7 +448,7 @@ def soak(seed):
 
 
 def faults_after(seed):
-    """Return what is wrong from 1.5 detection times after the storm on: two tokens, or not one that goes round."""
+    """Return the faults later than 1.5 detection times after the storm: two tokens, or not one that goes round."""
     scenario, groups, detection_time, goes_round = soak(seed)
     watchers = [Circulation(group) for group in groups]
     run(scenario, seed, *watchers)

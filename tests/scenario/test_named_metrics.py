@@ -22,7 +22,7 @@ def gap(result):
 
 @pytest.fixture
 def file(tmp_path, monkeypatch):
-    """Return what writes a scenario file beside a module that leaves a trace of its import."""
+    """Return a function that writes a scenario file beside a module that leaves a trace of its import."""
     monkeypatch.chdir(tmp_path)
     name = f"metrics_of_{tmp_path.name}".replace("-", "_")
     (tmp_path / f"{name}.py").write_text(MODULE)

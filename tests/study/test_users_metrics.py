@@ -158,7 +158,7 @@ def test_an_older_row_without_a_metric_is_missing_and_not_0(tmp_path):
 
 
 def test_values_of_a_metric_whose_code_has_changed_are_removed_and_computed_anew(tmp_path, done):
-    """Those of the others stay, and nothing is done while nobody asks."""
+    """The values of other metrics stay, and no run is repeated unless the metric is asked for."""
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 2, store=store, metrics={"x": lambda result: 1.0, "half": half})
     again = sweep(BASE, GRID, 2, store=store, metrics={"x": lambda result: 2.0})
@@ -302,6 +302,7 @@ energy = gap
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())  # a folder that is added to it would have modules for later tests
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
     (tmp_path / "mine_of_commands.py").write_text(MODULE)
     (tmp_path / "mine.toml").write_text(FILE)
