@@ -108,6 +108,7 @@ def test_traces_are_equal_for_one_worker_and_two():
     assert len(set(one)) == 4
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("schedule", [SharedSeed(slot=0.05), Poisson(rate=2.0), "all at once", "by message"])
 @pytest.mark.parametrize("latency", [0.0, 0.05])
 def test_the_order_of_registration_does_not_matter(schedule, latency, monkeypatch):

@@ -169,6 +169,7 @@ def test_every_decision_is_broadcast_to_all_and_arrives_at_once():
     assert len(decided) == 49
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("speed", [1.5, 2.0])
 @pytest.mark.parametrize("test", ["segment", "sample"])
 def test_one_pursuer_captures_after_the_closed_form(speed, test):

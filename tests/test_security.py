@@ -387,6 +387,7 @@ def _known(name: str, file: str) -> bool:
     return name in ALLOWED.get(file, set()) or (file == "desim/config/choice.py" and name.endswith(".load"))
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("package", ["desim", "protocols"])
 def test_nothing_makes_code_of_what_is_on_a_disk(package):
     """No pickle is read from a file, and nothing evaluated: what may do so is named above, with what it reads."""

@@ -117,6 +117,7 @@ def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction
     assert sum(ends) == 15
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_of_equal_bids_that_of_the_lowest_id_wins(auction):
     """phi = 3, 2, 2, 2 s, in any order of bids."""
@@ -531,6 +532,7 @@ UNSENSED = ["time", "state"]
 """The payloads with which bids stay as old as they are."""
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(("graph", "latency", "age"), AGES)
 @pytest.mark.parametrize("payload", ["action", *UNSENSED])
 @pytest.mark.parametrize("auction", AUCTIONS)

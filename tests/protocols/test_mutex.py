@@ -75,6 +75,7 @@ def test_poisson_clocks_do_not_exclude():
     assert np.mean([believed != true for believed, true in log]) > 0.3
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("graph", [Complete(), Grid(columns=3), Star()])
 def test_a_decision_takes_two_messages_per_neighbour(graph):
     result = run(frozen(flips(LocalMutex()), graph=graph), 0)

@@ -751,6 +751,7 @@ def test_at_infinite_temperature_an_unpruned_slow_pursuer_chases_at_every_second
     assert np.mean(actions) == pytest.approx(share, abs=4 * error if share else 0.0)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("kind", [each for each in EVERY if each != "centralised"])
 def test_teammates_ignore_a_chasing_pursuer_that_cannot_capture(kind):
     """Pursuer 0 cannot capture and announces all the time that it chases; pursuer 1 chases, pursuer 2 is slower than 1.

@@ -143,6 +143,7 @@ def one_by_one(phi, profile):
     return profile
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("latency", [0.0, 1e-9, 0.0999])
 def test_a_round_is_simultaneous_best_response_even_without_latency(latency):
     """All respond to the profile of the round before. The control: one by one goes another way."""
@@ -190,6 +191,7 @@ def ticks(schedule, count, horizon, seed=0):
     return [np.array(each) for each in times.values()]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("jitter", [0.1, 0.5, 0.99])
 def test_waits_of_a_timer_are_uniform_about_the_period(jitter):
     """2,000 waits within 0.01 (1 -+ jitter) s, uniform (Kolmogorov and Smirnov, p > 0.001); their mean is a period.

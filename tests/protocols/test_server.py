@@ -109,6 +109,7 @@ def test_the_centre_that_it_is_compared_with_is_the_centralised_benchmark_if_not
         assert [(j, now) for _, j, now in changes(centre)] == [(j, now) for _, j, now in changes(ideal)]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("latency", [0.03, 0.1, 0.13, 0.37])
 @pytest.mark.parametrize("host", [0, 3])
 def test_the_first_order_takes_a_round_trip(host, latency):
@@ -195,6 +196,7 @@ def test_an_order_that_was_overtaken_is_not_obeyed():
     assert switched > 20
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("p", [0.5, 1.0])
 def test_lost_reports_and_orders_are_repeated(p):
     """With half of all lost the game ends in the relay profile; with all lost every pursuer keeps its first action.
@@ -343,6 +345,7 @@ def test_random_static_games_end_in_the_relay_profile():
 # Several evaders.
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_at_rest_several_evaders_are_assigned_as_by_the_centralised_benchmark(payload):
     """Any host, a fifth of all lost; at least one is not the greedy assignment."""

@@ -223,6 +223,7 @@ def dead_reckoning_errors(order, step, seed, reckoning="exact"):
     return np.array(rows)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("step", [0.01, 0.07, 0.5])
 @pytest.mark.parametrize("order", ["evader_first", "simultaneous"])
 def test_exact_dead_reckoning_gives_the_position_of_a_chasing_teammate(order, step):
@@ -359,6 +360,7 @@ def last_trusted(announce, latency=0.25, **changes):
     return seen["until"]
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("announce", "until"),
     [

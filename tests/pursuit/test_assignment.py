@@ -158,6 +158,7 @@ def test_the_best_assignment_is_the_best_if_some_can_never_capture_some(drawn_ga
     assert all(phi[i, j - 1] < reward for i, j in enumerate(best) if j)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("size", SIZES)
 def test_no_equilibrium_is_worth_less_than_a_third_of_the_best_profile(size):
     """Of 200 games each, the poorest equilibrium has 0.35 to 0.5 of the optimum."""

@@ -114,6 +114,7 @@ def test_an_evader_that_flees_active_pursuers_ignores_the_others(strategy, team,
     assert heading_of(active_only, *team, active=np.array(active)) == heading_of(strategy, *alone)
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("strategy", [PureEvasion(), WeightedFlee(), Zigzag()], ids=named)
 @settings(max_examples=50)
 @given(crowds, points, points, angles)

@@ -220,6 +220,7 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
     assert PORT == "sightings"
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize(
     ("who", "scope", "memory", "knows"),
     [

@@ -237,6 +237,7 @@ def unideal(result):
     return late + len(result.trace.of(Queued)), tally.lost, tally.in_flight
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_it_starts_as_it_would_and_no_message_is_late_or_lost(path):
     """Where messages take time, some are late or have to wait, so that it means something if none is.

@@ -81,6 +81,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
     spacetime(crowded, 1.0, 4.0, pursuers=(0, 9))
 
 
+@pytest.mark.slow_but_one
 @pytest.mark.parametrize("width", [8.5, 17.0])
 def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
     figure = spacetime(crowded, width=width)
