@@ -1,7 +1,7 @@
 """The clock of a simulation, in integer nanoseconds, and the order of simultaneous events.
 
 Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
-simultaneous events are ordered by their `Phase`, never by rounding or by the order of registration.
+rounding never separates simultaneous events. Those of different phases always happen in the order of `Phase`.
 
 No other module uses private parts of SimPy.
 """
@@ -30,7 +30,8 @@ class Phase(IntEnum):
     """The order of simultaneous events: the SimPy priority of each kind of event.
 
     The priority of a decision is `DECISION` plus the id of the node, so the lowest id decides first. SimPy's own events
-    (priorities 0 and 1) come before all phases, so a process resumes in the phase of the event that it waited for.
+    (priorities 0 and 1), such as a condition that is met, come before all phases. A process that waits for a condition
+    therefore resumes in the phase of the event that met it.
     """
 
     FAULT = 1 << 32
@@ -40,11 +41,11 @@ class Phase(IntEnum):
     RELAY = 3 << 32
     """Nodes forward received messages."""
     CAPTURE = 4 << 32
-    """Evaders are captured; at the horizon, the pursuit ends after these captures."""
+    """Evaders are captured; a run that reaches its horizon ends after these captures."""
     DECISION = 5 << 32
     """Nodes decide and announce their decisions."""
     HEARTBEAT = 6 << 32
-    """Nodes repeat their last announcement, and pursuers announce the decisions of a round."""
+    """Nodes repeat their last announcement or report; processes that wait for all decisions of the instant resume."""
     MOTION = 7 << 32
     """Headings are recomputed."""
     SAMPLE = 8 << 32
@@ -64,7 +65,7 @@ def seconds(nanoseconds: int) -> float:
 class Clock(simpy.Environment):
     """A SimPy environment whose time is an integer number of nanoseconds and starts at 0."""
 
-    now: int = property(attrgetter("_now"), doc="The time, ns.")  # type: ignore[assignment]  # half of a method's time
+    now: int = property(attrgetter("_now"), doc="The time, ns.")  # type: ignore[assignment]  # faster than a method
 
     def run(self, until: "SimTime | simpy.Event | None" = None) -> Any:
         """Run as `simpy.Environment.run` does, with less frequent garbage collection.
@@ -91,7 +92,7 @@ class Clock(simpy.Environment):
         return {id(event): int(when) for when, _, _, event in self._queue}
 
     def trigger(self, event: simpy.Event, priority: int) -> None:
-        """Let an event happen now, with a priority among those of this instant and the value None."""
+        """Trigger an event now, with the value None and a SimPy priority among simultaneous events."""
         event._ok, event._value = True, None
         self.schedule(event, EventPriority(priority))
 
@@ -102,7 +103,7 @@ def generator_of(process: simpy.Process) -> Any:
 
 
 def parts_of(event: simpy.Event) -> "Sequence[simpy.Event]":
-    """Return the events of a condition, or an event itself."""
+    """Return the events that a condition combines; for any other event, a list of the event itself."""
     return event._events if isinstance(event, Condition) else [event]
 
 
@@ -123,7 +124,7 @@ class Instant(simpy.Event):
             raise ValueError(f"the instant {when} ns has passed, it is {env.now} ns")
         self.env = env
         self.callbacks: list[Callable[[simpy.Event], None]] = []
-        heappush(env._queue, (when, priority, next(env._eid), self))  # type: ignore[misc]  # env.schedule
+        heappush(env._queue, (when, priority, next(env._eid), self))  # type: ignore[misc]  # `schedule`, inlined
 
 
 class NodeClock:
@@ -149,13 +150,13 @@ class NodeClock:
         return self._env.now
 
     def at(self, true: int) -> float:
-        """Return the local time at a true time (ns), s."""
+        """Return the local time (s) at a true time (ns)."""
         return self._offset + self._rate * seconds(true)
 
     def when(self, time: float) -> int:
-        """Return the true time at a local time (s), ns."""
+        """Return the true time (ns) at a local time (s)."""
         return round((time - self._offset) / self._rate * SECOND)
 
     def span(self, duration: float) -> int:
-        """Return the true duration of a local duration (s), ns."""
+        """Return the true duration (ns) of a local duration (s)."""
         return nanoseconds(duration / self._rate)

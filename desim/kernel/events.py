@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar
 LOST = -1
 """The arrival time of a message that never arrives."""
 
-# The types of the fields of events. The string of a type, its mark, selects the validation of the values that are read
-# from a trace file; see `desim.kernel.trace_file`.
+# The types of the fields of events. The string in the annotation of a type, called its mark, selects how values read
+# from a trace file are validated; see `desim.kernel.trace_file`.
 Nanoseconds = Annotated[int, "time"]
 """A time, ns."""
 Arrival = Annotated[int, "arrival"]
@@ -52,7 +52,7 @@ class Queued(NamedTuple):
 
 
 class Broadcast(NamedTuple):
-    """A record was broadcast: one event for the messages to all receivers within range."""
+    """A record was broadcast: one event for the messages to all receivers."""
 
     t: Nanoseconds
     transmission: Count
@@ -107,7 +107,7 @@ class Lost(NamedTuple):
 
 
 MESSAGES = (Queued, Broadcast, Sent, Lost)
-"""The events of messages."""
+"""The types of message events."""
 
 
 class MessageCounts(NamedTuple):
@@ -123,14 +123,14 @@ class MessageCounts(NamedTuple):
     transmissions: Count
     """Number of transmissions, regardless of the number of receivers."""
     bytes_sent: Count
-    """Bytes of all transmitted messages, without headers added by the medium."""
+    """Bytes of all transmissions, without headers added by the medium."""
     utilisation: float
     """Share of time the channel was busy, in [0, 1]; the mean over all nodes if each has its own channel."""
 
 
 Kind = TypeVar("Kind")
 Watcher = Callable[[Event], object]
-"""A function called with each event when it happens; it ends the run by returning True and fails it by raising."""
+"""A function called with each event when it happens; the run ends if it returns True, and fails if it raises."""
 
 
 class Trace:

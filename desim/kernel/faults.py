@@ -134,7 +134,7 @@ class RandomCrashes(Value):
     """Whether the node keeps its beliefs."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Crash]:
-        """Yield the crashes of all nodes that start before the horizon, s, node by node."""
+        """Yield, node by node, the crashes that start before the horizon, s."""
         for node, each in enumerate(rng.spawn(size)):
             t = each.exponential(1.0 / self.rate)
             while t < horizon:

@@ -31,8 +31,8 @@ Letter = tuple[int, int, Message]
 class Inbox:
     """The messages of a node that are in flight or wait to be read.
 
-    A message is in flight until its arrival time, then waiting, then removed by `drain`. Waiting for a message
-    (`arrival`) does not consume it, so a time-out cannot lose one.
+    A message is in flight until its arrival time, then waiting, then removed by `drain`. Waiting for `arrival`
+    does not consume the message, so no message is lost if a process stops waiting at a time-out.
     """
 
     __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
@@ -53,8 +53,8 @@ class Inbox:
         """Return an event that happens when a message arrives, or at once if one is waiting.
 
         Args:
-            priority: the SimPy priority of the event. If None, it is the priority of the previous call; in the first
-                call, that of a decision of the node.
+            priority: the SimPy priority of the event. If None, the priority of the previous call is kept; initially it
+                is the priority of the decisions of the node.
         """
         if priority is not None:
             self._priority = priority
@@ -109,7 +109,7 @@ class Inbox:
 
 
 class Inboxes:
-    """The inboxes of all nodes at all ports; those of a port are created when it is first used."""
+    """The inboxes of all nodes at all ports; the inboxes of a port are created when the port is first used."""
 
     def __init__(self, env: Clock, size: int):
         self._env, self._size = env, size
@@ -132,7 +132,7 @@ class Inboxes:
 
 
 def deliver(message: Message, boxes: list[Inbox], receivers: list[int], arrival: Arrival, number: int) -> None:
-    """Put a message into the inboxes of its receivers; it wakes the processes that wait there at its arrival time.
+    """Put a message into the inboxes of its receivers; at its arrival time, it wakes the processes that wait there.
 
     Simultaneous messages are ordered by `number`, the number of their transmission.
     """

@@ -1,8 +1,9 @@
 """Invariants of every trace of a network, whatever its links and faults: watchers that follow each message.
 
-A message is identified by the number of its transmission and its receiver. It is delivered if it is not lost by the end
-of its arrival instant. Faults come first at an instant: a message that arrives when a crash starts is lost,
-one that arrives when the node recovers is delivered. The invariants of a pursuit are in `desim.analysis.invariants`.
+A message is identified by its receiver and the number of its transmission. It is delivered if it is not lost by the end
+of its arrival instant. Faults start and end before the deliveries of an instant: a message that arrives at the instant
+of a crash is lost, and one that arrives at the instant of the recovery is delivered. The invariants of a pursuit are in
+`desim.analysis.invariants`.
 """
 
 from collections import Counter
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
 MIN_BATCH = 64
-"""Deliveries are checked when more than this many transmissions are unchecked; the limit grows with those in flight."""
+"""Deliveries are checked above this number of unchecked transmissions; the limit grows with the number in flight."""
 
 
 class Conservation:
@@ -39,9 +40,9 @@ class Conservation:
         self._now = self._sent = self._delivered = 0
         self._lost: Counter[Cause] = Counter()
         self._waiting: dict[int, set[int]] = {}
-        """By the number of each waiting transmission: the receivers that it is still to reach."""
+        """The remaining receivers of each waiting transmission, by its number."""
         self._flying: dict[int, tuple[Broadcast | Sent, dict[int, int]]] = {}
-        """By the number of each transmission: its event, and its arrival time (ns) or `LOST` by receiver."""
+        """Unchecked transmissions by number: the event, and its unchecked arrival times (ns) or `LOST` by receiver."""
         self._latest: dict[tuple[int, int], int] = {}
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
@@ -135,7 +136,7 @@ class Conservation:
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
-        """Check and count the deliveries before a time (ns); the active faults have not changed since them."""
+        """Check and count the deliveries before a time (ns); the same faults are active at all of them."""
         for transmission, (event, flying) in list(self._flying.items()):
             if event.t < before:
                 _require(LOST not in flying.values(), "a message that never arrives has a Lost event", event)
@@ -163,14 +164,14 @@ class OneToken:
     """A watcher of one run that raises AssertionError if there are two tokens where only one is allowed.
 
     - Each epoch has one token at any time: the hop numbers increase, and each hop has one sender and one receiver.
-    - From the time `settled` on, only one token is left: no epoch reappears after another one.
+    - From the time `settled` on, only one token is left: no epoch reappears after a hop of another epoch.
 
-    A token that is sent again because no acknowledgement came makes no further hop.
+    A retransmission of an unacknowledged token is not a new hop.
 
     Args:
-        kind: the type of the message bodies that are tokens, with an `epoch` and a `hop` that grows with every hop.
+        kind: the type of the message bodies that are tokens; it has an `epoch` and a hop number `hop`.
         group: the nodes whose sent tokens are checked; None: all nodes.
-        settled: the time from which only one token may be left, ns; None: never.
+        settled: the time from which only one token may be left, ns; None: this is not checked.
 
     Attributes:
         spoilt: the last time at which the group had two tokens, ns; -1 if never.

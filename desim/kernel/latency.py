@@ -1,7 +1,7 @@
 """One-way latency of messages: frozen models that return the latencies to all receivers of a transmission at once.
 
 A latency is always one-way; a round trip takes two. A model returns one number if all receivers have the same latency,
-else one per receiver. It may have the further methods of `desim.kernel.traits.LinkTraits`.
+else one per receiver. A model may also have the methods of `desim.kernel.traits.LinkTraits`.
 """
 
 from dataclasses import replace
@@ -140,7 +140,7 @@ class Lognormal(_Drawn):
         return self.offset + rng.lognormal(log(self.mean) - self._variance / 2, sqrt(self._variance), count)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return offset + mean exp(s z(u) - s^2 / 2), where z(u) is the standard normal quantile, s."""
+        """Return offset + mean exp(s z(u) - s^2 / 2) in seconds, where z(u) is the standard normal quantile."""
         from scipy.special import ndtri
 
         logarithms = sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2
@@ -252,7 +252,7 @@ class PerPair(Value):
 
 
 class _Pairs:
-    """`PerPair` in one run: the base latencies of a sender are computed once and cached, up to `ROOM` numbers."""
+    """`PerPair` in one run: the base latencies of each sender are computed once and cached, at most `ROOM` in all."""
 
     def __init__(self, model: PerPair, size: int):
         self._model, self._all = model, np.arange(size)

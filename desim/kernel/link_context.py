@@ -36,5 +36,5 @@ class LinkContext:
         return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
-        """Return (k,) uniform draws in (0, 1), one per pair of nodes, which stay the same during a run."""
+        """Return (k,) uniform draws in (0, 1), one per pair of nodes; a pair has the same draw throughout a run."""
         return pair_uniform(self.seed, name, self.src, self.dst, symmetric=symmetric)

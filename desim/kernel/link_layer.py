@@ -1,4 +1,4 @@
-"""The link layer: what a transmission goes through from its departure to its arrival or loss.
+"""The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
 A transmission waits for its transmitter, then starts: its losses are drawn and its arrivals scheduled. If messages can
 still be lost on arrival (faults, range check at delivery, half duplex), each arrival is a SimPy event.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import simpy
 
 Listener = Callable[[Record | Message, int], object]
-"""A function called when a transmission starts, with its content and its last arrival time, ns, or `LOST`."""
+"""A function called when a transmission starts, with its content and its last arrival time, ns (`LOST` if none)."""
 _new = tuple.__new__  # creates a named tuple in a third of the time
 
 
@@ -223,7 +223,7 @@ class LinkLayer:
                 )
 
     def _obstacle(self, transmission: Transmission, node: int, interval: tuple[int, int]) -> Cause | None:
-        """Return the cause for which a message that arrives now is lost, or None."""
+        """Return the cause of the loss of a message that arrives now, or None if it is delivered."""
         faults, (begin, end) = self._fault_state, interval
         if faults is not None:
             if faults.down(node) or any(begin <= t < end for t in self._crashes.get(transmission.src, ())):
@@ -245,7 +245,7 @@ class LinkLayer:
                 self._trace.append_message(Lost(self._env.now, transmission.number, transmission.src, node, cause))
 
     def _record(self, transmission: Transmission, causes: Mapping[int, Cause], arrival: Arrival) -> None:
-        """Append a transmission to the trace, with its arrival times, or `LOST` where it is lost at transmission."""
+        """Append a transmission to the trace; a message lost at transmission has the arrival time `LOST`."""
         assert self._trace is not None
         number, src, created, size, receivers, content = transmission[:6]
         now, fates = self._env.now, arrival

@@ -102,7 +102,7 @@ class LoRa(_Radio):
     def _frame(self, size: int) -> float:
         """Return the airtime of one frame, (preamble + 4.25 + payload symbols) symbol times, s.
 
-        Symbols longer than 16 ms carry two bits less (low data rate optimisation).
+        Symbols longer than 16 ms carry two bits fewer (low data rate optimisation).
         """
         symbol: float = 2**self.spreading_factor / self.bandwidth
         per_block = 4 * (self.spreading_factor - 2 * (symbol > 0.016))

@@ -5,9 +5,9 @@
     8  time, s
     8  each number or boolean in the body
 
-A record that is forwarded inside a body counts with its own header. For example, a message takes 24 bytes if its body
-is an action (one number), 32 if it is an action and a time of capture, and 48 if it is an action, a position (two
-numbers) and a speed.
+The size of a record inside a body, for instance a forwarded one, includes its own header. For example, a message takes
+24 bytes if its body is an action (one number), 32 if it is an action and a time of capture, and 48 if it is an action,
+a position (two numbers) and a speed.
 """
 
 from copy import deepcopy

@@ -1,10 +1,10 @@
 """The network: nodes that publish records and send messages over imperfect links.
 
 A *record* is the state of a node: a newer record of a source supersedes an older one, and its arrival wakes no process.
-`publish` therefore needs no SimPy event: it stores the arrival time of the record for each receiver, and the record is
-visible to reads from then on. A *message* is an event: `send` wakes a process that waits at the inbox of the receiver,
-and needs a SimPy event only if one waits. Both use the same links. A read in the decision phase of an instant, or
-later, returns exactly the records and messages that have arrived up to and including that instant.
+`publish` stores the arrival time of the record at each receiver, and reads return the record from that time on. A
+*message* is an event: `send` wakes a process that waits at the inbox of the receiver. Both use the same links. SimPy
+events are needed only if a transmitter is busy, if messages can be lost on arrival, and to wake processes. Reads in the
+decision phase of an instant, or in a later phase, take into account every arrival up to and including that instant.
 """
 
 from functools import cached_property
@@ -90,7 +90,7 @@ class Network:
         self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
-        """Broadcast the state of `src` to its neighbours as a record; use `send` to wake the receivers.
+        """Broadcast the state of `src` to its neighbours as a record; unlike `send`, it wakes no process.
 
         The cost is O(1) if the record reaches all nodes at the same time, else O(neighbours).
 
@@ -107,9 +107,9 @@ class Network:
         """Send a message to one node, or to all neighbours (None); it wakes the processes that wait at the inbox.
 
         Use `send` for requests, acknowledgements and tokens, where every message matters; use `publish` for state,
-        where only the newest value matters. A message to a node that is out of range at transmission is lost. All
-        receivers share one body and must not change it; later changes by the sender have no effect, see
-        `desim.kernel.message_size.as_sent`.
+        where only the newest value matters. A message to a node that is not linked to the sender is lost, and so is one
+        that fails the range check (see `Links.range_check`). All receivers share one body and must not change it; later
+        changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
             ValueError: if the receiver does not exist or is the sender.
@@ -125,7 +125,7 @@ class Network:
         return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
-        """Insert a record that a node received by other means than `publish`, unless it has a newer one."""
+        """Insert a record that did not arrive by `publish`; it is ignored if the node has a newer one of its source."""
         if record.src != node:
             self._records.insert(node, record)
 
@@ -142,7 +142,7 @@ class Network:
         return self._inboxes.at(port)[node]
 
     def overhear(self, listener: Listener) -> None:
-        """Call a listener whenever a transmission starts, with its content and its last arrival time, ns, or `LOST`."""
+        """Call a listener whenever a transmission starts; see `desim.kernel.link_layer.Listener`."""
         self._link_layer.overhear(listener)
 
     def neighbours(self, node: int) -> list[int]:

@@ -75,7 +75,7 @@ class LinkSampler:
         override_models = (model for to in self._loss_overrides.values() for model in to.values())
         self.lossless = self._lossless and all(map(_never_loses, override_models))
         """Whether the link models never lose a message."""
-        # With one constant latency no model needs to be sampled, and no message overtakes another.
+        # With one constant latency, no latency model needs to be sampled, and no message overtakes another.
         self._constant = None
         if isinstance(links.latency, Constant) and not self._latency_overrides:
             self._constant = nanoseconds(links.latency.value)
@@ -83,7 +83,7 @@ class LinkSampler:
         """Whether `in_order` is needed: latencies vary, and some link is FIFO or has its own order."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Return for each receiver whether the message is lost; None if no receiver loses it."""
+        """Return for each receiver whether the message is lost; None if the models of these links never lose one."""
         overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
@@ -99,7 +99,7 @@ class LinkSampler:
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
-        """Return the arrival time at each receiver of a message that is transmitted now, processing included, ns.
+        """Return the arrival time (ns) at each receiver of a message transmitted now, with processing delays.
 
         Raises:
             ValueError: if the latency model returns an invalid latency.
@@ -192,7 +192,7 @@ def _never_loses(model: object) -> bool:
 
 
 def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
-    """Return the models of individual links: those of `links.link`, else those of the edges of the graph."""
+    """Return the models of individual links: those of the edges of the graph, overridden by those of `links.link`."""
     found: dict[str, Overrides] = {"latency": {}, "loss": {}, "order": {}}
     for src, dst, attributes in () if is_implicit(graph) else graph.edges(data=True):
         for name in found if attributes else ():
@@ -212,7 +212,7 @@ def _overrides(links: Links, graph: "nx.Graph[int]") -> dict[str, Overrides]:
 
 
 def _as_nanoseconds(delays: Any) -> Any:
-    """Return delays in s as whole ns, one number or a list, limited to `MAX_TIME`.
+    """Convert delays (one number or several, s) to whole ns, limited to `MAX_TIME`.
 
     Raises:
         ValueError: if a delay is negative, infinite or NaN.

@@ -24,8 +24,8 @@ def pair_uniform(
 ) -> NDArray[np.float64]:
     """Return (k,) uniform draws in (0, 1), one per pair (src, dst[k]), the same in every call with equal arguments.
 
-    The draws are hashes, because a table for ten thousand nodes would have 10^8 entries: splitmix64 (Steele, Lea &
-    Flood 2014, "Fast Splittable Pseudorandom Number Generators") of the key of the name and the pair.
+    Each draw is a splitmix64 hash of the arguments (Steele, Lea & Flood 2014, "Fast Splittable Pseudorandom Number
+    Generators"), because a table for ten thousand nodes would have 10^8 entries.
 
     Args:
         seed: the seed of the run.

@@ -24,7 +24,7 @@ class Topology:
 
     Without a range the static graph is read once. With a range, distances are computed at every query, so the
     neighbourhoods follow the positions. In a large complete graph, if reception has a maximum distance, a query uses a
-    cell list, so that its cost does not grow with the number of nodes.
+    cell list and computes only the distances of nearby nodes.
 
     Args:
         graph: the communication graph.
@@ -33,7 +33,7 @@ class Topology:
         reception: the probability of reception as a function of distance; a disk if None.
         per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
         seed: the seed of these draws.
-        now: returns the time, s; if given, a cell list of nodes with bounded speed is updated less often.
+        now: returns the time, s; with it, a query need not compare all positions if the speed of the nodes is bounded.
 
     Raises:
         ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or the range is finite without positions.
@@ -145,7 +145,7 @@ class Topology:
 
     @cached_property
     def _senders(self) -> list[list[int]]:
-        """The nodes that the graph links to each node, ascending."""
+        """For each node, the nodes that the graph links to it, ascending."""
         speakers: list[list[int]] = [[] for _ in range(self.size)]
         for node in range(self.size):
             for other in self._lists[node]:
@@ -159,11 +159,11 @@ class Topology:
         return self._all if self._complete else self._candidate_lists[node]
 
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
-        """Return the candidates that receive from a node; the node itself has to be one, but is not returned."""
+        """Return the candidates that receive from a node; these must include the node itself, which is not returned."""
         assert self._positions is not None
         own = int(candidates.searchsorted(node))
         apart = distances(self._positions.of(candidates), own)
-        apart[own] = self._range  # the distance to itself, 0, is not used
+        apart[own] = self._range  # not the distance to itself, 0: a model may divide by distances
         received = self._received(node, candidates, apart, message)
         received[own] = False
         return candidates[received]

@@ -62,10 +62,10 @@ def line_of(event: Event) -> str:
 def events_of(
     lines: Iterable[str], kinds: Iterable[type[Any]], limits: Limits = MappingProxyType({}), first: int = 1
 ) -> Iterator[Event]:
-    """Yield the events of the lines of a trace file one by one, so that a long trace need not fit in memory.
+    """Yield the events of a trace file line by line, so that a long trace need not fit in memory.
 
-    Each value is validated by the annotation of its field. A list becomes a tuple, and an object in a body a named
-    tuple. A body that was sent as a named tuple is equal to the one read, which has another type.
+    Each value is validated by the annotation of its field. A list becomes a tuple, and an object in a body becomes
+    a named tuple. A body that was sent as a named tuple equals the one read, although their types differ.
 
     Args:
         lines: the lines of the file.
@@ -121,7 +121,7 @@ def _time_json(time: Any) -> str:
 
 
 def _as_json(value: Any) -> str:
-    """Return a value as JSON; a value of a type that JSON lacks as its `repr`."""
+    """Return a value as JSON; a value that JSON cannot represent is written as its `repr`."""
     if type(value) is int:
         return repr(value)
     return _json(value.plain() if has_plain(value.__class__) else value)
@@ -212,4 +212,4 @@ _MARKED: Mapping[str, Any] = {
     "count": Annotated[int, Field(strict=True, ge=0, le=1 << 48)],
     "body": Annotated[Any, AfterValidator(_with_named_tuples)],
 }
-"""The pydantic type that validates a JSON value, by its mark."""
+"""The pydantic type that validates the JSON value of a field, by the mark of the field's type."""

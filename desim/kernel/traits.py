@@ -1,4 +1,4 @@
-"""The optional methods of link models; a model of a user may have any of them."""
+"""The optional methods of link models; a user's model may have any of them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,18 +11,18 @@ from desim.config.traits import Traits
 
 
 class LinkTraits(Traits):
-    """The optional attributes of a latency or loss model, besides its call."""
+    """The optional attributes of a latency or loss model, in addition to `__call__`."""
 
     start_run: Callable[[int], Any] | None = None
     """`start_run(size)` returns the model of one run of `size` nodes; for models with state."""
     draw: Callable[[int, np.random.Generator], NDArray[Any]] | None = None
-    """`draw(count, rng)` returns (count,) draws, if these do not depend on the link; the network then draws ahead."""
+    """`draw(count, rng)` returns (count,) draws that do not depend on the link; the network then draws in blocks."""
     quantile: Callable[[Floats], Floats] | None = None
-    """`quantile(u)` returns the u-quantiles of a latency, s, for a latency of each pair of nodes (`per_pair`)."""
+    """`quantile(u)` returns the u-quantiles of the latency, s; the base latency of `per_pair` needs it."""
 
 
 class ReceptionTraits(Traits):
-    """The optional attributes of a reception model, besides its call."""
+    """The optional attributes of a reception model, in addition to `__call__`."""
 
     bound: Callable[[float], float] | None = None
-    """`bound(range)` returns the distance beyond which no message is received, m; without it there is none."""
+    """`bound(range)` returns the distance beyond which no message is received, m; absent = no such distance."""

@@ -32,8 +32,8 @@ Item = TypeVar("Item", bound=Transmittable)
 class Transmitter(Generic[Item]):
     """The transmitters of all nodes, or the shared channel of all nodes.
 
-    A transmission waits while its channel is busy, then it is on the air for its airtime. If a node
-    has more than `queue_limit` waiting transmissions, its oldest is dropped; `flush` removes all those of a node.
+    A transmission waits while its channel is busy, and then occupies the channel for its airtime. If a node has more
+    than `queue_limit` waiting transmissions, its oldest is dropped.
 
     Args:
         env: the clock of the simulation.
@@ -42,8 +42,8 @@ class Transmitter(Generic[Item]):
         leave: called when a transmission starts, with its airtime in ns.
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
-        lag: the processing delays of sender and receiver, ns. Both are counted after a reception, so `transmitted` is
-            called this long after its end.
+        lag: the sum of the processing delays of sender and receiver, ns. Both are counted after a reception, so
+            `transmitted` is called this long after the reception ends.
     """
 
     def __init__(
