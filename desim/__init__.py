@@ -7,7 +7,8 @@ result = run(load("scenarios/relay.toml"), seed=7)
 print(summary(result))
 ```
 
-What a script needs is here: the parts of a scenario, `run` and `sweep`. Protocols and schedules are in `protocols`.
+This package exports the parts of a scenario and the functions for scripts, such as `run` and `sweep`. Protocols and
+schedules are in the package `protocols`.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""`python -m desim` is the command `desim`."""
+"""Entry point of `python -m desim`, which runs the command `desim`."""
 
 from desim.cli import main
 
