@@ -24,7 +24,7 @@ Steps = tuple[Floats, Integers]
 
 
 class Released(NamedTuple):
-    """A pursuer stays because the evader that it chased was captured."""
+    """A pursuer becomes inactive because the evader that it chased was captured."""
 
     t: int
     pursuer: int
@@ -54,9 +54,9 @@ def decisions(result: Result) -> list[Decided]:
 
 @remembered
 def changes(result: Result) -> list[Change]:
-    """Return the changes of action in order; a capture is one `Released` for each pursuer of the evader.
+    """Return the changes of action in order; a capture yields one `Released` for each pursuer of the evader.
 
-    The pursuers of an evader that is captured at the end of the run chase it until then.
+    A capture at the end of the run yields none: the pursuers of that evader chase it until then.
     """
     actions, end = list(started(result).active), ended(result).t
     changed: list[Change] = []
@@ -131,7 +131,7 @@ def _step_function(start: int, steps: Iterable[tuple[int, int]], end: int) -> St
 
 
 def _integral(steps: Iterable[Steps], of: Callable[[Integers], Integers | Bools]) -> float:
-    """Return the integral over time of a function of the counts, summed over the step functions, s, rounded once."""
+    """Return the integral over time of a function of the counts, s; the sum over step functions is rounded once."""
     return fsum(time for durations, counts in steps for time in (durations * of(counts)).tolist())
 
 
@@ -143,7 +143,7 @@ def active_time(result: Result) -> float:
 def idle_time(result: Result) -> float:
     """Return the time without an active pursuer, int sum_j 1{n_j = 0} dt, s, summed over the evaders.
 
-    Each evader needs one pursuer, so active time - excess time + idle time is the time at large, summed over evaders.
+    Active time - excess time + idle time is the time for which an evader is at large, summed over the evaders.
     """
     return _integral(pressure(result), lambda counts: counts == 0)
 
@@ -161,7 +161,7 @@ def excess_time(result: Result) -> float:
 def energy(result: Result) -> float:
     """Return the energy of the chase, int sum_i v_i^2 a_i dt with a_i = 1{i is active}, m^2/s.
 
-    In a static game it is the energy of the same actions if the pursuers moved.
+    In a static game, where no pursuer moves, it is the energy that the same actions would need with motion.
     """
     end = ended(result).t
     own = [end * bool(active) for active in started(result).active]  # ns, whole numbers
@@ -171,14 +171,14 @@ def energy(result: Result) -> float:
 
 
 def switches(result: Result) -> int:
-    """Return the number of decisions that changed an action, also from one evader to another."""
+    """Return the number of decisions that changed an action; a change from one evader to another counts, too."""
     return sum(isinstance(change, Decided) for change in changes(result))
 
 
 def relays(result: Result, evader: int = 1) -> list[tuple[int, int]]:
-    """Return the successive single pursuers of an evader, each with its start: (ns, pursuer).
+    """Return the pursuers that chased an evader alone, in order of time, as (start (ns), pursuer).
 
-    A pursuer is listed if it chased the evader alone for a positive time, unless it is also the one listed before.
+    A pursuer is listed when it chases alone for a positive time, but not twice in succession.
     """
     return _relays(result)[evader - 1]
 

@@ -1,8 +1,8 @@
 """Age of information and errors of beliefs.
 
-The age of information of a reader about a source is the time since the announcement of the newest record that has
-reached the reader: a sawtooth (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). It
-drops at the receptions of newer records, which `desim.analysis.knowledge` finds.
+The age of information of a reader about a source is the time since the source announced the newest record that the
+reader has received (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). Over time it is a
+sawtooth, which drops at each reception of a newer record (`desim.analysis.knowledge`).
 
 These metrics need the messages of a run: `record.messages = true`.
 """
@@ -86,10 +86,10 @@ def age_at_decision(result: Result) -> float:
 def belief_error(result: Result) -> float:
     """Return the share of ordered pairs in which the source's action differs from the last one the reader received.
 
-    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start all actions are known
-    or, after a cold start, all pursuers are taken for inactive. The time-out of beliefs (`announce.belief_timeout`)
-    plays no part: the metric judges records received, not conclusions from them. With several evaders, a record that
-    names another evader than the one chased is wrong, as is one that names an evader captured since.
+    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start readers know all
+    actions or, without `announce.warm_start`, take all pursuers for inactive. The time-out of beliefs
+    (`announce.belief_timeout`) plays no part: the metric judges records received, not conclusions from them. With
+    several evaders, a record is wrong if it names an evader that the source does not chase, such as one captured since.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -104,8 +104,8 @@ def belief_error(result: Result) -> float:
 def believed_leaders(result: Result) -> float:
     """Return the number of active pursuers whose last records show no other active pursuer, averaged over time.
 
-    With several evaders: no other pursuer of the same evader. nan if no time passed; see `belief_error` for the beliefs
-    at the start.
+    With several evaders, only pursuers of the same evader count. nan if no time passed; see `belief_error` for the
+    beliefs at the start.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -141,7 +141,7 @@ class _TrueActions:
     """(M + 1, k) cumulative time of each action at the start times, ns."""
 
     def time(self, action: int | Integers, t: Integers) -> Integers:
-        """Return the (n,) cumulative time of an action, one or (n,), at (n,) times, ns."""
+        """Return the (n,) cumulative times of one action, or of (n,) actions, at (n,) times, ns."""
         k = np.searchsorted(self.began, t, side="right") - 1
         found: Integers = self.total[action, k] + (self.did[k] == action) * (t - self.began[k])
         return found
@@ -160,7 +160,7 @@ def _true_actions(result: Result) -> Iterator[_TrueActions]:
 
 
 def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
-    """Return for each piece the sum of the ages at its reader's decisions during the piece, s, and their number."""
+    """Return, for each piece, the sum of the ages at its reader's decisions in it, s, and the number of decisions."""
     decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):
@@ -179,6 +179,6 @@ def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
 
 
 def _earlier(times: Integers, places: Integers, t: Integers, place: Integers) -> Integers:
-    """Return the number of events before a time or, among those at that time, before a position in the trace."""
+    """Return the number of events before time t, plus those at t that precede a position in the trace."""
     low, high = (np.searchsorted(times, t, side=side) for side in ("left", "right"))
     return np.clip(np.searchsorted(places, place), low, high)

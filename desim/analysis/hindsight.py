@@ -1,13 +1,13 @@
 """Hindsight: the profile compared with the optimum of the game, at the true capture times.
 
-S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, r(t) the time that is left, and i*(t)
-the relay pursuer: that of least (phi, id) among those that are not broken; none ({i*} is empty) if its phi >= r.
+S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, r(t) the time that is left. The relay
+pursuer i*(t) is the first by (phi, id) of the pursuers that are not broken, or none ({i*} is empty) if its phi >= r.
 The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is largest for S = {i*}. Integrals
 run from 0 to the end.
 
 With several evaders, each evader at large is such a game, S_j is the set of its pursuers, and Phi the sum of the
-potentials (`desim.pursuit.assignment`). It is largest for a profile with at most one pursuer on each evader: its relay
-pursuer, if these are different for all evaders; otherwise the one given by `optimal_assignment`.
+potentials (`desim.pursuit.assignment`). Phi is largest for a profile with at most one pursuer on each evader: the relay
+pursuers of the evaders if they all differ, otherwise the pursuers that `optimal_assignment` gives.
 
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
 samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
@@ -37,7 +37,7 @@ from desim.pursuit.assignment import optimal_assignment
 from desim.simulation.run import Result, run
 
 ALIKE = 20
-"""Number of nodes over which the mean latency of a complete graph is taken, because its links are alike."""
+"""Number of nodes used to estimate the mean latency of a complete graph, whose links are all alike."""
 NO_PURSUER = -1
 
 
@@ -48,7 +48,7 @@ class Hindsight:
     times: Integers
     """(k + 1,) breakpoints, ns."""
     relayed: Bools
-    """(k,) whether each evader has only its optimal pursuer, or none if none should chase it: with one, S = {i*}."""
+    """(k,) whether only the optimal pursuer, if any, chases each evader; with one evader, whether S = {i*}."""
     gap: Floats
     """(k,) difference of the potential from its maximum, Phi* - Phi(S), s."""
     regret: Floats
@@ -88,8 +88,8 @@ def hindsight(result: Result) -> Hindsight:
 def gains(part: Timeline) -> Floats:
     """Return the (k, N) gain of each pursuer from chasing the evader in each piece, given the others' actions, s.
 
-    U_i(active) - U_i(inactive) for the wonderful-life utility, as `desim.pursuit.game.gain`; 0 for a pursuer that
-    cannot capture and so has no choice.
+    U_i(active) - U_i(inactive) for the wonderful-life utility, as in `desim.pursuit.game.gain`; 0 for a pursuer
+    that cannot capture the evader (phi = inf) and so has no choice.
     """
     able = np.isfinite(part.phi)
     phi = np.where(able, part.phi, 0.0)
@@ -114,7 +114,7 @@ def _optimal_pursuers(parts: Sequence[Timeline]) -> Integers:
 
 
 def _single_potential(part: Timeline, chaser: Integers) -> Floats:
-    """Return the (k,) potential if only the given (k,) pursuers chased the evader, s; 0 where it would be late."""
+    """Return the (k,) potential if one given pursuer per piece chased the evader alone, s; 0 where it would be late."""
     found: Floats = np.maximum(part.left - part.phi[np.arange(len(chaser)), chaser], 0.0)
     return np.where(chaser == NO_PURSUER, 0.0, found)
 
@@ -135,7 +135,7 @@ def _potential(part: Timeline) -> Floats:
 
 
 def misassigned_time(result: Result) -> float:
-    """Return the time for which not just the relay pursuer was active, int 1{S != {i*}} dt, s.
+    """Return the time for which the active pursuers were not the relay pursuer alone, int 1{S != {i*}} dt, s.
 
     With several evaders: the time for which S_j differed from the optimum for any evader.
 
@@ -161,13 +161,14 @@ def potential_gap(result: Result) -> float:
 def regret(result: Result) -> float:
     """Return the external regret of the pursuers, averaged over them and over time, s; 0 if no time passed.
 
-    That of pursuer i is the utility of its best fixed action minus that of its own actions, given the others' actions:
+    The external regret of pursuer i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play") is the utility of its
+    best fixed action minus the utility of the actions that it took, given the others' actions:
 
         max over a of int U_i(a, S_-i) dt - int U_i(S) dt
 
-    with the wonderful-life utility U_i (Hannan 1957, "Approximation to Bayes Risk in Repeated Play"), over the M + 1
-    actions with M evaders. It is negative for a pursuer that did better than any fixed action. The utility of chasing
-    an evader that the pursuer cannot capture, or that has been captured, is 0.
+    U_i is the wonderful-life utility; with M evaders, a is one of M + 1 actions. The regret is negative for a pursuer
+    that did better than any fixed action. The utility of chasing an evader that the pursuer cannot capture, or that has
+    been captured, is 0.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -179,7 +180,7 @@ def regret(result: Result) -> float:
 def time_to_relay(result: Result, window: float | None = None) -> float | None:
     """Return the first time from which S = {i*} holds for a window or until the end of the run, s; None if never.
 
-    With several evaders: from which an optimal profile is played for a window.
+    With several evaders, S = {i*} stands for an optimal profile.
 
     Args:
         result: the result of a run whose positions were recorded.

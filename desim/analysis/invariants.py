@@ -80,7 +80,7 @@ class ActiveTimeWatcher:
             notice(event)
 
     def until(self, t: int) -> NDArray[np.int64]:
-        """Return the (N,) active times of the pursuers up to a time t not before the last event, ns."""
+        """Return the (N,) active times of the pursuers up to time t, ns; t is not before the last event."""
         running = np.array(self.profile) > 0
         return np.array(self._stopped) + np.where(running, t - np.array(self._since), 0)
 
@@ -165,7 +165,7 @@ class PotentialWatcher:
     - it is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
     - pursuers decide one at a time, under neither `synchronous` nor `rounds`;
     - the beliefs of pursuers are true: an ideal complete network, a warm start, every change announced, no time-out of
-      beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any).
+      beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any payload).
 
     Motion does not matter, because positions do not change at an instant; the potential may fall between decisions.
     In a static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
@@ -207,7 +207,7 @@ class PotentialWatcher:
             self._judge(event.t)
 
     def _judge(self, t: int) -> None:
-        """Judge the decisions at an instant of known positions, ns, and drop the earlier ones."""
+        """Judge the pending decisions made at time t (ns), when positions are known, and drop all earlier ones."""
         left = seconds(self._horizon - (0 if self._static else t))
         for event, before, after in self._pending:
             if event.t == t:

@@ -45,7 +45,7 @@ def knowledge(result: Result) -> Pieces:
     """Return the newest record that each pursuer had of each other over time; O(n log n) in the records received.
 
     A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
-    memory. A body without an attribute `active` leaves the known action as it is.
+    memory. A body without an attribute `active` does not change the known action.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -71,7 +71,7 @@ def knowledge(result: Result) -> Pieces:
 
 @dataclass(frozen=True, slots=True)
 class _Announcements:
-    """All records sent, one row per transmission; columns."""
+    """The columns of a table of all records sent; one row per record and transmission."""
 
     source: Integers
     seq: Integers
@@ -82,7 +82,7 @@ class _Announcements:
 
 @dataclass(frozen=True, slots=True)
 class _Receptions:
-    """Receptions of transmissions, in order of receiver, arrival and position in the trace; columns."""
+    """The columns of a table of receptions, one row each, in order of receiver, arrival and position in the trace."""
 
     dst: Integers
     arrival: Integers
@@ -98,7 +98,7 @@ class _Receptions:
         return _Receptions(*(column[first:last] for column in columns))
 
     def unpacked(self) -> tuple[Integers, Integers]:
-        """Return the reception and the row of `_Announcements` of each record carried."""
+        """Return, for each record received, the row of its reception and its row of `_Announcements`."""
         reception = np.repeat(np.arange(len(self.dst)), self.count)
         start = np.cumsum(self.count) - self.count
         return reception, self.first[reception] + np.arange(len(reception)) - start[reception]

@@ -1,4 +1,4 @@
-"""Metrics: functions from the result of a run to a number, computed from its trace alone; and their summary.
+"""Metrics: functions that compute a number from the trace of a run; and `Summary`, the metrics of one run.
 
 A built-in metric is an entry in `Summary`: its name, its function, its unit and its note in the table of a run. Tables,
 JSON, stores and stopping rules follow from the entry. Only `network_regret` has no entry, because it executes another
@@ -85,7 +85,7 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured; with several, whether all or `capture.captures_to_end` of them were."""
+    """Return whether the evader was captured; with several, whether `capture.captures_to_end` (by default all) were."""
     return ended(result).reason == "captured"
 
 
@@ -118,16 +118,16 @@ def capturers(result: Result) -> dict[str, int]:
 class Metric(NamedTuple):
     """A metric: the function that computes it, and its form in tables.
 
-    A module of a user can name it: `gap = Metric(closest, "m", "closest approach")`.
+    A user's module can define one: `gap = Metric(closest, "m", "closest approach")`.
     """
 
     of: Callable[[Result], Any]
     unit: str = ""
     note: str | Callable[[Mapping[str, Any]], str] | None = None
-    """The note beside it in the table of one run; a built-in metric without one has no row there."""
+    """The note in its row of the table of one run; a built-in metric without a note has no row there."""
     given: Callable[[Result], bool] | None = None
-    """Returns whether the recordings that the metric needs exist; without them its value is None. None for a
-    metric of actions only."""
+    """Returns whether the recordings that the metric needs exist; without them its value is None. None if the
+    metric needs no recordings."""
     label: str | None = None
     """The label of its row in the table of one run, if different from its name."""
     in_tables: bool = True
@@ -195,9 +195,9 @@ class Summary(Mapping[str, Any]):
     """Number of captured evaders."""
     mean_capture_time: float | None = entry(mean_capture_time, "s")
     capture_times: Mapping[str, float] = entry(capture_times, in_tables=False, is_number=False)
-    """By the number of the evader, s."""
+    """Time of each capture, s, by the number of the evader."""
     capturers: Mapping[str, int] = entry(capturers, in_tables=False, is_number=False)
-    """By the number of the evader."""
+    """Pursuer that made each capture, by the number of the evader."""
     end_time: float = entry(end_time, "s")
     active_time: float = entry(active_time, "s", "summed over the pursuers")
     idle_time: float = entry(idle_time, "s", "no pursuer on an evader at large")
@@ -280,7 +280,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 )
 """The built-in metrics by name."""
 COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
-"""The columns of tables of runs that are no metrics."""
+"""The columns in tables of runs that are not metrics."""
 UsersMetrics = tuple[tuple[str, Metric], ...]
 """The names of a user's metrics and the metrics; tuples, so that user code in them is found and sent to workers."""
 
@@ -295,7 +295,7 @@ class MetricError(RuntimeError):
 def summary(result: Result, metrics: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})) -> Summary:
     """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
 
-    Use the single functions of this module if you need only one or two.
+    If you need only one or two metrics, call their functions in this module.
 
     Args:
         result: the result of the run.
@@ -358,7 +358,7 @@ def users_metrics(
 
 
 def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
-    """Raise ValueError unless a metric is a built-in number or among a user's."""
+    """Raise ValueError unless a name is that of a built-in metric with `is_number` or of a user's metric (`own`)."""
     numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
     if metric not in numeric:
         close = get_close_matches(metric, numeric, n=1)

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 COLUMN = 8.5 / 2.54
-"""The width of a column of a paper, in."""
+"""The width of a column of a paper, inches."""
 STYLE: dict[Any, Any] = {
     "text.usetex": False,  # a matplotlibrc in the working folder may set it; names would then run as TeX
     "svg.fonttype": "none",
@@ -51,7 +51,7 @@ EVADER: Mapping[str, Any] = {
     **{"color": VERMILION, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
     **{"marker": "s", "markevery": [0]},
 }
-"""Style of an evader's path: starts at a square, and is dashed so that it differs from pursuers in greyscale, too."""
+"""Style of an evader's path: a square at its start, and dashes that distinguish it from pursuers in greyscale, too."""
 UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 """The metadata to omit from each format."""
 
@@ -61,7 +61,7 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
     """Yield an empty figure in the common style; its layout is computed at the end.
 
     Args:
-        figsize: width and height, in.
+        figsize: width and height, inches.
         font: size of text, points.
     """
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
@@ -73,11 +73,11 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
 
 
 def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
-    """Write a figure without a date and return the files: one, or SVG and PNG if the path has no suffix.
+    """Write a figure, without a date, and return the files written: one, or SVG and PNG if the path has no suffix.
 
     Args:
         figure: a figure made by `styled`.
-        path: with a suffix of `PICTURE_SUFFIXES`, or without.
+        path: the path of the file, with a suffix of `PICTURE_SUFFIXES` or without one.
         dpi: dots per inch of a PNG.
 
     Raises:

@@ -4,8 +4,8 @@ All intervals are 95 % intervals. A *look* checks in the course of a study wheth
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are for studies that stop at the first look at
-which the half width is at most 1.96 sigma / sqrt(20), that of 20 values with known sigma; their first look is at 3 or
-at 30 values (40,000 studies each, s.e. at most 0.22).
+which the half width is at most 1.96 sigma / sqrt(20), the half width for 20 values with known sigma; the first look is
+at 3 or at 30 values (40,000 studies each, s.e. at most 0.22).
 
     distribution                             2 values   5 values   30 values   looks from 3   looks from 30
     normal                                       94.9       95.0        95.0           91.6            95.2
@@ -31,7 +31,7 @@ FIRST_LOOK = 30
 """Number of values at which `next_look` first judges their precision.
 
 A few values may lie close together by chance, so a study whose first look is at 3 values often stops too early: its
-95 % interval covers the mean of normal values 92 times in 100, and that of exponential values 80 times.
+95 % interval covers the mean of normal values 92 times in 100, and the mean of exponential values 80 times.
 """
 
 
@@ -73,7 +73,7 @@ def mean(values: Sequence[float]) -> Estimate:
 def paired(values: Sequence[float | None], others: Sequence[float | None]) -> Estimate:
     """Return the mean of `values - others` over pairs of runs with common random numbers.
 
-    Its variance is (var + var' - 2 cov) / n, less than that of independent runs if the two values of a pair are
+    Its variance is (var + var' - 2 cov) / n, less than for independent runs if the two values of a pair are
     positively correlated (Law & Kelton, "Simulation Modeling and Analysis", section 11.2).
 
     A pair with a missing value (None or nan, such as the time of a capture that did not happen) is left out. The result
@@ -101,7 +101,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     It consists of the probabilities p with |s - p| <= z sqrt(p (1 - p) / n), where s is the share of successes in n
     trials and z the 97.5 % quantile of the normal distribution (Wilson 1927, "Probable Inference, the Law of
     Succession, and Statistical Inference"). It is within [0, 1], and of positive width even if all trials have the same
-    outcome. `scipy.stats` has it, too, and takes longer to import than many a run takes.
+    outcome. `scipy.stats` has it, too, but its import takes longer than many runs.
 
     Raises:
         ValueError: if there are no trials, or the successes are not in 0 .. `trials`.
@@ -118,7 +118,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
     """Return the number of runs at the first look that finds a half width of at most `target`; at most `at_most`.
 
-    If none of the looks at the given values does, return the number of runs that the next look needs. Looks are taken
+    If no look at the given values finds this, return the number of runs that the next look needs. Looks are taken
     at the same numbers of runs however many runs exist already, so an interrupted study ends at the same number of
     runs. The arguments are those of `next_look`.
     """
@@ -144,8 +144,8 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     value (None or nan) counts as a run but not for the mean: no look before `at_most` ends the study with fewer than
     `first_look` values. If all values are equal numbers, the t interval has width 0, and the look ends the study.
 
-    Assumes independent runs in the order of their seeds, not in the order in which they end, which would favour short
-    ones. The coverage is nominal only in the limit of a small target.
+    The runs should be independent and in the order of their seeds; in the order in which they end, short runs would
+    come first. The coverage is nominal only in the limit of a small target.
 
     Args:
         values: the values of the n runs so far.

@@ -11,9 +11,9 @@ from desim.config.json_numbers import json_number
 from desim.scenario.scenario import Scenario
 
 PER_EVADER = {"captures", "mean_capture_time"}
-"""The metrics that, with one evader, the row of the capture time replaces."""
+"""The metrics that have no row if there is one evader, because they repeat `captured` and `capture_time`."""
 SHOWN = 12
-"""Most evaders listed in the table of a run."""
+"""Largest number of evaders listed in the table of a run."""
 
 
 def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
@@ -96,7 +96,7 @@ def from_json(made: Mapping[str, Any]) -> Estimate:
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
-    """Yield the row of the capture; with several evaders, their number and a row for each, in order of time."""
+    """Yield the row of the capture; with several evaders, the number captured, then a row for each, captured first."""
     outcome = (
         f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
         if run.captured

@@ -1,9 +1,9 @@
 """The timeline of a run: the active pursuers and the capture times, piece by piece.
 
-A piece is the time between two breakpoints: changes of action, samples of positions, crashes of robots, captures. No
-action changes within a piece, so metrics of the actions are exact. The capture times phi are those at the middle of
-the piece, from positions interpolated between the samples: exact in a static game; for the error otherwise see
-`desim.analysis.hindsight`. Each evader has a timeline of its own, with the same pieces.
+A piece is the time between two breakpoints: changes of action, samples, crashes and recoveries of robots, captures. No
+action changes within a piece, so metrics of the actions are exact. The capture times phi are evaluated in the
+middle of the piece, at positions interpolated between the samples. They are exact in a static game; otherwise see
+`desim.analysis.hindsight` for their error. Each evader has a timeline of its own, with the same pieces.
 """
 
 from collections.abc import Iterator
@@ -95,7 +95,7 @@ class _Counts:
 
     def during(self, times: Integers) -> Bools:
         """Return (k, N) whether the integers are positive in each piece between (k + 1,) times, ns."""
-        piece = np.searchsorted(times, self.t)  # the first that begins then or later
+        piece = np.searchsorted(times, self.t)  # for each step, the first piece that begins then or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
         np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)

@@ -27,7 +27,7 @@ def trace_index(result: Result) -> TraceIndex:
 
 
 def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derived]:
-    """Cache the return value of a function for each `TraceIndex`; the value must not be changed."""
+    """Cache the return value of a function for each `TraceIndex`; callers must not modify the value."""
 
     @wraps(derive)
     def once(result: Result) -> Derived:
