@@ -15,11 +15,11 @@ NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
 METRICS = "analysis/metrics.py"
-"""The list of metrics, to which more may be added without an effect on a run; a store has the code of each metric."""
+"""The module that lists the metrics, not hashed: a new metric changes no run, and a store hashes each metric."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
 ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
-"""Environment variables that point git to another repository than that of a folder; git sets them in hooks."""
+"""Environment variables by which git uses another repository than the one of its folder; git sets them in hooks."""
 
 
 def environment() -> dict[str, Any]:
@@ -79,7 +79,7 @@ def _platform() -> dict[str, str]:
 def _checkout() -> tuple[str | None, bool | None]:
     """Return the commit that desim is imported from, and whether it has local changes; (None, None) without a commit.
 
-    The repository must track the package. That of a project with desim installed in its .venv does not, for example.
+    The repository must track the package. A project with desim installed in its .venv, for example, does not track it.
     """
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")

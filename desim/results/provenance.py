@@ -54,7 +54,7 @@ WORDS: Mapping[type, str] = {
 
 
 class ProvenanceError(ValueError):
-    """A file is not a run.json, or cannot be repeated; the message has one line per fault."""
+    """A file is not a run.json, or its runs cannot be repeated; the message has one line per error."""
 
 
 def document(
@@ -69,7 +69,7 @@ def document(
     """Return the provenance of results as a JSON document.
 
     Args:
-        what: "run", "sweep", or the name of a study.
+        what: the command ("run", "sweep", "explain", "merge") or the name of a study.
         scenario: the scenario of the runs, if there is only one.
         seed: seed of the first run; the recorded scenario has it, too.
         runs: number of runs, with seeds s, s + 1, ...
@@ -109,7 +109,7 @@ def write(folder: Path, made: Document, name: str = FILE) -> None:
 
 
 def read(path: Path) -> Document:
-    """Return the document in a run.json, of runs, a sweep or a study.
+    """Return the document in the run.json of runs, a sweep or a study.
 
     Raises:
         ProvenanceError: if it is not a run.json; the message names all missing keys or wrong values.
@@ -134,7 +134,7 @@ def read(path: Path) -> Document:
 
 
 def other_format(found: object, expected: int) -> str:
-    """Return the error message for a file of another format; a file without a number is older than the first."""
+    """Return the error message for a file of another format; files without a format number predate the first format."""
     return (
         f"has {'no format number' if found is None else f'format {found!r}'}, and this version of desim reads format "
         f"{expected}: use the version that wrote it, or run the scenario again (scenario.toml beside it)"
@@ -150,8 +150,8 @@ def home(path: Path, made: Document) -> Path:
 def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_import: bool = False) -> "Source":
     """Return the recorded scenario of a run.json with overrides, not yet validated.
 
-    Files and modules named by the scenario are looked up in its `home` if imports are allowed. Otherwise they are
-    looked up in the folder of the run.json, because an untrusted file may record any folder.
+    Files and modules named by the scenario are looked up in `home(path, made)` if imports are allowed. Otherwise they
+    are looked up in the folder of the run.json, because an untrusted file may record any folder.
 
     Raises:
         ProvenanceError: if it does not record runs, or names a model that cannot be imported.
@@ -190,7 +190,7 @@ def _commit(made: Document) -> str:
 
 
 def _faults(made: Document) -> Iterator[str]:
-    """Yield the faults in the values of a document that has all keys."""
+    """Yield the errors in the values of a document that has all keys."""
     for key, kinds in SHAPE.items():
         if type(made[key]) not in kinds:
             yield f"{key}: should be {' or '.join(WORDS[kind] for kind in kinds)} (got {json.dumps(made[key])})"
@@ -219,7 +219,7 @@ def _given(scenario: Document) -> Document:
 
 
 def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield (key path, fault) for each model that cannot be imported, such as one defined in a script."""
+    """Yield (key path, error) for each model that cannot be imported, such as one defined in a script."""
     inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
     for key, each in inner:
         if key == "kind" and isinstance(each, str) and (each.startswith("__main__:") or "<" in each):

@@ -42,7 +42,7 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
 
 
 def simulate_below(parent: Path, scenario: Scenario, seed: int) -> Result:
-    """Run a scenario with the folder `seed-S` below another for its trace; see `simulate`."""
+    """Run a scenario as `simulate` does, in the subfolder `seed-S` of `parent`."""
     return simulate(_below(parent, seed), scenario, seed)
 
 
@@ -83,7 +83,7 @@ def write(
 
 
 def clear(folder: Path, kept: Container[str] = ()) -> None:
-    """Remove all files of a run from its folder, except for some names; other files and subfolders stay.
+    """Remove the files of a run from its folder, except those in `kept`; other files and subfolders stay.
 
     Raises:
         OSError: if a file cannot be removed.
@@ -96,7 +96,7 @@ def clear(folder: Path, kept: Container[str] = ()) -> None:
 def write_below(
     parent: Path, result: Result, made: provenance.Document | None = None, *, simulated_there: bool = False
 ) -> Summary:
-    """Write a run to the folder `seed-S` below another; see `write`."""
+    """Write a run as `write` does, to the subfolder `seed-S` of `parent`."""
     return write(result, _below(parent, result.seed), made, simulated_there=simulated_there)
 
 
@@ -162,10 +162,10 @@ def events(folder: str | Path) -> Iterator[Event]:
 
 
 def _check_format(first: Sequence[str]) -> None:
-    """Check the format of a trace, given its first line; what is not the start of a run is left to `events_of`.
+    """Check the format of a trace, given its first line; a line that is not the start of a run is left to `events_of`.
 
     Raises:
-        ValueError: if it is another.
+        ValueError: if the line is the start of a run in another format.
     """
     try:
         start = json.loads("".join(first))
@@ -214,7 +214,7 @@ def _is_number(value: Any, end: int) -> bool:
 
 
 def _inconsistencies(found: Sequence[Event]) -> Iterator[tuple[int, str]]:
-    """Yield (line, fault) for each line of a trace that is inconsistent with the lines before."""
+    """Yield (line, error) for each line of a trace that is inconsistent with the lines before."""
     size, t, once = len(found[0].pursuers) if isinstance(found[0], Started) else 0, 0, set[type[Event]]()
     receivers, broken = dict[int, tuple[int, ...]](), list[Fault]()
     for number, event in enumerate(found, start=1):
