@@ -66,7 +66,7 @@ def component_heard(scenario: "Scenario") -> str | None:
 
 
 def messages_get_through(scenario: "Scenario") -> str | None:
-    """A lost announcement is repeated, so that all receivers get it eventually."""
+    """All receivers get each announcement eventually: it cannot be lost, or it is repeated."""
     network, trigger = scenario.network, scenario.announce.trigger
     if trigger not in {"change", "never"} or _reached_by_schedule(scenario):
         return None
@@ -207,7 +207,7 @@ def _out_of_hops(scenario: "Scenario") -> str | None:
     lengths = nx.all_pairs_shortest_path_length(graph)
     widest = max(max(found.values()) for _, found in lengths)
     return (
-        f"some pursuers are {widest} hops apart at the start, but announcements travel {hops:g}"
+        f"some pursuers are {widest} hops apart at the start, but announcements travel at most {hops:g}"
         if widest > hops
         else None
     )

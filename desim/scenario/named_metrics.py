@@ -1,4 +1,4 @@
-"""Metrics that a scenario names: functions of a user, which the summary of a run has beside the built-in metrics."""
+"""Metrics that a scenario names: a user's functions, whose values the summary of a run adds to the built-in metrics."""
 
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -34,7 +34,7 @@ def installed_metrics() -> Mapping[str, EntryPoint]:
 
 
 def _named(value: Any, info: ValidationInfo) -> NamedMetric:
-    """Return the metric that a text or a function stands for; the module of a text is imported if it is trusted."""
+    """Return the metric that a text or a function stands for; an untrusted text may only name installed code."""
     if isinstance(value, NamedMetric):
         return value
     if isinstance(value, FunctionType):
@@ -72,4 +72,4 @@ MetricName = Annotated[
     PlainSerializer(lambda metric: metric.given, return_type=str),
     WithJsonSchema({"type": "string"}),
 ]
-"""A metric that a scenario file names as "module:name", or as an installed one."""
+"""A metric that a scenario file names as "module:name", or by the name of an installed metric."""

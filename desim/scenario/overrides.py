@@ -33,9 +33,9 @@ class Source:
     origins: dict[KeyPath, str] = field(default_factory=dict)
     """For each key that was overridden, a description of the override."""
     folder: Path | None = None
-    """The folder of the files and modules that it names; None for the folder of the file."""
+    """The folder of the files and modules that the scenario names; None for the folder of the scenario file."""
     allow_import: bool = False
-    """Whether it may name code to be run, and files outside of that folder."""
+    """Whether the scenario may name code to be run, and files outside of that folder."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -95,7 +95,7 @@ class Source:
         When the kind of a table changes, its earlier keys that the new kind does not have are removed.
 
         Raises:
-            ScenarioError: if it is not a key of a table.
+            ScenarioError: if the name is not a key of a table.
         """
         place: KeyPath = ()
         node: Any = self.tables
@@ -179,12 +179,12 @@ def _contains(tables: Any, parts: list[str]) -> bool:
 
 
 def holds(node: Any, key: Any) -> bool:
-    """Return whether a table contains a key, or a list a position."""
+    """Return whether a table contains a key, or a list has an index."""
     return key in node if isinstance(node, dict) else isinstance(node, list) and key in range(len(node))
 
 
 def _tables(model: Value) -> dict[str, Any]:
-    """Return the arguments given to a model as tables; a nested model of no installed kind is left as it is."""
+    """Return the arguments given to a model as tables; a nested model whose kind is not installed stays a model."""
     fields = type(model).model_fields
     return {
         name: _table(value, fields[name]) for name, value in model if name in model.model_fields_set or name == "kind"
@@ -201,7 +201,7 @@ def _table(value: Any, info: FieldInfo) -> Any:
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:
-    """Return a copy of a model with another value of a key, of its own or of a nested model."""
+    """Return a copy of a model with a new value of a key of the model or of a nested model."""
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
@@ -223,7 +223,7 @@ def _copied(tables: Any) -> Any:
 
 
 def _defaults(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return the defaults of missing keys: the default scenario, with the values of the network's preset if given."""
+    """Return the defaults of missing keys: the default scenario, with the values of the network's preset, if any."""
     default = Scenario().model_dump()
     network = tables.get("network")
     preset = PRESETS.get(str(network.get("preset"))) if isinstance(network, dict) else None

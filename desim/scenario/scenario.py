@@ -222,8 +222,8 @@ class Recording(Value):
     trajectory: Annotated[Time, AfterValidator(_never_or_period), Recurring] = 0.05
     """Time between samples of all positions, s; 0 = none."""
     messages: Literal[False, True, "file"] = False
-    """Whether every message is recorded, or only counts; file: written to the trace in an output folder during the run
-    and not kept in memory, so that ages and beliefs are not measured."""
+    """Whether every message is recorded (true) or only the numbers of messages (false); file: every message is written
+    to the trace in an output folder during the run and not kept in memory; ages and beliefs are then not measured."""
     metrics: tuple[MetricName, ...] = ()
     """Metrics beside the built-in ones (`desim metrics`): functions of a result as "module:name", or installed ones."""
 

@@ -74,12 +74,12 @@ class Sweep(Value):
     def _serialized(self, grid: dict[str, tuple[Any, ...]]) -> dict[str, list[Any]]:
         return {key: _as_json(values) for key, values in grid.items()}
 
-    def __hash__(self) -> int:  # the values of a key may be tables
+    def __hash__(self) -> int:  # the values of a key may be tables, which have no hash
         return hash((self.reps, self.seeds, tuple(self.grid)))
 
 
 def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
-    """Yield each key of a grid with each kind among its values, also inside of tables."""
+    """Yield (key of the grid, kind) for each kind in the values of the key, nested tables included."""
 
     def inside(value: Any) -> Iterator[Any]:
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()

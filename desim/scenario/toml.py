@@ -90,7 +90,7 @@ def _syntax_fault(file: str | Path, message: str, text: str) -> str:
 
 
 Problem = tuple[tuple[int, str], str]
-"""The sort key, with the line, and the text of an error in a file."""
+"""An error in a file: its sort key (line and place), and its text."""
 
 
 def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPath) -> Iterator[Problem]:

@@ -51,7 +51,7 @@ _TOKEN = re.compile(
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the first line and the text of each statement of a TOML text; it may span lines inside brackets."""
+    """Yield the first line and the text of each TOML statement; a statement may span several lines."""
     depth = start = 0
     line = 1
     for token in _TOKEN.finditer(text + "\n"):
