@@ -72,7 +72,7 @@ def metrics() -> None:
 @click.command()
 @click.argument("only", metavar="[KIND]", required=False)
 def protocols(only: str | None) -> None:
-    """List the installed protocols and their parameters, or those of one KIND and its traits."""
+    """List the installed protocols with their parameters, or only one KIND with its parameters and traits."""
     from desim.cli.description import described, described_traits
     from desim.scenario.scenario import PROTOCOLS
 

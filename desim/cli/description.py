@@ -14,9 +14,9 @@ from desim.config.traits import Traits
 def described(
     model: type[BaseModel], title: str, indent: str = "", known: set[type[BaseModel]] | None = None
 ) -> Iterator[str]:
-    """Yield lines that describe a model, its parameters and, recursively and once each, the models they may hold.
+    """Yield lines that describe a model, its parameters and, recursively, the models that these may hold.
 
-    Of a model in `known` only the first line is given; the models described are added to `known`.
+    For a model in `known` only the first line is yielded; the models described are added to `known`.
     """
     known = set() if known is None else known
     yield f"{indent}{title}: {_summary(model)}"

@@ -85,7 +85,7 @@ class _Pursuers(click.ParamType[tuple[int, ...]]):
     "--to",
     "end",
     type=click.FloatRange(min=0),
-    help="End of the window, s; default: as late as the messages stay easy to tell apart.",
+    help="End of the window, s; default: the latest end with which messages are easy to tell apart.",
 )
 @click.option(
     "--pursuers",
@@ -149,7 +149,7 @@ def perfetto(source: Path, out: Path | None, seed: int | None, overrides: tuple[
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     show_default=True,
-    help="Simulated seconds per second.",
+    help="Simulated seconds per second of the animation.",
 )
 @click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second.")
 @SEED

@@ -72,17 +72,17 @@ class Precision(click.ParamType[tuple[str, float]]):
     "-n",
     "--runs",
     type=click.IntRange(min=1),
-    help="Runs of each configuration, with --until at most; default: sweep.reps, with --until 10000.",
+    help="Runs of each configuration, or their maximum with --until; default: sweep.reps, or 10000 with --until.",
 )
 @SEED
 @JOBS
 @CLUSTER
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Folder of the store; default: out/NAME.")
 @click.option(
-    "--until", type=Precision(), help="Run until the 95 % interval of a metric has this half width, at least 30 runs."
+    "--until", type=Precision(), help="Run until the 95 % interval of a metric has this half width; at least 30 runs."
 )
 @click.option(
-    "--shard", type=Shard(), default=None, help="Do every N-th run only, from the K-th on; see `desim merge`."
+    "--shard", type=Shard(), default=None, help="Do only every N-th run, starting with the K-th; see `desim merge`."
 )
 @click.option("--dry-run", is_flag=True, help="Print the planned runs without running them.")
 @click.option("--fail-fast", is_flag=True, help="Stop at the first run that fails.")
