@@ -1,4 +1,4 @@
-"""Data files of models: their content is part of what identifies a run."""
+"""Data files of models; their content is part of the identity of a run."""
 
 import hashlib
 import sys
@@ -12,27 +12,27 @@ from typing import Any
 from desim.config.trust import regular_or_missing
 
 OPENED = "__opened_data__"
-"""The global name in a module that holds the content hashes of the files that it opened, by path."""
+"""The global variable in which a module keeps the content hash of each file that it has opened, by path."""
 _identified: ContextVar[bool] = ContextVar("identified", default=False)
 
 
 class DataFileError(ValueError):
-    """Raised when a data file cannot be part of what identifies a run."""
+    """Raised when a data file cannot be part of the identity of a run."""
 
 
 def open_data(path: str | Path) -> BytesIO:
-    """Open a data file for reading bytes, and make its content part of what identifies the runs of the calling module.
+    """Open a data file for reading bytes; its content becomes part of the identity of runs that use the calling module.
 
     Call it where the module that defines a model is imported:
 
         DELAYS = np.loadtxt(open_data(Path(__file__).with_name("delays.txt")))
 
     A sweep then never takes results of another version of the file from its store. If a parameter of a model names the
-    file, declare it instead: `depends_on`, an attribute or a method of the model, is a tuple of paths.
+    file, declare the file in `depends_on` instead, an attribute or a method of the model that gives a tuple of paths.
 
     Raises:
         OSError: if the file cannot be read.
-        DataFileError: if a run of a sweep calls it: the run is identified before it starts.
+        DataFileError: if it is called during a run of a sweep, because the run was identified before it started.
     """
     if _identified.get():
         raise DataFileError(
@@ -51,7 +51,7 @@ def opened_by(module: str) -> dict[str, str]:
 
 
 def declared(model: Any) -> dict[str, str]:
-    """Return the content hash of each file in `depends_on` of a model, an attribute or a method, by its path.
+    """Return the content hash of each file in `depends_on` of a model, by its path.
 
     Raises:
         DataFileError: if `depends_on` is not a tuple or list of paths, or a file cannot be read.
@@ -69,7 +69,7 @@ def declared(model: Any) -> dict[str, str]:
 
 @contextmanager
 def identified_run() -> Iterator[None]:
-    """Let `open_data` fail during a run that has been identified."""
+    """Make `open_data` raise DataFileError in this context: the identity of the run is already fixed."""
     token = _identified.set(True)
     try:
         yield

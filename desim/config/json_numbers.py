@@ -1,4 +1,4 @@
-"""Values in JSON: infinity and NaN, which JSON lacks, as the strings "Infinity", "-Infinity" and "NaN"; `Plain`."""
+"""Values in JSON: infinity and NaN, which JSON lacks, become strings; `Plain` values convert themselves."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 @runtime_checkable
 class Plain(Protocol):
-    """A value that is written to JSON as what its method `plain` returns."""
+    """A value with a method `plain` that converts it to JSON types."""
 
     def plain(self) -> Any:
         """Return the value in JSON types."""
@@ -40,12 +40,12 @@ def to_json(value: Any) -> Any:
 
 
 def json_number(value: Any) -> Any:
-    """Return a value as `to_json` does, but NaN, the mean of no values, as None."""
+    """Return a value as `to_json` does, except that NaN, the mean of no values, becomes None."""
     return None if isinstance(value, float) and isnan(value) else to_json(value)
 
 
 def from_json(value: Any) -> Any:
-    """Return a JSON value with the strings that `to_json` writes replaced by numbers."""
+    """Return a JSON value with the strings "Infinity", "-Infinity" and "NaN" replaced by numbers."""
     if isinstance(value, dict):
         return {key: from_json(each) for key, each in value.items()}
     if isinstance(value, list):

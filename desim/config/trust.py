@@ -24,7 +24,7 @@ def escaped(text: str) -> str:
 
 
 def without_symlink(path: Path) -> Path:
-    """Return a path to write to, unchanged, after removing a symbolic link of that name, which could point elsewhere.
+    """Remove a symbolic link at a path to write to, because it could point elsewhere; return the path.
 
     Raises:
         OSError: if the link cannot be removed.
@@ -35,7 +35,7 @@ def without_symlink(path: Path) -> Path:
 
 
 def regular_or_missing(path: Path) -> Path:
-    """Return a path that is a regular file or does not exist, unchanged; reading, say, a pipe may block for ever.
+    """Return a path if it is a regular file or does not exist; reading a pipe, for example, may block for ever.
 
     Raises:
         OSError: if the path is a pipe, a device or a folder.
@@ -51,9 +51,9 @@ def regular_or_missing(path: Path) -> Path:
 def no_cwd_import() -> Iterator[None]:
     """Stop Python processes started in this context from importing from the working directory.
 
-    This protects workers and the resource tracker, a process that `multiprocessing` starts. Workers can still import
-    what the parent can, for they receive its `sys.path` after they start. Other threads should not start processes
-    meanwhile, because child processes copy the environment.
+    This protects workers and the resource tracker, a process that `multiprocessing` starts. Workers receive the
+    `sys.path` of the parent after they start, so they can import the same modules. Other threads should not start
+    processes meanwhile, because child processes copy the environment.
     """
     before = {name: os.environ.get(name) for name in NO_CWD_IMPORT}
     os.environ.update(NO_CWD_IMPORT)
