@@ -1,7 +1,8 @@
 """The agent: the interface through which a protocol controls one pursuer.
 
-The agent senses its own position and those of the evaders, and those of its teammates unless they are announced
-(`announce.payload`). It learns the decisions of teammates only from messages that the network has delivered.
+An agent senses its own position, the evaders within `sensing.radius` and, if `announce.payload` is "action", the
+positions of its teammates. It learns their actions only from delivered messages, apart from the initial actions
+(`announce.warm_start`).
 """
 
 from collections.abc import Callable, Generator, Iterable
@@ -24,11 +25,11 @@ from desim.pursuit.views import GlobalState, View
 Process = Generator[simpy.Event, Any, None]
 """A running protocol: a generator that yields the SimPy events it waits for."""
 RETURN_HINT = " (a protocol that has nothing left to wait for should return)"
-"""Hint in error messages about an infinite waiting time."""
+"""Hint in error messages about an infinite, nan or negative waiting time."""
 
 
 class Agent(Knowledge):
-    """One pursuer, as its protocol sees it: what it knows (`Knowledge`), and what it can do.
+    """The interface of a protocol to one pursuer: its knowledge (`Knowledge`), its actions and its messages.
 
     A protocol yields the events that `at`, `sleep`, `arrival` and `after_decisions` return. No other method waits.
 
@@ -42,11 +43,11 @@ class Agent(Knowledge):
         pursuer: its id.
         env: the clock of the simulation.
         view: its view of the world.
-        global_state: see the attribute; it sets the actions of this pursuer, too.
+        global_state: see the attribute; the actions of this pursuer are set through it, too.
         network: the network that carries its messages.
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
-        clock: its own clock.
+        clock: its local clock.
     """
 
     def __init__(
@@ -66,21 +67,21 @@ class Agent(Knowledge):
         self.global_state = global_state
         self.restarts = 0
         self._env, self._seed, self._announcements = env, seed, announcements
-        # The body that replaces the payload of `announce.payload`, and the value in the last announcement whose change
-        # makes the next one due; None: it is due in any case.
+        # The body set by `set_payload`; None: the payload is that of `announce.payload`.
         self._payload: Any = None
+        # The result of `_news` at the last announcement; None: the next announcement is due.
         self._announced: Any = (self.action,) if announcements.warm_start else None
         self._streams: dict[str, np.random.Generator] = {}
 
     def recovered(self, *, restarted: bool) -> None:
-        """Register a recovery from a crash. Its last announcement may not have been sent, so the next one is due."""
+        """Register a recovery. The crash may have suppressed the last announcement, so the next one is due."""
         self._announced = None
         if restarted:
             self._payload = None
             self.restarts += 1
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return its own random stream of this name; later calls, also after a restart, continue the same stream."""
+        """Return the random stream of this pursuer and name; later calls, also after a restart, continue it."""
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
@@ -115,8 +116,8 @@ class Agent(Knowledge):
     def set_payload(self, body: Any) -> None:
         """Announce this body instead of the standard payload from now on.
 
-        Its attribute `active` is the action. With the trigger "change" or "both", `announce` sends it when
-        its attribute `news` has changed.
+        `body.active` is the action. With the trigger "change" or "both", `announce` sends the body when `body.news` has
+        changed.
         """
         self._payload = body
 
@@ -142,12 +143,12 @@ class Agent(Knowledge):
         """Publish a record to all neighbours; a receiver reads the newest one at its next decision.
 
         Use it for state, of which only the newest value matters, and `send` for messages that must each be processed.
-        The body is shared as in `send`.
+        All receivers share one body, as with `send`.
         """
         self._network.publish(self.id, body, stamp=self._clock.stamp)
 
     def merge_records(self, records: Iterable[Record]) -> None:
-        """Merge records received inside a message into its own table; the newest record of each source is kept."""
+        """Merge records received inside a message into this pursuer's table, which keeps the newest of each source."""
         for record in records:
             self._network.insert(self.id, record)
 
@@ -169,10 +170,10 @@ class Agent(Knowledge):
 
     # Events to wait for.
 
-    # The phase of an event is its place among those of one instant; events of one phase happen in the order of ids.
+    # The events of one instant happen by phase, and those of one phase by pursuer id.
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event at a time on its own clock, s, rounded to nanoseconds; a time in the past counts as now.
+        """Return an event at a time on the local clock, s, rounded to nanoseconds; a time in the past counts as now.
 
         Raises:
             ValueError: if the time is infinite or nan.
@@ -183,7 +184,7 @@ class Agent(Knowledge):
             raise ValueError(f"pursuer {self.id}: at({time}): the time should be finite, s{RETURN_HINT}") from error
 
     def sleep(self, duration: float, phase: Phase = Phase.DECISION) -> simpy.Event:
-        """Return an event that happens after a duration, s, by its own clock.
+        """Return an event that happens after a duration on the local clock, s.
 
         Raises:
             ValueError: if the duration is negative, infinite or nan.
@@ -195,7 +196,7 @@ class Agent(Knowledge):
             raise ValueError(text) from error
 
     def after(self, duration: float, act: Callable[[], object], phase: Phase = Phase.DECISION) -> None:
-        """Call a function after a duration, s, by its own clock; a restart without memory cancels the call."""
+        """Call a function after a duration on the local clock, s; a restart without memory cancels the call."""
         restarts_before = self.restarts
 
         def happen(_: simpy.Event) -> None:
@@ -213,9 +214,9 @@ class Agent(Knowledge):
         return self._network.inbox(self.id, port).arrival(int(phase) + self.id)
 
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
-        """Call a function every period (s, by its own clock), after the decisions of an instant.
+        """Call a function once per period (s, on the local clock), after all decisions of the same instant.
 
-        The first call is after a random part of the period, drawn from the stream `name`.
+        The first call is after a random fraction of the period, drawn from the stream `name`.
         """
         first = self.now + self.stream(name).uniform(0.0, period)
         for k in count():

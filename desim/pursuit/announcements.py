@@ -73,7 +73,7 @@ PAYLOADS: dict[str, type[Assignment | TimedAssignment | LocatedAssignment]] = {
 
 
 class Forwarded(NamedTuple):
-    """A message that relays records, of its sender or of other pursuers."""
+    """A message that relays records of its sender or of other pursuers."""
 
     records: tuple[Record, ...]
     hops: int = 1
@@ -85,7 +85,7 @@ INTEGERS = (int, np.integer)
 
 
 def announced_action(body: Any) -> int | None:
-    """Return the action in the body of a message, its attribute `active`: an evader or 0; None without an action."""
+    """Return `body.active`, the action that a message announces: an evader or 0; None if there is no action."""
     try:
         action: int = body.active
     except AttributeError:
@@ -99,7 +99,7 @@ def announces_chase(body: Any) -> bool:
 
 
 def relayed_records(body: Any) -> tuple[Record, ...] | None:
-    """Return the records that a body relays, its attribute `records`; None if it is not a relay."""
+    """Return `body.records`, the records that a message relays; None if the message is not a relay."""
     try:
         records: tuple[Record, ...] = body.records
     except AttributeError:
@@ -108,7 +108,7 @@ def relayed_records(body: Any) -> tuple[Record, ...] | None:
 
 
 def records_in(event: Broadcast | Sent) -> tuple[Record, ...]:
-    """Return the records in a transmission: all that it relays, or the one that it broadcasts."""
+    """Return the records in a transmission: those that it relays, or the one that it broadcasts, or none."""
     relayed = relayed_records(event.body)
     if relayed is not None:
         return relayed
@@ -131,13 +131,13 @@ class Eavesdropper:
         self._until = 0
 
     def __call__(self, content: Record | Message, last_arrival: int) -> None:
-        """Overhear a transmission as it starts; its last arrival is at a time in ns, or never (`LOST`)."""
+        """Overhear a transmission at its start; `last_arrival` is the time of its last arrival, ns, or `LOST`."""
         records = (content,) if isinstance(content, Record) else relayed_records(content.body)
         for record in records or ():
             self._overhear(record, last_arrival)
 
     def hands_over(self, now: int) -> bool:
-        """Return whether an announcement that differs from the previous one of its sender is in flight at `now`, ns."""
+        """Return whether an announcement of a change of action is in flight at `now` (ns)."""
         return now < self._until
 
     def _overhear(self, record: Record, last_arrival: int) -> None:
@@ -190,7 +190,7 @@ class Announcements(Value):
     def payload_size(self) -> int:
         """Size of an announcement, header included, bytes.
 
-        For a protocol with a payload of its own, its `claim_size` is used instead.
+        A protocol with its own payload declares the size as `claim_size` instead.
         """
         return HEADER + NUMBER * len(PAYLOADS[self.payload]._fields)
 

@@ -6,15 +6,15 @@ utility of the game with one evader (`desim.pursuit.game`),
 
     Phi = sum over the chased evaders j of (r - mean of phi_ij over the pursuers that chase j).
 
-It is an exact potential for the wonderful-life utilities: the marginal contribution of a pursuer to the term of its
-evader.
+Phi is an exact potential for the wonderful-life utilities. The wonderful-life utility of a pursuer is its marginal
+contribution to the term of its evader.
 
-If the capture times are distinct, every equilibrium is a matching, because the slowest of several pursuers of one
-evader gains by staying. There are often many equilibria; the optimal profile, a maximum-weight matching, is one of
-them. Every equilibrium has at least a third of the optimal utility, and the bound is tight. Proof: let u_i be the
-utility of pursuer i in the equilibrium and w its utility alone on the evader that the optimal profile gives it. If this
-evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w - u_m) / 2 <= u_i. The sum of all w is
-therefore at most 3 times the sum of all u_i.
+If the capture times are distinct, every equilibrium is a matching: if several pursuers chase one evader, the one with
+the greatest capture time gains by staying. There are often many equilibria; the optimal profile, a maximum-weight
+matching, is one of them. Every equilibrium has at least a third of the optimal utility, and the bound is tight. Proof:
+let u_i be the utility of pursuer i in the equilibrium and w its utility alone on the evader that the optimal profile
+gives it. If this evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w - u_m) / 2 <= u_i.
+The sum of all w is therefore at most 3 times the sum of all u_i.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:
 
 
 def wonderful_life_utility(phi: ArrayLike, actions: Sequence[int], reward: float, i: int) -> float:
-    """Return the marginal contribution of pursuer i to the global utility, or equally to the term of its evader, s."""
+    """Return the marginal contribution of pursuer i to the global utility, s; only the term of its evader changes."""
     if not actions[i]:
         return 0.0
     times, chasing = _games(phi, actions)[actions[i] - 1]

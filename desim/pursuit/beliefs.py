@@ -18,7 +18,7 @@ from desim.pursuit.announcements import Announcements, LocatedAssignment, TimedA
 from desim.pursuit.views import View
 
 Orders = Mapping[int, Sequence[tuple[int, int]]]
-"""For each teammate [(t, action)], ascending: the action ordered from time t on (ns, clock of the believer)."""
+"""The orders to each teammate: [(t, action)], ascending; an action holds from t on (ns, clock of the believer)."""
 UNORDERED: Orders = MappingProxyType({})
 """No orders: every teammate continues its announced action."""
 
@@ -31,11 +31,11 @@ class Belief(NamedTuple):
     capture_time: float
     """s; nan if unknown."""
     age: float = 0.0
-    """Time since the announcement was sent, s, by the clocks of both; below 0 if that of the teammate is ahead."""
+    """Time since the announcement was sent, s; may be negative, because sender and receiver read different clocks."""
 
 
 class TeamEstimate(NamedTuple):
-    """A pursuer's estimate of the positions of itself and the teammates about which it has a belief."""
+    """A pursuer's estimate of the team: itself, and the teammates that it senses or about which it has a belief."""
 
     ids: list[int]
     """(n,) ids, ascending, its own included."""
@@ -52,7 +52,7 @@ class Beliefs:
 
     Args:
         pursuer: its id.
-        clock: its own clock.
+        clock: its local clock.
         view: its view of the world.
         network: the network that delivers announcements.
         announcements: the content of announcements, and how long they are believed.
@@ -87,7 +87,7 @@ class Beliefs:
         return {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
-        """Return its own capture time of an evader, s, the trusted teammates believed to chase it, and their times."""
+        """Return its own capture time of an evader, s, and the ids and capture times of teammates believed to chase."""
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self.senses_others:
@@ -139,7 +139,7 @@ class Beliefs:
         if limit == "auto":
             delay = self._network.typical_latency + self._network.airtime(self._announcement())
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
-        return inf if limit > MAX_TIME else self._clock.span(limit)  # no run is longer
+        return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
     def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
         """Return the capture time of a teammate for an evader, computed from its record, s; nan if unknown."""

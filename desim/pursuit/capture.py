@@ -35,7 +35,7 @@ def capture_time(
 
 
 NO_SPEED = 1e-12
-"""Differences of speeds up to this count as 0, m/s."""
+"""Speed differences up to this value count as 0, m/s."""
 
 
 class RadialTime:

@@ -1,7 +1,8 @@
 """Dead reckoning: the present position of a pursuer that has chased since its last known position.
 
-During a motion step every pursuer observes an evader that moves straight from its position at the start of the step. A
-guidance law uses nothing else, so a pursuer that has observed the evader can retrace the path of a teammate.
+During a motion step every pursuer observes an evader that moves straight from its position at the start of the step.
+Guidance depends only on this motion and on the position and speed of the pursuer that chases, so a pursuer that has
+observed the evader can retrace the path of a teammate.
 """
 
 from bisect import bisect_left, bisect_right
@@ -65,9 +66,9 @@ class EvaderTrack:
         known = (position, speed, since)
         began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
         first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
-        last = bisect_left(self._segments, now, key=itemgetter(0))  # the evader may have been captured since
+        last = bisect_left(self._segments, now, key=itemgetter(0))  # the chase may have ended before
         ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
-        for segment, end in zip(self._segments[first:], ends, strict=False):  # no segment yet at the start
+        for segment, end in zip(self._segments[first:], ends, strict=False):  # at time 0 there may be no segment yet
             began, origin = t, place
             gap, aim = segment.at(t) - place, segment.aim - place
             place += guided_velocity(self._law, gap, aim, segment.velocity, speed) * seconds(end - t)

@@ -85,8 +85,8 @@ class EvaderController:
 class DelayedState:
     """Delayed perception: a call returns the state with the pursuers as they were a delay (ns) earlier.
 
-    Positions are interpolated linearly between two given states, and the actions are those of the earlier one. Before
-    the first state the pursuers are as in the first.
+    Positions are interpolated linearly between two successive states; the actions are those of the earlier one. The
+    first state also stands for all times before it.
     """
 
     def __init__(self, delay: int):
@@ -152,7 +152,7 @@ class EvaderBody:
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
         self._safe_until = -1  # no capture is possible up to this time, ns
         self._state: State | None = None
-        self._read: Points | None = None  # the positions from which that state was computed
+        self._read: Points | None = None  # the positions from which _state was computed
         self._times: tuple[float, ...] | None = None
 
     @property
@@ -230,7 +230,7 @@ class EvaderBody:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # A lower bound on the time to capture for any motion, with a margin for rounding; at most 0 within the radius.
+        # No motion leads to a capture up to this time, with a margin for rounding. Within the radius it is past.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

@@ -61,7 +61,7 @@ class PureEvasion(Fleeing):
 
 
 ROUNDING = 1e-12
-"""A sum of unit vectors shorter than this times their number counts as 0."""
+"""A sum of n vectors of length at most 1 counts as 0 if its length is at most n times this value."""
 
 
 class WeightedFlee(Fleeing):
@@ -90,7 +90,7 @@ class MaxMin(Fleeing):
     """Number of candidate headings, evenly spaced and including that of pure evasion."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the candidate u with the greatest min_i phi_i(u); ties go to the first, counted from pure evasion."""
+        """Return the u of greatest min_i phi_i(u); ties go to the first counter-clockwise from pure evasion."""
         fled_from = self.fled_from(state)
         straight = away(fled_from)
         if not straight:
@@ -101,22 +101,22 @@ class MaxMin(Fleeing):
 
 
 class Zigzag(Fleeing):
-    """Flee from the nearest pursuer, turned to the left for half a period and to the right for the other half."""
+    """Flee from the nearest pursuer at an angle, to the left for half a period and to the right for the other half."""
 
     kind: Literal["zigzag"] = "zigzag"
     period: Period = 2.0
-    """Period of a turn to the left and one to the right, s; the first begins at time 0."""
+    """Period of the zigzag, one half to the left and one to the right, s; the first begins at time 0."""
     amplitude: Annotated[float, Field(ge=0, le=pi, strict=True)] = 0.7
     """Angle from the heading of pure evasion, rad."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of pure evasion, turned by the amplitude."""
+        """Return the heading of pure evasion, rotated by the amplitude to the left or right."""
         halves = 2 * state.stamp // round(self.period * 1e9)  # ns
         return away(self.fled_from(state)) * rect(1.0, -self.amplitude if halves % 2 else self.amplitude)
 
 
 class VoronoiVertex(Fleeing):
-    """Go to the farthest point of an arena that it would reach before any pursuer if all had equal speeds.
+    """Go to the farthest point of an arena that the evader would reach before any pursuer if all had equal speeds.
 
     This point is a vertex of its Voronoi cell. On the way another vertex may become the farthest; the hysteresis delays
     the turn to it. An evader outside the arena goes to the nearest point of the arena.
@@ -151,7 +151,7 @@ class Diffusion(Value):
     """Diffusion of the angle: its standard deviation after a time t is sigma sqrt(t), rad/sqrt(s)."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the present heading, turned by a normal angle of variance sigma^2 times the elapsed time."""
+        """Return the present heading, rotated by a normal angle of variance sigma^2 times the elapsed time."""
         if not state.heading:
             return random_heading(rng)
         return unit(state.heading * rect(1.0, rng.normal(0.0, self.sigma * sqrt(state.elapsed))))
@@ -184,16 +184,16 @@ CALLED_WITH = ("state", "rng")
 
 
 class Listener(Value):
-    """Eavesdrop on the pursuers' radio: follow one strategy during a hand-over, and another otherwise.
+    """Eavesdrop on the pursuers' radio: follow one strategy during a handover, and another otherwise.
 
-    A hand-over lasts while an announcement of a change of action is in flight. Each strategy continues from the heading
+    A handover lasts while an announcement of a change of action is in flight. Each strategy continues from the heading
     of the other.
     """
 
     listens: ClassVar[bool] = True
     kind: Literal["listener"] = "listener"
     during_handover: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = PureEvasion()
-    """The strategy during a hand-over."""
+    """The strategy during a handover."""
     normally: Annotated[Strategy, OneOf(*SIMPLE, takes=CALLED_WITH, traits=StrategyTraits)] = Still()
     """The strategy at all other times."""
 
@@ -228,7 +228,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return the (K,) least intercept times over all pursuers, one for each heading that the evader may keep, s."""
+    """Return the (K,) least intercept times over all pursuers, one for each of (K,) constant headings, s."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
@@ -248,7 +248,7 @@ def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
 
 
 def _clipped(polygon: list[complex], middle: complex) -> list[complex]:
-    """Return the part of a convex polygon that is nearer to the origin than to the point 2 `middle`."""
+    """Return the part of a convex polygon that is nearer to the origin than to the point `2 * middle`."""
     beyond = [((z - middle) * middle.conjugate()).real for z in polygon]
     kept = []
     for k, z in enumerate(polygon):

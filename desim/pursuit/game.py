@@ -47,7 +47,7 @@ def gain(own: float, others: Sequence[float], reward: float) -> float:
 
 
 Gain = Callable[[float, Sequence[float], float], float]
-"""The gain from being active as a function of the own capture time, those of active others, and the reward, all s."""
+"""The gain from being active, s: a function with the arguments of `gain` (own, others, reward)."""
 Hearing = Sequence[Collection[int]]
 """For each pursuer the ids of the pursuers whose actions count in its utility."""
 
@@ -91,7 +91,7 @@ def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
 def relay_profile(phi: Sequence[float], reward: float) -> Profile:
     """Return the profile in which only the relay pursuer is active; without a relay pursuer all are inactive.
 
-    For distinct phi, the least of which differs from r, it is the unique equilibrium of the game.
+    If the phi are distinct and the least differs from r, this profile is the unique equilibrium of the game.
     """
     relay = relay_pursuer(phi, reward)
     return tuple(i == relay for i in range(len(phi)))
@@ -120,8 +120,8 @@ def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
 def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]:
     """Return the probability of each action under log-linear learning, given the utilities (s).
 
-    Proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), computed without overflow; uniform at infinite
-    temperature (inverse temperature 0), even for infinite utilities.
+    The probabilities are proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), computed without overflow.
+    They are uniform at infinite temperature (inverse temperature 0), even for infinite utilities.
     """
     if inverse_temperature == 0.0:
         return [1.0 / len(utilities)] * len(utilities)

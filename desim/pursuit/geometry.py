@@ -11,14 +11,14 @@ from desim.config.arrays import Floats, Points
 from desim.pursuit.state import lengths
 
 SMALLEST = 1e-290
-"""Lower bound of divisors, so that a gap of 0 has a direction of 0, m."""
+"""Lower bound of a length used as a divisor, so that the direction of a gap of 0 is 0, m."""
 
 
 def toward(gaps: Points, speeds: Floats) -> Points:
     """Return the (N,) velocities that close each gap at its speed, m/s; 0 for a gap of 0.
 
     Args:
-        gaps: (N,) from each pursuer to its target, m.
+        gaps: (N,) vectors from each pursuer to its target, m.
         speeds: (N,) speeds, m/s, 0 for pursuers that stay.
     """
     return gaps * (speeds / np.maximum(lengths(gaps), SMALLEST))
@@ -52,7 +52,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
 
 
 def within(offsets: Points, radius: float) -> int | None:
-    """Return the row of the (N,) offsets (m) nearest to the origin, or None if it is outside a radius (m)."""
+    """Return the row of the shortest of (N,) offsets (m), or None if even that offset is longer than a radius (m)."""
     distances = lengths(offsets)
     row = int(distances.argmin())
     return row if distances[row] <= radius else None

@@ -15,19 +15,18 @@ from desim.pursuit.geometry import SMALLEST, toward
 from desim.pursuit.state import lengths
 
 EvaderVelocity = complex | Points
-"""One velocity for all, or one for each pursuer."""
+"""The velocity of the evader that all pursuers chase, or (N,) that of the evader of each pursuer, m/s."""
 
 
 class Guidance(Protocol):
     """A guidance law: `guidance(gaps, aims, evader_velocity, speeds)` returns the (N,) velocities, m/s.
 
     Args:
-        gaps: (N,) from each pursuer to the observed position of its evader, which moves at `evader_velocity` during
-            the step, m.
-        aims: (N,) from each pursuer to the position of its evader at the end of the motion step if the evader moves
-            first, else to its position at the beginning of the step (`motion.order`), m.
-        evader_velocity: observed velocity of the evader: that of the present step if the evader moves first, else that
-            of the step before, m/s; (N,) if pursuers chase different evaders.
+        gaps: (N,) vectors from each pursuer to the observed position of its evader, m.
+        aims: (N,) vectors from each pursuer to the point that it aims at, m: the position of its evader at the end of
+            the motion step if the evader moves first (`motion.order`), else at the start of the step.
+        evader_velocity: observed velocity of the evader, m/s: its velocity during the present step if the evader moves
+            first, else during the step before; (N,) if pursuers chase different evaders.
         speeds: (N,) speeds, m/s, 0 for pursuers that stay; no velocity exceeds them.
     """
 
@@ -50,9 +49,9 @@ class ConstantBearing(Value):
     """Head for the intercept point of an evader of constant velocity; without such a point, straight for the evader.
 
     The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The line of sight keeps its direction b
-    (parallel navigation): across this line the pursuer has the same velocity as the evader, and along it the rest of
-    its speed, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along; if it
-    is not positive, there is no intercept point.
+    (parallel navigation): the pursuer matches the velocity of the evader across this line, and uses the rest of its
+    speed along it, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along;
+    if it is not positive, there is no intercept point.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"

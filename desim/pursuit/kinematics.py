@@ -1,4 +1,4 @@
-"""Kinematics: the positions of all players, which move on straight pieces that begin at a common instant.
+"""Kinematics: the positions of all players. All begin a new straight piece of their path at the same instant.
 
 A position is a closed form, origin + velocity * (t - since). Nothing is integrated, and the position of one player is
 computed without those of the others.
@@ -54,7 +54,7 @@ class Kinematics:
         return self._origins.item(player) + self.velocities.item(player) * ((now - self._since) / SECOND)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
-        """Return the distances of some players from another now, m."""
+        """Return the present distances of other players from one player, m."""
         now, start, velocity = self._env.now, self._origins.item, self.velocities.item
         if self._read == now or self._static:
             place = self._positions.item

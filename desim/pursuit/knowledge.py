@@ -1,4 +1,4 @@
-"""What a pursuer knows: what it senses, what its teammates have announced, and who hears whom."""
+"""The knowledge of a pursuer: what it senses, the announcements of its teammates, and the links of the network."""
 
 from collections.abc import Collection, Sequence
 from math import inf
@@ -16,7 +16,7 @@ PAPER = Mean()
 
 
 class Knowledge:
-    """What one pursuer knows; its decisions and messages are in `desim.pursuit.agent.Agent`.
+    """The knowledge of one pursuer; its decisions and messages are in `desim.pursuit.agent.Agent`.
 
     Attributes:
         id: 0 .. team_size - 1.
@@ -25,7 +25,7 @@ class Knowledge:
         pursuer: its id.
         view: its view of the world.
         network: the network that carries its messages.
-        clock: its own clock.
+        clock: its local clock.
         beliefs: its beliefs about its teammates.
     """
 
@@ -35,7 +35,7 @@ class Knowledge:
 
     @property
     def now(self) -> float:
-        """The time on its own clock, s: offset + (1 + drift) t."""
+        """The time on its local clock, s: offset + (1 + drift) t."""
         return self._clock.now
 
     @property
@@ -71,7 +71,7 @@ class Knowledge:
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
-        """Return the time r left to the horizon by its own clock, s, as it will be `ahead` s from now."""
+        """Return the time r left to the horizon by its local clock, s, as it will be `ahead` s from now."""
         return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
@@ -104,7 +104,7 @@ class Knowledge:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
         A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is
-        nan if the announcement does not contain it.
+        nan if neither the time nor the teammate's position is announced or sensed.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -149,7 +149,7 @@ class Knowledge:
         return utility(own, others, self.time_left())
 
     def neighbours(self, of: int | None = None) -> list[int]:
-        """Return the nodes that receive its transmissions now, or those of a teammate (`of`), ascending."""
+        """Return the nodes that now receive the transmissions of this pursuer, or of a teammate (`of`), ascending."""
         return self._network.neighbours(self.id if of is None else of)
 
     @property

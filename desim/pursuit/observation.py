@@ -10,7 +10,7 @@ from desim.pursuit.state import State
 class EvaderObservation(State):
     """The observation of an evader: the perceived state of the pursuit, its own parameters and its previous heading.
 
-    Unobserved pursuers are left out of all arrays: the order of the pursuers is kept, but an index is not an id.
+    Unobserved pursuers are left out of all arrays. The others keep their order, but an index is not a pursuer id.
 
     Attributes:
         speeds: (N,) speeds of the pursuers, m/s.

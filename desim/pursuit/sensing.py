@@ -1,7 +1,7 @@
 """Sensing of evaders by pursuers with a limited range, and estimation from past sightings.
 
 Within the sensing radius a pursuer sees the true position of an evader. Beyond it, the pursuer extrapolates the newest
-sighting it knows, its own or a reported one (`Sensing.estimate`). It decides by this estimate and chases it. The
+sighting it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its guidance use this estimate. The
 limit applies to evaders only: positions of teammates are sensed or announced over any distance, and all pursuers know
 which evaders are captured.
 """
@@ -38,11 +38,11 @@ class Sensing(Value):
     """Sensing radius R_s up to which a pursuer sees an evader, m."""
     estimate: Literal["hold", "constant_velocity", "worst_case"] = "constant_velocity"
     """Estimated position of an unseen evader. hold: that of the last sighting; constant_velocity: extrapolated with the
-    velocity at the last sighting; worst_case: anywhere within the distance v_e a of the last sighting of age a, so
-    that with equal clocks phi is an upper bound: (d + v_e a - eps) / (v_i - v_e)."""
+    velocity at the last sighting; worst_case: anywhere within v_e a of the last sighting, where a is its age; with
+    equal clocks phi = (d + v_e a - eps) / (v_i - v_e) is then an upper bound."""
     period: Period = 0.1
-    """Time between two reports of a pursuer, s. It repeats its own last sighting, because reports may be lost, until
-    the sighting is `track_timeout` old or a newer one is reported to it."""
+    """Time between two reports of a pursuer, s. A pursuer repeats its own last sighting, because reports may be lost,
+    until the sighting is `track_timeout` old or a newer one is reported to it."""
     relay: Flag = False
     """Whether a pursuer also relays the newest reported sighting, so that it spreads over several hops."""
     track_timeout: Timeout = 5.0
@@ -127,7 +127,7 @@ class TeamSensor:
         return int(self._seen[cell]), complex(self._positions[cell]), complex(self._velocities[cell])
 
     def forget(self, pursuer: int) -> None:
-        """Delete all sightings by a pursuer itself."""
+        """Delete all sightings that a pursuer has made itself."""
         self._seen[:, pursuer] = NEVER
 
 
@@ -141,9 +141,9 @@ class SensedView(View):
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
         pursuer: its id.
-        sensor: the sensors of the team, with its own sightings.
+        sensor: the sensors of the team, which keep the pursuer's own sightings.
         network: the network that delivers reports.
-        clock: its own clock.
+        clock: its local clock.
     """
 
     unlimited: ClassVar[bool] = False
@@ -225,9 +225,9 @@ class SensedView(View):
 
 
 def spiral(length: float, apart: float) -> complex:
-    """Return the point at an arc length (m) along an Archimedean spiral from the origin, turns `apart` (m) apart, m.
+    """Return the point (m) at an arc length (m) on an Archimedean spiral from the origin with turns `apart` (m) apart.
 
-    From r = apart angle / 2 pi and the arc length r angle / 2, which holds approximately after many turns.
+    The angle follows from r = apart angle / 2 pi and the arc length r angle / 2, an approximation for many turns.
     """
     if apart == 0.0:
         return 0j

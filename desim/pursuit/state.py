@@ -1,7 +1,7 @@
 """The state of the pursuit at one instant.
 
-A point of the plane is a complex number x + iy: the heading from p to q is (q - p) / |q - p|, a turn by an angle a is a
-product with e^(ia), and each is one array operation on a whole team. Files, traces and results have [x, y].
+A point of the plane is a complex number x + iy: the heading from p to q is (q - p) / |q - p|, and a rotation by an
+angle a is a product with e^(ia). Either is one array operation on a whole team. Files, traces and results have [x, y].
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,8 @@ class State:
         pursuers: (N,) positions, m.
         evader: position of the evader, m.
         active: (N,) whether each pursuer chases the evader.
-        offsets: (N,) from each pursuer to the evader, m.
-        distances: (N,) from each pursuer to the evader, m.
+        offsets: (N,) vectors from each pursuer to the evader, m.
+        distances: (N,) distances from each pursuer to the evader, m.
         nearest: index of the pursuer nearest to the evader, active or not; ties go to the lowest, -1 without pursuers.
     """
 

@@ -17,7 +17,7 @@ class Steering:
         state: the true state of the world.
         law: the guidance law.
         sensor: the sensors of the team; None if sensing is unlimited.
-        evader_first: whether pursuers aim at the evader's position at the end of the step, or at its beginning.
+        evader_first: whether pursuers aim at the evader's position at the end of the motion step, not at the start.
     """
 
     def __init__(self, state: WorldState, law: Guidance, sensor: TeamSensor | None, *, evader_first: bool):
@@ -83,7 +83,7 @@ class Steering:
         self._players.go(velocities)
 
     def _all_velocities(self) -> Points:
-        """Return the (N,) velocities of the pursuers at the beginning of a step, with all evaders in view, m/s."""
+        """Return the (N,) velocities of the pursuers at the start of a step as if all evaders were in range, m/s."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.positions()[: len(actions)], self._paces
         if len(segments) == 1:

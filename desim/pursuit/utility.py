@@ -2,7 +2,7 @@
 
 A utility is called with the pursuer's own capture time, the capture times of the other active pursuers that count, and
 the time left. It returns the gain of chasing, U_i(active) - U_i(inactive). `scope` determines the pursuers that count.
-It may have the attributes of `desim.pursuit.traits.UtilityTraits`.
+A utility may have the attributes of `desim.pursuit.traits.UtilityTraits`.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ Scope = Literal["heard", "neighbours", "component"]
 
 
 NEWTON_STEPS = 5
-"""Number of Newton steps: the initial guess of a root has an error of at most 2 %, and each step doubles its digits."""
+"""Number of Newton steps: the initial guess of a root is within 2 %, and each step doubles the correct digits."""
 
 
 class Utility(Protocol):
@@ -77,7 +77,7 @@ class Mean(Value):
 
 
 class LocalMean(Mean):
-    """The mean over the pursuers heard now: no potential game; on a path of three it may have no equilibrium."""
+    """The mean over the pursuers heard now: no potential game; on a path graph of three it may have no equilibrium."""
 
     assumes: ClassVar[tuple[str, ...]] = ()
     kind: Literal["local_mean"] = "local_mean"  # type: ignore[assignment]
@@ -113,7 +113,7 @@ class Minimum(Value):
         """Return the mean gain over all sets of active others, s; see `Mean.expected`."""
         if own == inf:
             return -inf
-        total, none_active = 0.0, 1.0  # the probability that no pursuer with a lower phi is active
+        total, none_active = 0.0, 1.0  # none_active: the probability that no pursuer with a lower phi is active
         for phi, q in sorted(zip(others, chances, strict=True)):
             total += none_active * q * max(phi - own, 0.0)
             none_active *= 1.0 - q

@@ -1,4 +1,4 @@
-"""Views of the world: the knowledge of a pursuer about the evaders, which follows from the evaders that it sees."""
+"""Views of the world: the knowledge of a pursuer about the evaders, with or without a sensing limit."""
 
 from cmath import isnan
 from collections.abc import Callable, Collection, Sequence
@@ -98,7 +98,7 @@ class View:
         return self.state.body(evader).capture_time_over(pursuer, distance)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer may choose to chase an evader: it is at large and known, and not pruned."""
+        """Return whether a pursuer may choose to chase an evader, which must be at large, known and not pruned."""
         body = self.state.body(evader)
         if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
             return False
@@ -121,17 +121,17 @@ class View:
     def reckoned(
         self, position: complex, speed: float, age: int, evader: int, *, exact: bool, ended: int = 0
     ) -> complex:
-        """Return the present position of a pursuer that has chased an evader from `position` (m) since `age` ns ago, m.
+        """Return the present position, m, of a pursuer whose chase of an evader began at `position`, `age` ago.
 
         Args:
             position: its position at that time, m.
             speed: its speed, m/s.
             age: time since it was at that position, ns.
             evader: the evader that it chased.
-            exact: whether to retrace its pursuit of the evader's path, which takes a view that always saw it; if not,
-                it is extrapolated straight towards the present position of the evader.
-            ended: time since the chase ended, at most `age`, ns; the end must not move back in later calls with the
-                same start.
+            exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
+                assumed to head straight for the present position of the evader.
+            ended: time since the chase ended, at most `age`, ns; a later call with the same start must not give an
+                earlier end of the chase.
         """
         state, body = self.state, self.state.body(evader)
         if state.static or age == ended:

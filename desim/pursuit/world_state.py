@@ -36,7 +36,7 @@ class WorldState:
         evader_count: number of evaders at the start, M.
         at_large: numbers of the evaders that have not been captured, ascending.
         actions: see `Actions`; replaced by `set_actions`, never changed in place.
-        profile: the same as a list.
+        profile: `actions` as a list.
         broken: (N,) mask of the pursuers that are down and follow no action.
         step_end: end of the present motion step, ns.
     """
@@ -106,7 +106,7 @@ class WorldState:
             body.set_chasers(np.equal(actions, body.number))
 
     def capture(self, body: EvaderBody) -> None:
-        """Capture an evader: it and its pursuers stand still, and they stay until their actions are set."""
+        """Capture an evader: it stands still, and its pursuers stay until their actions are set."""
         body.captured = self.now
         self.at_large = tuple(each for each in self.at_large if each != body.number)
         chasing = self.actions == body.number
