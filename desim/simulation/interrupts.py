@@ -35,7 +35,7 @@ def exit_code(error: KeyboardInterrupt) -> int:
 def raising() -> Iterator[None]:
     """Make SIGTERM and SIGHUP raise Terminated in the main thread.
 
-    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is left as it is.
+    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -12,8 +12,8 @@ from desim.pursuit.agent import Agent, Behaviour, Process
 class RestartableProcess(simpy.Process):
     """A process of a pursuer that runs a behaviour and survives crashes of the robot.
 
-    It is running, suspended (the robot is down) or finished. After a recovery with memory it continues to wait for the
-    same event; after a recovery without memory it starts a new behaviour.
+    It is running, suspended (the robot is down) or finished. After a recovery with memory it waits for the same event,
+    or continues at once if the event has happened; after a recovery without memory it starts a new behaviour.
     """
 
     def __init__(self, env: Clock, agent: Agent, protocol: Behaviour, phase: Phase):
@@ -35,7 +35,7 @@ class RestartableProcess(simpy.Process):
                     self.behaviour.close()
                     self.behaviour = missed = None
                 if self.behaviour is None or awaited.processed:
-                    awaited = agent.at(agent.now, phase)  # resume in its turn, after the arrivals of this instant
+                    awaited = agent.at(agent.now, phase)  # resume in its phase, after the arrivals of this instant
                 continue
             if missed is not None:
                 value, missed = missed.value, None

@@ -74,7 +74,7 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
 
     Args:
         scenario: the experiment.
-        seed: seed of every random stream; that of the scenario if None.
+        seed: seed of every random stream; if None, the seed of the scenario.
         watchers: called with each event as it happens; one that returns True ends the run.
 
     Raises:

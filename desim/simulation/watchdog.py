@@ -21,7 +21,7 @@ AGAIN = 0.1
 
 
 class TimedOut(BaseException):
-    """A time limit was exceeded. It is not an `Exception`, so that handlers on the way do not catch it."""
+    """A time limit was exceeded. It is not an `Exception`, so that `except Exception` does not catch it."""
 
 
 def checked(limit: float) -> float:
@@ -37,7 +37,7 @@ def within(limit: float) -> Iterator[None]:
 
     Use it around a run or any other code that may not terminate. A watching thread raises the exception between two
     Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
-    pydantic's serialiser drops it or replaces it by its own. The watcher therefore raises it again while the block
+    pydantic's serialiser drops it or raises another one. The watching thread therefore raises it again while the block
     lasts, but not while an earlier one is propagating, so that clean-up is not interrupted. A block that exceeds its
     limit always ends with TimedOut, whatever it raises or returns, except KeyboardInterrupt and GeneratorExit.
 
@@ -50,7 +50,7 @@ def within(limit: float) -> Iterator[None]:
     is_late = False
 
     class Raised(TimedOut):
-        def __init__(self, *text: object) -> None:  # SimPy copies exceptions
+        def __init__(self, *text: object) -> None:  # SimPy copies exceptions, with their text
             super().__init__(*text or (f"took longer than {limit:g} s: the limit was reached at its start or end",))
             on_its_way.add(self)
 

@@ -28,7 +28,7 @@ class World:
     """The physics of a run: it sets actions, moves players, captures evaders and records what happens.
 
     All players move on straight pieces that begin at a common instant: the last motion step, or the last change of an
-    action within it. A capture is predicted from the pieces; a change of an action before then replaces the prediction.
+    action within it. The next capture is predicted from these pieces; a change of an action replaces the prediction.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. A pursuer is up or
     down (from `crash` until `recover`); while down it stands still, and afterwards it stays until its action is set. An
@@ -38,7 +38,7 @@ class World:
         env: the clock of the simulation.
         scenario: the experiment.
         state: the true state of the world at the start; see `initial_state`.
-        views: (N,) the view of each pursuer, which decides what it may chase.
+        views: (N,) the view of each pursuer, which determines the evaders that it may chase.
         trace: receives its events.
         end: the end of the run.
         sensor: the sensors of a team with limited sensing.
