@@ -33,8 +33,8 @@ def run_many(
 
     Args:
         tasks: the scenario and the seed of each run.
-        jobs: the number of worker processes; 1 = none, all runs in this process; 0 = one per core.
-        label: the text before the progress bar, which is drawn on a terminal only.
+        jobs: the number of worker processes; 1 = all runs in this process, without workers; 0 = one per core.
+        label: the text before the progress bar; no bar is drawn unless the output is a terminal.
         measure: maps a result to the measurement to keep; called in the worker.
         simulate: performs a run; called in the worker.
 

@@ -116,7 +116,7 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error that begins with a dotted key, preceded by the place where the key was set or swept."""
+    """Return an error, whose text begins with a dotted key, prefixed with the place that sets or sweeps this key."""
     key = str(error).partition(":")[0]
     above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
     swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
@@ -160,7 +160,7 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
 
 
 def without_metrics(scenario: Scenario) -> Scenario:
-    """Return a scenario without the metrics that it names: they are measured, and no part of what identifies a run."""
+    """Return a scenario without `record.metrics`, which select measurements and are not part of a run's identity."""
     if not scenario.record.metrics:
         return scenario
     return scenario.model_copy(update={"record": scenario.record.model_copy(update={"metrics": ()})})
@@ -170,7 +170,7 @@ def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return the line of a validation error followed by the settings that cause it, unless the line names them.
 
     `among` holds the settings of all configurations with this error. A key is a cause if the error occurs with some of
-    its values only.
+    its values but not with all.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

@@ -74,7 +74,7 @@ def drive(
     repeated alone. A run during which the worker dies again has crashed.
 
     Raises:
-        BrokenExecutor: if a worker of an executor that the user passed died: the executor accepts no more calls.
+        BrokenExecutor: if a worker of the user's own executor died, after which the executor accepts no more calls.
         ConnectionError: if the connection to the workers is lost.
     """
     waiting = deque(range(len(tasks)))
@@ -165,7 +165,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _picklable(error: BaseException) -> BaseException | None:
-    """Return an exception, without its traceback if it cannot be pickled otherwise; None if it cannot be pickled.
+    """Return an exception in a form that can be pickled, if necessary without its traceback; None if there is none.
 
     Once Dask's package `distributed` is imported, exceptions are pickled with their tracebacks.
     """

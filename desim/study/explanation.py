@@ -21,7 +21,7 @@ AS_IT_IS, IDEAL = "as it is", "ideal"
 
 @dataclass(frozen=True)
 class Saving:
-    """The saving by removing imperfections, mostly of time: the mean difference of paired runs with the same seed."""
+    """The decrease of a metric when imperfections are removed: the mean difference of runs paired by seed."""
 
     mean: Estimate
     differing: int
@@ -53,9 +53,9 @@ class Cost:
     ideal: Estimate
     """The scenario without any imperfection."""
     parts: Mapping[str, Saving]
-    """For each imperfection that the scenario has: the scenario as it is minus the scenario without it."""
+    """For each imperfection of the scenario: the metric with all imperfections minus the metric without this one."""
     together: Saving
-    """The scenario as it is minus the ideal one."""
+    """The metric with all imperfections minus the metric without any."""
     interaction: Saving
     """`together` minus the sum of the parts."""
 
@@ -78,7 +78,7 @@ class Cost:
 
     @property
     def interacts(self) -> bool:
-        """Whether the parts do not add up to the whole: the interaction exceeds its 95 % interval."""
+        """Whether the parts do not add up to the whole: the 95 % interval of the interaction excludes 0."""
         rest = self.interaction.mean
         return abs(rest.mean) > max(rest.half_width, NOTHING)
 

@@ -28,7 +28,7 @@ APART = 0.012
 """The horizontal offset between points with the same abscissa, as a share of the range of the abscissa; it keeps their
 error bars apart."""
 MAX_TICKS = 8
-"""The largest number of values of a key that have a tick each."""
+"""The largest number of ticks that mark values of a key."""
 MAX_ABREAST = 3
 """The largest number of panels side by side."""
 PAGE = 9.4
@@ -231,7 +231,7 @@ def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
 
 
 def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
-    """Return the key whose values name the lines; None without such a key, or with several, which the names include."""
+    """Return the key whose values name the lines; None if there is no key, or if the names include several keys."""
     others = [key for key in result.keys if key != abscissa]
     return _key_with_unit(others[0]) if len(others) == 1 else None
 
@@ -307,7 +307,7 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
 
 
 def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
-    """Draw the interval of a bar that starts at `base`, and write its height above it."""
+    """Draw the 95 % interval at the end of a bar that starts at `base`, and write the height of the bar above."""
     end = base + found.mean
     axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
     top = max(base, end + found.half_width)
@@ -320,7 +320,7 @@ UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(
 
 @cache
 def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key over all kinds of its parent models; None if it has none or the kinds differ."""
+    """Return the unit of a dotted key; None if it has none, or different units in different kinds of its tables."""
     from desim.scenario.scenario import Scenario
 
     fields: list[FieldInfo] = []

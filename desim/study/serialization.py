@@ -19,7 +19,7 @@ Call = partial[Any]
 
 
 def packed(call: Call) -> bytes:
-    """Return a call as bytes, with what it needs of the modules that are not installed."""
+    """Return a call as bytes that include the functions and classes of modules that are not installed."""
     own = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
     for module in own:
         cloudpickle.register_pickle_by_value(module)
@@ -36,13 +36,13 @@ def called(call: bytes) -> bytes:
 
 
 def _own_modules() -> set[str]:
-    """Return the names of the imported modules that are not installed; cloudpickle itself knows of `__main__`."""
+    """Return the names of the imported modules that are not installed; cloudpickle includes `__main__` anyway."""
     return {name for name in tuple(sys.modules) if name != "__main__" and _is_own(name)}
 
 
 @cache
 def _is_own(name: str) -> bool:
-    """Return whether a module is from a file in Python, and neither installed nor part of desim."""
+    """Return whether a module is a Python source file that is neither installed nor part of desim."""
     file = getattr(sys.modules[name], "__file__", None) or ""
     is_ours = name.partition(".")[0] in OURS
     return file.endswith(".py") and not is_ours and not is_installed(Path(file).absolute())

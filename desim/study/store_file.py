@@ -63,7 +63,7 @@ class StoreError(OSError):
 
 
 def naming_the_file(method: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
-    """Return a method of a store such that its SQLite errors become StoreErrors, which name the file."""
+    """Return a method of a store with its SQLite errors converted into StoreErrors that name the file."""
 
     @wraps(method)
     def call(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
@@ -210,8 +210,8 @@ def adapter_of(kind: Any) -> TypeAdapter[Any]:
 def _address(path: Path, read_only: bool) -> str:
     """Return the URI with which SQLite opens a file.
 
-    A file that is not writable is opened as immutable, because SQLite could not open it otherwise if it has a
-    write-ahead log. If its journal has content, it is not opened as immutable, because SQLite would ignore the journal.
+    A file that is not writable is opened as immutable, because SQLite cannot open it otherwise if it has a write-ahead
+    log. If its journal has content, it is opened read-only, because SQLite ignores the journal of an immutable file.
     """
     options = "rwc"
     if read_only:
@@ -238,8 +238,9 @@ def _connected(path: Path | None, read_only: bool = False) -> sqlite3.Connection
 def _use_write_ahead_log(database: sqlite3.Connection) -> str:
     """Give a new file a write-ahead log, so that readers and a writer do not block each other.
 
-    Return "", or the reason why the file cannot have one. Changing the journal takes an exclusive lock. SQLite does not
-    wait for it while another connection is about to write, as when several processes create the store simultaneously.
+    Return "", or the reason why the file cannot have one. Changing the journal takes an exclusive lock, for which
+    SQLite does not wait while another connection is about to write. That happens when several processes create the
+    store simultaneously, so the change is attempted again.
     """
     end = time.monotonic() + LOCK_TIMEOUT
     while True:

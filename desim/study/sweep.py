@@ -72,7 +72,7 @@ class SweepPlan:
         `metrics` are measured beside those that the scenario names (`record.metrics`).
 
         Raises:
-            ScenarioError: with all faults of the grid.
+            ScenarioError: if the grid is invalid; the message lists the errors.
             ValueError: if there are no runs, the seed is negative, or a metric has a wrong name.
         """
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
@@ -126,9 +126,9 @@ class SweepPlan:
         store.register_metrics(units_and_codes(self.metrics))
 
     def done(self, store: Store, metrics: Collection[str] = ()) -> set[tuple[str, int]]:
-        """Return the hash of the configuration and the number of each run that a store has, with some metrics.
+        """Return the runs that are done, as pairs (hash of the configuration, replication).
 
-        A run that lacks one of these metrics or of the plan's is not done.
+        A run is done if it is in the store, did not fail, and has the given metrics and those of the plan.
         """
         needed = {*metrics, *dict(self.metrics)}
         return {
@@ -144,7 +144,8 @@ class SweepPlan:
     def shard(self, part: int, parts: int) -> list[Job]:
         """Return the runs of shard `part` of `parts`, counted from 1; each run of the sweep is in exactly one shard.
 
-        The order of the grid does not matter, so shards of which one has another order still are the whole sweep.
+        Shards do not depend on the order of the grid, so together they are the whole sweep even if its order changes
+        from one shard to the next.
 
         Raises:
             ValueError: if `part` is not in 1 .. `parts`.
@@ -187,15 +188,16 @@ def sweep(
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the seed of the first run; None = that of the scenario.
         store: the file that receives each run as it ends; runs that it has are not repeated; None = no file.
-        until: a metric and a target: each configuration is run until the 95 % interval of the mean of the metric has at
-            most this half width. It is first checked after 30 runs, and `reps` (10,000 if None) is the maximum number.
+        until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
+            has at most this half width. The interval is first checked after 30 runs, and `reps` (10,000 if None) is the
+            maximum number of runs.
         fail_fast: whether the first run that fails ends the sweep.
         timeout: the wall time after which a run counts as failed, s; see `desim.simulation.watchdog`.
         metrics: metrics to compute beside the built-in ones, by name; see `desim.analysis.metrics`. A stored run that
             lacks one is repeated. A run whose metric raises an exception counts as failed.
 
     Raises:
-        ScenarioError: with all faults of the grid.
+        ScenarioError: if the grid is invalid; the message lists the errors.
         ValueError: if there are no runs, the metric of `until` does not exist, or a metric has a wrong name.
         StoreError: if the store cannot be written, or belongs to another sweep.
         ConnectionError: if a scheduler does not answer.
@@ -223,9 +225,9 @@ def carry_out(
 ) -> SweepResult:
     """Perform the runs of a plan that its store lacks, and return the result; runs that failed before are repeated.
 
-    A run that takes longer than `timeout`, s, counts as failed. A stored run that lacks one of the given metrics, that
-    of `until` or one of the plan's is repeated; if that fails, the stored run is kept, and the result has the failure.
-    If any run is to be performed, `on_start` is called before.
+    A run that takes longer than `timeout`, s, counts as failed. A stored run is repeated if it lacks one of the given
+    metrics, the metric of `until` or a metric of the plan. If the repetition fails, the stored run is kept, and the
+    result reports the failure. `on_start` is called before the first run, unless there is none to perform.
     """
     if until is not None:
         check_target(*until, plan.metrics)
@@ -281,12 +283,12 @@ def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None
 
 
 def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
-    """Return the runs needed to reach a half width, predicted from those in the store; the latter are included."""
+    """Return the runs predicted to reach a half width, given the runs in the store, which are included."""
     jobs: list[Job] = []
     for configuration in plan.configurations:
         found = store.runs(configuration.key, plan.root)
         rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
-        # Only the runs before the first that is missing count: short runs end first, so the others would be biased.
+        # Only the runs before the first missing one count: after it, the runs already stored are biased to short ones.
         first = takewhile(rows.__contains__, count())
         values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]

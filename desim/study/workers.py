@@ -125,7 +125,7 @@ class Processes(Workers):
             return super().submit(call)
 
     def stop(self) -> None:
-        """End the workers, also during a call."""
+        """Kill the workers, even during a call."""
         self.executor.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
 
 
@@ -200,7 +200,7 @@ def _pool(count: int) -> Executor:
 
     if os.name == "posix":
         with _block_signals():
-            resource_tracker.ensure_running()  # in a block of its own: it unblocks the signals at its end
+            resource_tracker.ensure_running()  # separately, because this call unblocks the signals when it returns
     with _block_signals():  # the executor starts a process that tracks its semaphores
         return get_reusable_executor(  # type: ignore[no-any-return]
             max_workers=count, initializer=_init_worker, initargs=(os.getpid(),), env=NO_CWD_IMPORT
@@ -225,8 +225,8 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 def _block_signals() -> Iterator[None]:
     """Block interrupts while processes start, so that they inherit the block; interrupts are delivered afterwards.
 
-    Python runs a handler in the main thread whichever thread receives the signal, and another thread may not have
-    blocked it. Signals that arrive are therefore recorded, and the first is raised afterwards.
+    Another thread, which does not block signals, may receive one, and Python then runs the handler in the main thread.
+    Signals that arrive are therefore recorded, and the first is raised afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -38,7 +38,7 @@ HOLD = 1500
 """Display time of the last frame, ms."""
 COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
 PALE = 0.4
-"""With several evaders, pursuers that chase one together are drawn in its hue blended with white: weight of the hue."""
+"""Weight of an evader's hue, blended with white, for pursuers that chase it together, if there are several evaders."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 SHORT = 0.02
@@ -57,9 +57,9 @@ def animate(
         path: the output file.
         begin: the start of the window, s.
         end: the end of the window, s; None = the end of the run.
-        speed: simulated seconds per second.
-        fps: frames per second, at most 50; rounded up such that a frame lasts whole hundredths of a second, the unit
-            of the format.
+        speed: simulated seconds per second of the film.
+        fps: frames per second, at most 50; rounded up such that a frame lasts a whole number of hundredths of a second,
+            the time unit of GIF.
 
     Raises:
         ValueError: if no positions were recorded, or the window is empty, or has too many frames.
@@ -229,10 +229,10 @@ class _Scene:
         return self.moving
 
     def _chases(self, t: int) -> dict[int, int]:
-        """Return the evader of each active pursuer at a time, ns.
+        """Return the evader that each active pursuer chases at a time, ns.
 
-        The last frame shows the pursuers that were active until the end of the run. With several evaders, it
-        omits pursuers whose evader was captured then.
+        The last frame shows the pursuers that were active until the end of the run. With several evaders, the last
+        frame omits pursuers whose evader was captured at the end.
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {

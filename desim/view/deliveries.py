@@ -1,4 +1,4 @@
-"""The contents of pictures other than positions: deliveries of messages, chases, handovers and outages.
+"""The data that pictures show besides positions: deliveries of messages, chases, handovers and outages.
 
 In every picture a message moves at constant speed from its sender's position at transmission to its receiver's position
 at arrival. A lost message ends in a cross, which shows the receiver that missed it. In the replay and the animation the
@@ -26,8 +26,8 @@ class Delivery(NamedTuple):
     created: int
     """Time at which the sender sent it, ns; earlier than `left` if the transmitter was busy."""
     left: int
-    """Time of transmission or, if it was dropped from the queue, of the drop, ns; after the end of the run if it was
-    still queued then."""
+    """Time of transmission, or of the drop if the message was dropped from the queue, ns; after the end of the run if
+    the message was still queued then."""
     until: int
     """Time of arrival or loss, ns; after the end of the run if it was still in flight then."""
     cause: Cause | None
@@ -102,7 +102,7 @@ def chasing(result: Result) -> list[list[Chase]]:
 
 
 class Handover(NamedTuple):
-    """A pursuer became the only one that chases an evader, as the first or as the successor of another pursuer."""
+    """A pursuer became the only one that chases an evader: the first to do so, or the successor of another pursuer."""
 
     t: int
     """ns"""

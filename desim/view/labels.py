@@ -17,7 +17,7 @@ SIZE = 6.0
 WIDTH, HEIGHT = 0.66, 0.85
 """Size of a digit with a small margin, in units of the font size."""
 MARKER = 2.5
-"""Half the width of the marker at a point, points."""
+"""Half the width of a marker, points (1/72 in)."""
 
 
 def label_points(

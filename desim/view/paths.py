@@ -38,7 +38,7 @@ class EvaderStyle(NamedTuple):
 
     @classmethod
     def of(cls, evader: int, count: int) -> "EvaderStyle":
-        """Return the style of evader `evader`, 1 .. M, of `count` = M evaders."""
+        """Return the style of an evader, given its number (1 .. M) and the number of evaders M."""
         if count == 1:
             return cls(MARKS[0], VERMILION, BLUE, SKY)
         hue = HUES[(evader - 1) % len(HUES)]
@@ -109,15 +109,15 @@ class Paths:
         return len(self.evaders[0])
 
     def of(self, pursuer: int, begin: int, end: int) -> Floats:
-        """Return the (k, 2) path of a pursuer, m, between two times, ns."""
+        """Return the (k, 2) path (m) of a pursuer between two times (ns)."""
         return self._between(self.pursuers[:, pursuer], begin, end)
 
     def of_evader(self, evader: int, begin: int, end: int) -> Floats:
-        """Return the (k, 2) path of an evader, 1 .. M, m, between two times, ns."""
+        """Return the (k, 2) path (m) of an evader (1 .. M) between two times (ns)."""
         return self._between(self.evaders[:, evader - 1], begin, end)
 
     def at(self, pursuer: int, times: Integers) -> Floats:
-        """Return the (k, 2) positions of a pursuer, m, at (k,) times, ns."""
+        """Return the (k, 2) positions (m) of a pursuer at (k,) times (ns)."""
         return self._along(self.pursuers[:, pursuer], times)
 
     def position_of(self, handover: Handover) -> tuple[float, float]:

@@ -110,7 +110,7 @@ def _instants(result: Result) -> Iterator[Entry]:
 
 
 def _counts(result: Result) -> Iterator[Entry]:
-    """Yield counters, at each change: the active pursuers and, if there are several evaders, the pursuers on each."""
+    """Yield the counters at each change: active pursuers and, if there are several evaders, pursuers on each evader."""
     start = started(result)
     on = {evader: sum(each == evader for each in start.active) for evader in range(1, len(start.evaders) + 1)}
 

@@ -182,9 +182,10 @@ def _arcs(result: Result) -> str | None:
 def _reception(result: Result) -> ReplayData:
     """Return the maximum distances of reception between linked pursuers, m.
 
-    `radius` is common to all pairs (None: unlimited). `radii` are those of the pairs i < j, if fading is drawn once per
-    link. If it is drawn for each message (`chance` is true), `radius` is the distance of reception probability 0.5.
-    `known` is false, and no distance given, if the probability does not decrease monotonically with distance.
+    `radius` is common to all pairs (None: unlimited). `radii` has a distance for each pair i < j, if fading is drawn
+    once per link. If fading is drawn for each message (`chance` is true), `radius` is the distance at which the
+    reception probability is 0.5. `known` is false, and no distance is given, if the probability does not decrease
+    monotonically with distance.
     """
     links, size = result.scenario.network, len(started(result).active)
     found: ReplayData = {"known": True, "chance": False, "radius": None, "radii": None}
@@ -314,7 +315,7 @@ def _fault(fault: Fault, begin: int, until: int, ticks: _Ticks) -> ReplayData:
 
 
 def _messages(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return the transmissions, one row each in order of time, and the deliveries of each row to its receivers.
+    """Return the transmissions as columns in order of time, and their deliveries as columns grouped by transmission.
 
     A message is in flight from the instant at which it is sent or queued at the transmitter until it arrives or is
     lost.

@@ -39,7 +39,7 @@ SHORT = 0.25
 WIDE = 12.0
 """Minimum width of a figure with the larger font size, cm."""
 PALE = "#8c8c8c"
-"""Colour of messages that announce inactivity; in greyscale lighter than that of announced activity."""
+"""Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
 MAX_SHOWN = 10
 """Maximum size of a team whose pursuers are all drawn by default."""
 
@@ -58,10 +58,10 @@ def spacetime(
     Args:
         result: the result of a run with recorded messages.
         begin: the start of the window, s; None = the start of the run.
-        end: the end of the window, s; None = as late as the messages stay easy to tell apart.
+        end: the end of the window, s; None = the latest end for which the messages are easy to tell apart.
         pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
             team of more than ten.
-        width: the width of the figure, cm; that of a column of a paper is 8.5.
+        width: the width of the figure, cm; a column of a paper is about 8.5 cm wide.
 
     Raises:
         ValueError: if messages were not recorded, a pursuer does not exist or is given twice, the window is empty, or
@@ -157,7 +157,7 @@ def _mean_latency(own: Sequence[Delivery]) -> float:
 
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw a thin line for each pursuer, thick while it is active; label it with its evader if there are several."""
+    """Draw a line for each pursuer, thick while it is active, with the number of its evader if there are several."""
     chases_of, several = chasing(result), len(started(result).evaders) > 1
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
@@ -200,7 +200,7 @@ def _hue(evader: int, several: bool) -> str:
 
 
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw the captures: the time, the capturing pursuer and, if there are several, the evader."""
+    """Draw the captures: the time, the capturing pursuer and, if there are several evaders, the captured one."""
     several = len(started(result).evaders) > 1
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
