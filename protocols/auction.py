@@ -2,11 +2,12 @@
 
 A bid is -phi, so the pursuer with the least capture time bids highest; ties go to the lower id. A pursuer bids for
 one evader at a time: among the evaders for which it outbids all others, the one that it would capture first. Its
-announcement (its claim) carries the winner and the winning bid of each evader, as far as it knows them.
+announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
-(`current`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement it came with.
-An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active pursuers differ
-by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both stay active.
+(`current`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement that carries
+it. An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active pursuers
+differ by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both stay
+active.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -95,8 +96,8 @@ def bids_of(claim: Any) -> list[Bid]:
 def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     """Return the function that updates a bid for an evader to the -phi of its bidder as sensed at this instant.
 
-    It needs no message from the bidder, and never adds or withdraws a bid: only the bidder's own claims do that. Where
-    positions are not sensed, bids stay as they are. For a captured evader it returns `NO_BID`.
+    The update needs no message from the bidder. It never adds or withdraws a bid: only the bidder's own claims do.
+    Where positions are not sensed, the function returns bids unchanged; for a captured evader it returns `NO_BID`.
     """
     if evader not in me.evaders():
         return lambda _: NO_BID
@@ -107,7 +108,7 @@ def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
 
 
 def unread(me: Agent, read: dict[int, int], claim: type[Any]) -> Iterator[Record]:
-    """Yield the unread records with a claim, by id of the source, and mark them as read.
+    """Yield the unread records with a claim, ordered by the id of the source, and mark them as read.
 
     `read` maps each source to the sequence number of its last record read. With `announce.warm_start` the initial
     records carry no claim.

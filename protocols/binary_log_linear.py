@@ -1,4 +1,4 @@
-"""Log-linear learning that compares two actions a turn: the present one and a trial action.
+"""Log-linear learning that compares two actions per turn: the present one and a trial action.
 
 Paper: BinaryLogLinear: Marden & Shamma 2012, "Revisiting Log-Linear Learning". SelectiveSAP: binary restrictive
     Spatial Adaptive Play, Marden 2007, "Learning in Large-Scale Games and Cooperative Control", 6.3.3; Selective SAP of

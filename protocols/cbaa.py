@@ -3,13 +3,13 @@
 Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robust Task Allocation", Algorithms 1 and 2;
     the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
     the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
-    overrides the claims of others about it; where positions are sensed, all bids are updated at each turn.
-Parameters: schedule. With Rounds these are the rounds of the paper.
+    overrides what others claim about that bid; where positions are sensed, all bids are updated at each turn.
+Parameters: schedule. The schedule `Rounds` gives the rounds of the paper.
 Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds, where D is
     the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
-    one, in order of phi. If bids change, the winning bid only rises while its bidder chases, because its phi falls.
-    When a pursuer leaves an evader for another, its claim informs its neighbours. Pursuers farther away infer it,
-    because a bidder has one evader at most (`one_each`).
+    one, in order of phi. If bids change, a winning bid only rises while its bidder chases, because the bidder's phi
+    falls. When a pursuer leaves an evader for another, its claim informs its neighbours. Pursuers farther away infer
+    the change, because a bidder has one evader at most (`one_each`).
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
     by less than the age of the bids may both chase to the end. For example, in the scenario "relay stress" of
     `scenarios.rivals` with L = 0.2 s, the misassigned time is 3.4 s in the mean of 20 runs and 23.3 s in the worst one;
@@ -68,8 +68,8 @@ def greatest(best: Bid, claimed: Mapping[int, Bid]) -> Bid:
 
     Args:
         best: the best bid so far.
-        claimed: by pursuer, the best bid in its claim. Only its own claim tells its bid: it may have released the
-            evader or bid anew since the others received its last claim.
+        claimed: by pursuer, the best bid in its new claim. What others report about these pursuers is ignored, because
+            a pursuer may have released the evader or bid anew since the others received its previous claim.
     """
     own_claims = [bid for j, bid in claimed.items() if bid.winner == j]
     reported = [bid for bid in (best, *claimed.values()) if bid.winner not in claimed]

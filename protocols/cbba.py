@@ -5,12 +5,12 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     announcement, by the clock of k, not the time at which i received it, so clocks need not agree; a winner is dropped
     after `winner_timeout` seconds without a newer announcement; a pursuer selects an evader and bids anew at each turn;
     ties go to the lower id; all bids are updated before they are compared if positions are sensed.
-Parameters: schedule (with Rounds these are the rounds of the paper), winner_timeout.
-Assumes: a connected graph, else there is a winner in each component. Announcements repeated by heartbeats or at each
+Parameters: schedule (`Rounds` gives the rounds of the paper), winner_timeout.
+Assumes: a connected graph; otherwise each component has a winner. Announcements repeated by heartbeats or at each
     revision; otherwise every winner times out, and in the end each pursuer considers itself the winner and chases.
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
-    by less than the age of the bids may both chase to the end (the figures in `cbaa` hold here, too; with sensed
-    positions they are 0.9 s in the mean and 2.4 s in the worst run).
+    by less than the age of the bids may both chase to the end (the misassigned times in `cbaa` hold here, too; with
+    sensed positions they are 0.9 s in the mean and 2.4 s in the worst run).
 Messages: announcements of 24 bytes plus 16 for each evader and 8 for each pursuer. A new action or winner triggers one.
 Robust to loss: yes, with heartbeats. Robust to crashes: another pursuer takes over after `winner_timeout`.
 """
@@ -36,7 +36,7 @@ class StampedClaim(NamedTuple):
     amount: float | tuple[float, ...]
     """The winning bid y, s."""
     stamps: tuple[float, ...]
-    """s[m]: the time on the clock of m of its latest announcement known here, directly or over several hops, s."""
+    """s[m]: the time, on the clock of m, of the latest announcement of m known here, directly or through others, s."""
 
     @property
     def news(self) -> tuple[int, int | tuple[int, ...]]:

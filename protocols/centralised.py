@@ -1,10 +1,10 @@
-"""The centralised benchmark: each evader is chased by one pursuer only, the one with the least capture time.
+"""The centralised benchmark: at most one pursuer chases an evader, the one of least capture time.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
 Parameters: slot (time between two decisions).
-Assumes: an omniscient centre whose orders take effect at once. It does not use the network, so it shows the best that
-    any protocol can achieve, whatever the network.
+Assumes: an omniscient centre whose orders take effect at once. It does not use the network, so it is a benchmark for
+    protocols on any network.
 Messages: none.
 Robust to loss: yes, for nothing is sent.
 """

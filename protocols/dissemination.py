@@ -1,7 +1,7 @@
 """Dissemination: how the announcements of a pursuer spread to its teammates.
 
 A dissemination is called with an agent and returns the process that forwards the announcements of others; its method
-`broadcast` sends an announcement of the agent's own.
+`broadcast` sends the agent's own announcements.
 
 Paper: Flooding: each receiver of a new announcement rebroadcasts it once, after a random delay (Ni, Tseng, Chen & Sheu
     1999, "The Broadcast Storm Problem"). Gossip: each broadcast carries all known records (anti-entropy of Demers et
@@ -31,7 +31,7 @@ class Dissemination(Protocol):
     """How announcements spread."""
 
     def broadcast(self, me: Agent, announcement: Any) -> None:
-        """Send an announcement of the agent's own."""
+        """Send one of the agent's own announcements."""
         ...
 
     def __call__(self, me: Agent) -> Process:
@@ -58,8 +58,8 @@ class Flooding(Value):
     """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
 
     A copy with more hops left than the one before is not a duplicate and is rebroadcast, too.
-    Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, besides
-    these copies.
+    Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, plus one
+    for each such copy.
     """
 
     kind: Literal["flooding"] = "flooding"

@@ -2,19 +2,21 @@
 
 Paper: Voronoi: Bakolas & Tsiotras 2012, "Relay pursuit of a maneuvering target using dynamic Voronoi diagrams",
     Automatica 48 (cited from memory): the active pursuer is the one whose Voronoi cell contains the evader. Argmin: the
-    same by capture time, for unequal speeds, or by the time to intercept an evader of constant velocity.
+    active pursuer has the least capture time, for unequal speeds, or the least time to intercept an evader of constant
+    velocity.
 Parameters: slot (time between two decisions), hysteresis; for Argmin the measure, and the time constant with which the
     evader's velocity is estimated.
 Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
-    clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is less
-    than that of the present owner by more than a tenth. A pursuer that would be late (phi >= r) is never an owner.
-    Owners of several evaders are assigned greedily: the pair of least measure first, then the rest without that pair.
+    clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is more
+    than 10 % below the present owner's. A pursuer that would be late (phi >= r) is never an owner.
+    Owners of several evaders are assigned greedily: the pair (pursuer, evader) of least measure first, then the other
+    pursuers and evaders likewise.
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
     owner has stopped. With hysteresis all pursuers must store the same present owner, which requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
 Messages: none with the payload "action", where positions are sensed. Otherwise announcements, see `announce` in the
     scenario; the present owner is then the best among the pursuers that announce a chase, so that disagreement
-    about it is resolved.
+    about the owner is resolved.
 Robust to loss: yes if positions are sensed, because no messages are needed; otherwise with heartbeats.
 """
 
@@ -53,7 +55,7 @@ class Geometric(Value):
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the measure by which pursuers are compared for an evader; it is called once a slot."""
+        """Return the measure by which pursuers are compared for an evader; the measure is called once per slot."""
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:
@@ -134,7 +136,7 @@ class Velocity:
         self._velocity: complex | None = None
 
     def __call__(self, now: float, place: complex) -> complex:
-        """Return the estimate after the evader was observed at a position (m) at a time (s), m/s."""
+        """Return the velocity estimate, m/s, after an observation of the evader at a time, s, and a position, m."""
         if isnan(place.real):
             self._seen = None
             return self._velocity or 0j
@@ -157,7 +159,7 @@ def owners(
     """Return the owner of each evader; a pursuer owns one evader at most. See `first`.
 
     Args:
-        ids: (n,) of the pursuers, ascending.
+        ids: (n,) ids of the pursuers, ascending.
         measures: for each evader, (n,) measures of the pursuers.
         present: for each evader, its present owner or owners.
         hysteresis: share by which a pursuer must be better than the present owner.
@@ -178,7 +180,7 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
     """Return the owner of an evader, or None if no pursuer can own it.
 
     Args:
-        ids: (n,) of the pursuers, ascending.
+        ids: (n,) ids of the pursuers, ascending.
         measures: (n,) measures of the pursuers; inf for a pursuer that cannot be the owner.
         present: the present owner, or several, of which the one of least measure counts.
         hysteresis: share by which the pursuer of least measure must be better to take over.

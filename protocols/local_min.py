@@ -9,7 +9,7 @@ Assumes: symmetric links. LocalMin leaves one pursuer active in every neighbourh
     team if announcements reach all (over several hops: `announce.dissemination`); otherwise it may leave a
     neighbourhood without an active pursuer.
 Messages: announcements, see `announce` in the scenario.
-Robust to loss: yes, with heartbeats. Settles under any schedule.
+Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """
 
 from collections.abc import Iterator

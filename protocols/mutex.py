@@ -6,13 +6,13 @@ Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Com
 Parameters: rate (requests per second of an idle pursuer), attempts (before a neighbour is left out), min_timeout
     (before a request is retransmitted).
 Assumes: symmetric links; that a neighbour that does not answer `attempts` requests has crashed or is out of range. Only
-    neighbours exclude each other, and only their actions are known to be up to date.
+    neighbours exclude each other, and a pursuer knows only their actions to be up to date.
 Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L. If it takes longer than
     expected, requests are retransmitted, and neighbours that defer their reply answer with `Deferred`.
-Stable while the channel can carry 2 d_i messages per decision.
+    The transmission queues are stable while the channel can carry 2 d_i messages per decision.
 Robust to loss: yes. Requests are retransmitted until they are answered. The oldest request waits only for neighbours
-    that do not answer, and these are left out in the end, so no pursuer waits for ever. A silent neighbour still gets
-    requests, but its reply is not awaited until it has replied again.
+    that do not answer, and these are left out after `attempts` requests, so no pursuer waits for ever. A neighbour that
+    was left out still gets requests, and its replies are awaited again once it has answered one.
 """
 
 from collections.abc import Callable
@@ -64,12 +64,12 @@ class LocalMutex(Value):
     rate: Rate = 5.0
     """Rate of new requests of an idle pursuer, 1/s."""
     attempts: Annotated[int, Field(ge=1, strict=True)] = 10
-    """Number of requests to a neighbour that does not answer before it is left out."""
+    """Number of unanswered requests to a neighbour after which it is left out."""
     min_timeout: Duration = 0.001
     """Least time after which a request is retransmitted, s; the time-out is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return (1 / rate + 2 L + A) / N or, if longer, (d + 1) L / N: one decision per L in each neighbourhood, s.
+        """Return (1 / rate + 2 L + A) / N, s, and at least (d + 1) L / N: one decision per L in each neighbourhood.
 
         d is the mean degree of the team, so that all pursuers compute the same value; A is the airtime of requests to d
         neighbours and of their replies.
@@ -116,7 +116,7 @@ class CriticalSection:
         self._silent: set[int] = set()  # neighbours that did not answer in time
 
     def idle(self, until: float) -> Process:
-        """Only answer requests until a time on the own clock, s."""
+        """Answer requests, without sending any, until a time on the pursuer's clock, s."""
         while not (yield from self._wait(until)):
             pass
 
@@ -130,7 +130,7 @@ class CriticalSection:
                 if (yield from self._wait(until)):
                     self._ask_again()
                     break
-            if self._me.now > until + self._time_out():  # it had crashed: its beliefs may be outdated
+            if self._me.now > until + self._time_out():  # the pursuer was down: its beliefs may be outdated
                 self._ask()
 
     def leave(self) -> None:
@@ -144,7 +144,8 @@ class CriticalSection:
         """Send a new request to all neighbours."""
         self.leave()
         me = self._me
-        self._highest = max(self._highest + 1, nanoseconds(me.now))  # by the clock: a crash may have cleared the memory
+        # The clock keeps the time stamps increasing even after a loss of memory.
+        self._highest = max(self._highest + 1, nanoseconds(me.now))
         self._own_request = (self._highest, me.id)
         neighbours = me.neighbours()
         self._missing = {j: 1 for j in neighbours if j not in self._silent}
@@ -152,7 +153,7 @@ class CriticalSection:
             me.send(j, Request(self._own_request), PORT)
 
     def _ask_again(self) -> None:
-        """Retransmit the request to neighbours that have not replied, and leave out those without an attempt left."""
+        """Retransmit the request to neighbours that have not replied; leave out those with no attempt left."""
         assert self._own_request is not None
         for j, asked in list(self._missing.items()):
             if asked < self._attempts:
@@ -163,7 +164,7 @@ class CriticalSection:
                 self._silent.add(j)
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
+        """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
         due = yield from wait_for_mail(self._me, PORT, until)
         for message in self._me.mail(PORT):
             self._process(message.src, message.body)
@@ -184,7 +185,7 @@ class CriticalSection:
                 self._missing[src] = 0
 
     def _process_request(self, src: int, stamp: Stamp) -> None:
-        """Reply to a request, or defer the reply if the own request is older."""
+        """Reply to a request, or defer the reply if this pursuer's own request is older."""
         self._highest = max(self._highest, stamp[0])
         if self._own_request is None or stamp < self._own_request:
             self._reply(src, stamp)

@@ -1,8 +1,8 @@
 """Retransmission time-outs with exponential back-off, for the schedules that exchange messages.
 
-The first time-out is 5/4 of a round trip: twice the latency, and the airtime of the request, of its answer and of the
-messages that may be queued in front of them. In each later time-out this airtime counts 1.5 times as much as in the one
-before, because the channel may be busy.
+A round trip is twice the latency plus the airtime of the request, of its answer and of the messages that may be queued
+in front of them. The first time-out is 5/4 of a round trip. In each later time-out the airtime counts 1.5 times as much
+as in the one before, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -13,13 +13,13 @@ from desim.pursuit.agent import Agent
 BACKOFF = 1.5
 """Factor by which the airtime in the time-out grows from one attempt to the next."""
 MAX_GROWTH = 100
-"""Number of attempts after which it stops growing."""
+"""Number of attempts after which the time-out stops growing."""
 Waiting = Generator[Any, Any, bool]
 """A part of a process that waits and returns true or false."""
 
 
 class RetransmissionTimer:
-    """The time-outs of one pursuer's requests: call it with the number of the attempt.
+    """The time-outs of one pursuer's requests; call the timer with the number of the attempt.
 
     Args:
         me: the sender of the requests.
@@ -37,7 +37,7 @@ class RetransmissionTimer:
 
 
 def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for a message at a port or a time on the own clock, s; return whether the time is up."""
+    """Wait for a message at a port, or until a time on the pursuer's clock, s; return whether the time is up."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

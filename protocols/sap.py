@@ -5,8 +5,8 @@ Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pu
 Parameters: tau (temperature), schedule (who revises when), utility.
 Assumes: revisions one at a time and zero latency, for the Gibbs law and the paper's results; on a complete graph
     neither is needed for convergence as tau -> 0.
-Messages: announcements, see `announce` in the scenario: by default one broadcast per change of action and heartbeat;
-    and those of the schedule.
+Messages: announcements, see `announce` in the scenario: by default one broadcast per change of action and one per
+    heartbeat. The schedule may send messages of its own.
 Robust to loss: yes, with heartbeats.
 """
 

@@ -1,7 +1,7 @@
 """Schedules: when each pursuer revises its action.
 
 A schedule is called with an agent and a function `revise`, and returns a process that waits, calls `revise`, lets the
-pursuer announce its action, and waits again. `mean_slot(me)` is the mean time delta between two revisions in the whole
+pursuer announce its action, and waits again. `mean_slot(me)` is delta, the mean time between two revisions in the whole
 team.
 
 Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
@@ -31,14 +31,14 @@ class Schedule(Protocol):
     """
 
     def mean_slot(self, me: Agent) -> float:
-        """Return the mean time delta between two revisions in the team, s."""
+        """Return delta, the mean time between two revisions in the team, s."""
         ...
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process: ...  # noqa: D102
 
 
 class SharedSeed(Value):
-    """One pursuer revises per slot: at time k delta, the k-th draw of a random sequence that all pursuers share.
+    """One pursuer revises per slot: at time k delta, the k-th element of a random sequence that all pursuers share.
 
     This is the order of Lee & Bakolas, Algorithm 2. It needs no messages, but equal clocks.
     """
@@ -46,7 +46,7 @@ class SharedSeed(Value):
     assumes: ClassVar[tuple[str, ...]] = ("equal_clocks",)
     kind: Literal["shared_seed"] = "shared_seed"
     slot: Period = 0.01
-    """Length of a slot delta, s."""
+    """Length delta of a slot, s."""
 
     def mean_slot(self, me: Agent) -> float:
         """Return delta, s."""
@@ -59,7 +59,7 @@ class SharedSeed(Value):
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
         """Revise at the end of each slot that belongs to the pursuer."""
         for k in owned_slots(me.id, me.team_size, me.shared_stream("slots")):
-            if k * self.slot >= me.now:  # skip past slots: a clock ahead at the start, a crash
+            if k * self.slot >= me.now:  # skip slots in the past, after a crash or if the clock is ahead
                 yield me.at(k * self.slot)
                 revise()
                 me.announce()
@@ -120,9 +120,9 @@ class Rounds(Value):
 class Periodic(Value):
     """Each pursuer revises at the ticks of its own timer with a random phase.
 
-    Use some jitter. An evader may chatter between its two nearest pursuers: it flees from one and from the other at
-    alternate motion steps. Without jitter, a timer whose period is an even number of motion steps is synchronous with
-    this and may sample the same state for seconds.
+    Use some jitter. An evader may chatter between its two nearest pursuers: it flees from one in every second
+    motion step and from the other in between. Without jitter, a timer whose period is an even number of motion steps is
+    synchronous with the evader and may sample the same state for seconds.
     """
 
     kind: Literal["periodic"] = "periodic"
@@ -157,7 +157,7 @@ class Periodic(Value):
 
 
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:
-    """Yield the instants phase + k * period, k = first, first + 1, ..., by the own clock, s.
+    """Yield the instants phase + k * period, k = first, first + 1, ..., on the pursuer's clock, s.
 
     Past instants are skipped, such as those during a crash.
     """

@@ -6,13 +6,14 @@ Parameters: host (the pursuer that carries the server), period (time between two
 Time: every pursuer reports at the start, and then every period with a random phase. (If all reported at once, a
     period of an even number of motion steps would always sample a chattering evader in the same state; see
     `schedules.Periodic`.) The server decides when reports arrive, once for all reports of one instant. The host obeys
-    at once, the others when an order arrives. A changed order is sent at once and repeated every period.
+    at once, the others when an order arrives. A changed order is sent at once; the current order is repeated every
+    period.
 Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
     assume that a pursuer just ordered to chase still stays, and its orders would oscillate for ever. The server
-    therefore extrapolates each pursuer from its last report by the orders sent since. Each order, the present one
-    included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader until then,
-    the time lost is added to its phi. With constant latency and no loss this is an omniscient centre whose orders are
-    delayed by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
+    therefore extrapolates each pursuer's last report, using the orders sent since. Each order, the present one
+    included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader in the
+    meantime, the lost time is added to its phi. With constant latency and no loss this is an omniscient centre whose
+    orders are delayed by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
     extrapolates the reported actions until it sends new ones. Reports are extrapolated from their time stamps, so
@@ -50,7 +51,7 @@ class Order(NamedTuple):
     number: int
     """Number of the decision, greater for a newer one."""
     chaser: int | tuple[int | None, ...] | None
-    """The pursuer that is to chase the evader or, if there are several, each of the (M,) evaders; None if none is."""
+    """The pursuer that is to chase the evader, or None; if there are several evaders, a tuple with one for each."""
 
     def action(self, pursuer: int) -> int:
         """Return the evader that a pursuer is to chase, or 0."""
@@ -59,7 +60,7 @@ class Order(NamedTuple):
 
 
 class Server(Value):
-    """A server on one pursuer receives the states of all and sends each evader the best pursuer."""
+    """A server on one pursuer receives the states of all and orders the best one to chase each evader."""
 
     assumes: ClassVar[tuple[str, ...]] = ("host_in_range", "no_crashes")
     announces: ClassVar[bool] = False

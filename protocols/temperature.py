@@ -48,7 +48,7 @@ class ConstantTau(Value):
 class LogarithmicTau(Value):
     """tau = scale / ln(eta + offset): slow enough to find the best profile of a fixed game with probability 1.
 
-    That holds from a certain `scale` on; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives this value.
+    This holds if `scale` is large enough; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least value.
     """
 
     kind: Literal["logarithmic"] = "logarithmic"
@@ -83,7 +83,7 @@ Surprise = Literal["neighbour", "silence", "order"]
 
 
 class AdaptiveTau(Value):
-    """Follows another cooling schedule and restarts it at each surprise (`reheat_on`), separately in each pursuer."""
+    """Another cooling schedule, restarted in each pursuer separately at each of its surprises (`reheat_on`)."""
 
     kind: Literal["adaptive"] = "adaptive"
     cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, takes=("eta",))] = (
@@ -91,9 +91,9 @@ class AdaptiveTau(Value):
     )
     """Cooling between two surprises."""
     reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
-    """Events that restart the cooling. neighbour: a teammate is heard for the first time or again; silence: a teammate
-    times out (`announce.belief_timeout`); order: an evader is captured, or another pursuer now has
-    the least capture time for it, among the known teammates and the pursuer itself."""
+    """Events that restart the cooling. neighbour: a teammate is heard for the first time or after a time-out; silence:
+    a teammate times out (`announce.belief_timeout`); order: an evader is captured, or the least capture time for an
+    evader, among the pursuer and its known teammates, passes to another of them."""
 
     def __call__(self, eta: float) -> float:
         """Return 1/tau, eta slots after the last surprise, 1/s."""

@@ -62,13 +62,13 @@ class TokenWalk(_WithToken):
 
 
 def least_recent(me: Agent, token: Token) -> int | None:
-    """Return the least recently visited neighbour, or None if all are absent; ties go to the next id."""
+    """Return the least recently visited neighbour, or None if all are absent; ties go to the next id, cyclically."""
     candidates = not_absent(token, me.neighbours())
     return min(candidates, key=lambda j: (token.visits[j], (j - me.id) % me.team_size), default=None)
 
 
 def metropolis(rng: np.random.Generator, me: Agent, token: Token) -> int | None:
-    """Return neighbour j with probability min(1/d_i, 1/d_j), else None; d_i counts i's neighbours not absent."""
+    """Return neighbour j with probability min(1/d_i, 1/d_j), else None; d_i counts i's non-absent neighbours."""
     candidates = not_absent(token, me.neighbours())
     degrees = [len(candidates), *(len(not_absent(token, me.neighbours(j))) for j in candidates)]
     shares = [1.0 / max(degrees[0], degree, 1) for degree in degrees[1:]]

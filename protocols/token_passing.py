@@ -10,8 +10,8 @@ Messages: two per hop, the token and its receipt. A node broadcasts a notice whe
     does not reach.
 Robust to loss: yes. The token is retransmitted until its receipt arrives. A neighbour that does not answer is recorded
     in the token as absent, and all pursuers skip it; it is probed now and then, and included again when it answers.
-    A lost token is regenerated, by low ids first. Crashes, partitions and delayed messages can produce several tokens;
-    each has its own epoch, and an older one is discarded by any node that has seen the newest.
+    A lost token is regenerated; the time-out is shorter for lower ids. Crashes, partitions and delayed messages can
+    produce several tokens; each has its own epoch, and an older one is discarded by any node that has seen the newest.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from desim.pursuit.agent import Agent, Process
 from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
 
 Epoch = tuple[int, int, float]
-"""Serial number, pursuer that started the epoch, and its clock then, s: unique even after a loss of memory."""
+"""Serial number, pursuer that started the epoch, and its local time then, s: unique even after a loss of memory."""
 Age = tuple[Epoch, int]
 """Epoch and hop of a token or a message about it, greater for a newer one."""
 UNHEARD: Epoch = (0, -1, 0.0)
@@ -69,7 +69,7 @@ def visited(token: Token, pursuer: int) -> tuple[int, ...]:
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a present pursuer was not visited for more than N hops, so that it may take the token for lost."""
+    """Return whether a pursuer that is not absent had its last visit more than N hops ago, and may presume a loss."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
@@ -136,14 +136,14 @@ class TokenNode:
         self._time_out = RetransmissionTimer(
             me, me.airtime(full_token(me)) + 5.0 * me.airtime(TokenNotice(UNHEARD, 0)), holding_time
         )
-        self._next_probe = 0.0  # earliest time of the next probe on the own clock, s
+        self._next_probe = 0.0  # earliest time of the next probe, local clock, s
         self._deadline = me.now + self.loss_timeout
 
     @property
     def loss_timeout(self) -> float:
         """The time without a sign of the token after which this pursuer regenerates it, s.
 
-        It is three rounds and the time to give up a neighbour, and two hops more for each pursuer of lower id. The
+        It is three rounds plus the time to give up a neighbour, and two hops more for each pursuer of lower id. The
         notice of a regenerated token therefore arrives before the next pursuer regenerates another.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
@@ -170,7 +170,7 @@ class TokenNode:
         return False
 
     def forward(self, token: Token, choose: Choice) -> Process:
-        """Update the token with all known records and send it to the chosen neighbours until one confirms it."""
+        """Update the token with all known records and send it to chosen neighbours in turn until one confirms it."""
         token = self._updated(token)
         while (dst := choose(self._me, token)) is not None:
             yield from self._deliver(token, dst)
@@ -191,11 +191,11 @@ class TokenNode:
         self._next = None
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for a message or a time on the own clock (s), answer all messages, and return whether the time is up."""
+        """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
         me = self._me
         due = yield from wait_for_mail(me, PORT, until)
         crashed = me.now > until + self._holding_time
-        if crashed:  # it had crashed: others may have regenerated the token
+        if crashed:  # this pursuer was down: others may have regenerated the token
             self.token = None
             self._reassured()
         for message in me.mail(PORT):
@@ -243,7 +243,7 @@ class TokenNode:
                 self._renew(token)
 
     def _release(self, src: int, age: Age) -> None:
-        """Give up the token if this is its receipt."""
+        """Give up the token if the message from `src` is its receipt."""
         self._answered.add(src)
         if self.token is not None and (src, age) == (self._next, self._taken):
             self.token = None
@@ -301,7 +301,7 @@ class TokenNode:
         return token
 
     def _probed(self, token: Token) -> Token:
-        """Probe an absent neighbour, each at most once in N hops, and return the token with the probe recorded."""
+        """Probe an absent neighbour (each at most once in N hops), and return the token with the probe recorded."""
         dst = longest_absent(token, self._me.neighbours())
         if dst is None or self._me.now < self._next_probe:
             return token
