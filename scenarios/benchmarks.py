@@ -1,13 +1,14 @@
-"""Measure the speed of desim: deliveries per second of desim, of other implementations and simulators, and other costs.
+"""Measure the speed of desim: deliveries per second, compared with other implementations and simulators; other costs.
 
 Nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the number of the turn.
-`publish` and `send` are the two ways of desim. `heapq` is a bare loop over a heap with one entry per broadcast.
-simpy-broadcast uses one SimPy event per broadcast, simpy-message one Timeout per delivery, simpy-drawn-at-once the same
-with all latencies of a broadcast drawn at once, simpy-documented a store per node and a process per message. All of
-these must end with the same tables. The other simulators are installed or built in a temporary folder: ns-3 and SimGrid
-in C++ (from Debian packages that are unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. They must
-make the same number of deliveries. The ways run in rotation, lap after lap; each rate is the median over the laps, per
-second of CPU time. The other costs follow, each with its limit.
+Several ways deliver the broadcasts. `publish` and `send` are the two ways of desim. `heapq` is a bare loop over a heap
+with one entry per broadcast. simpy-broadcast uses one SimPy event per broadcast. simpy-message uses one Timeout per
+delivery; simpy-drawn-at-once does, too, but draws all latencies of a broadcast at once. simpy-documented uses a store
+per node and a process per message. All of these must end with the same tables of received numbers. The other simulators
+are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian packages that are unpacked, not
+installed; no root needed), Mesa, GrADyS-SIM and mango. They must make the same number of deliveries. The ways run in
+rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The other costs follow, each
+with its limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,7 @@ from scenarios.benchmarks_runs import BROADCASTS, OURS, SHORT, Rate, measure, sh
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
-    """Return the rates, the ratios of the rates of desim to the others, and the missing simulators as text."""
+    """Return as text the rates, the ratios of desim's rates to the others, and the missing simulators."""
     works, ways = list(dict.fromkeys(each.workload for each in rates)), list(dict.fromkeys(each.way for each in rates))
     found = {(each.workload, each.way): each.per_second for each in rates}
     heads = [short(work) for work in works]

@@ -31,9 +31,9 @@ OURS = ("publish", "send")
 BROADCASTS = "broadcasts"
 """The part of the study that is not one of `costs.PARTS`."""
 LONG = 5.0
-"""CPU time of a first lap beyond which the lap is not repeated, s."""
+"""CPU time of the first lap of a way beyond which the way has no further laps, s."""
 Commands = Mapping[str, Sequence[str]]
-"""The command that runs the program of each other simulator, by name."""
+"""By name of another simulator: the command that runs its program."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Laps:
         """Run one lap of a way, unless its first lap was longer than `LONG`.
 
         Raises:
-            RuntimeError: if its final tables differ from those of the ways before it.
+            RuntimeError: if the way ends with other tables than the ways before it.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > LONG:
             return

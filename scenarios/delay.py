@@ -1,10 +1,11 @@
 """Measure the cost of latency: the scaling law of excess active time, and the phase diagram over latency and slot.
 
 The law: if all pursuers start active and decide greedily, the excess active time int (n - 1)+ dt is
-g_N(L lambda) N^2 delta, with the one-way latency L, the decision rate of a pursuer lambda and delta = 1 / (N lambda).
-First g is measured on static games, for several schedules. Then relay time + g N^2 delta predicts, without any fit, the
-sum of active times of the moving pursuit over a grid of latencies and slots. Where the prediction exceeds about 30 s,
-the evader is captured before the excess has decayed, so the measured sum is lower.
+g_N(L lambda) N^2 delta, with the one-way latency L, the decision rate lambda of a pursuer and delta = 1 / (N lambda).
+First g is measured on static games, for several schedules. Then the sum of active times of the moving pursuit is
+predicted, without any fit, over a grid of latencies and slots: it is the active time of the centralised benchmark plus
+g N^2 delta. Where the prediction exceeds about 30 s, the evader is captured before the excess has decayed, so the
+measured sum is lower.
 """
 
 from collections.abc import Sequence

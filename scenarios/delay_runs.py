@@ -35,7 +35,7 @@ SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
 LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Values of L in the pursuits, s."""
 CRITICAL = 3.0
-"""L lambda at which the excess is about twice that without latency."""
+"""L lambda at which the excess is about twice the excess without latency."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def pursuit(latency: float, slot: float) -> Scenario:
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Return g for each schedule and delay; for the ring, whose slots grow with the latency, at zero latency only."""
+    """Return g for each schedule and delay; the token ring only without latency, as its slots grow with it."""
     slot = 1.0 / (N * LAMBDA)
     keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]
     scenarios = [static(SCHEDULES[name](slot), delay / LAMBDA) for name, delay in keys]

@@ -75,7 +75,7 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 
 def claims(cells: Sequence[Cell]) -> list[str]:
-    """Return whether fleeing from active pursuers only pays against Spatial Adaptive Play, a line per network."""
+    """Return whether an evader that ignores inactive pursuers survives longer under SAP, as a line per network."""
     lines = []
     for each in cells:
         if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):
@@ -84,7 +84,7 @@ def claims(cells: Sequence[Cell]) -> list[str]:
                 "lives longer" if low > 0.0 else "lives less long" if high < 0.0 else "shows no significant difference"
             )
             lines.append(
-                f"{each.protocol}: an evader that flees only the active {verdict} ({low:+.2f} .. {high:+.2f} s)"
+                f"{each.protocol}: an evader that ignores inactive pursuers {verdict} ({low:+.2f} .. {high:+.2f} s)"
             )
     return lines
 

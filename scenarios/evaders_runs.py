@@ -195,7 +195,7 @@ def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, refer
 
 
 def measure_sight(options: Options, latency: float) -> list[Sighted]:
-    """Run each estimate at each radius; at infinite radius only "hold", for all estimates are equal."""
+    """Run each estimate at each radius; at infinite radius only "hold", because all estimates are equal there."""
     keys = [(radius, made) for radius in RADII for made in (ESTIMATES if radius < inf else [HELD])]
     more = replace(options, runs=MORE * options.runs)
     scenarios = [watched(*key, latency) for key in keys]

@@ -2,9 +2,9 @@
 
 Configurations are drawn at random from the paper's boxes (x_i in [0, 20]^2, x_e in [8, 12]^2, rounded to mm). A
 candidate is a configuration for which the active time of the *centralised* Algorithm 3 is within 0.5 % of the published
-one at all three delta. The candidate is chosen whose decentralised active times, with all pursuers initially active,
-fit the published ones best: the sum of squared log ratios is least, on other seeds than those of the study. Nothing
-else is fitted: no parameter of the game, the protocol or the simulator.
+one at all three delta. The chosen candidate is the one whose decentralised active times, with all pursuers initially
+active, have the least sum of squared log ratios to the published times. These runs have other seeds than the study.
+Nothing else is fitted: no parameter of the game, the protocol or the simulator.
 """
 
 import re
@@ -26,7 +26,7 @@ from scenarios.study import SCENARIOS
 from scenarios.table1 import DELTAS, PUBLISHED, decentralised
 
 TOLERANCE = 0.005
-"""Relative deviation of the centralised active times of a candidate from the published ones."""
+"""Largest relative deviation of a candidate's centralised active times from the published ones."""
 BATCH = 20_000
 """Configurations per batch; another size gives other draws from the same seed."""
 FIRST_SEED = 1_000_000
@@ -98,7 +98,7 @@ def misfits(candidates: list[Scenario], published: dict[float, float], runs: dic
 
 
 def best(candidates: list[Scenario], published: dict[float, float]) -> Scenario:
-    """Return the candidate with the best decentralised fit, in rounds with fewer candidates and more runs each."""
+    """Return the candidate of best decentralised fit; each round has fewer candidates and more runs per candidate."""
     for keep, runs in (
         (12, {0.1: 100, 0.01: 20}),
         (4, {0.1: 400, 0.01: 100, 0.001: 20}),

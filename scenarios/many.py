@@ -1,9 +1,10 @@
 """Several evaders: how good an assignment the team finds, and how soon all evaders are captured.
 
 With one evader the game has one equilibrium. With several it has many, some of them poor: if two pursuers should swap
-their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0, by
-the welfare of the final profile divided by that of the best assignment: over the number of slots for negotiation, at
-constant temperatures, and by protocol. Then all players move, and the time until all evaders are captured is measured.
+their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0,
+as the welfare of the final profile divided by the welfare of the best assignment, for several numbers of negotiation
+slots, constant temperatures and protocols. Then all players move, and the time until all evaders are captured is
+measured.
 """
 
 from collections.abc import Sequence

@@ -47,7 +47,7 @@ def apart(function: Callable[..., Answer], *given: object) -> Answer:
 
 
 def memory(what: str) -> float:
-    """Return the current (VmRSS) or peak (VmHWM) resident memory of this process, B; nan without Linux."""
+    """Return the current (VmRSS) or peak (VmHWM) resident memory of this process, B; nan unless on Linux."""
     status = Path("/proc/self/status")
     if not status.exists():
         return nan

@@ -3,9 +3,9 @@
 A pursuer receives announcements of the pursuers within range R. The study compares five rules: the paper's utility over
 the active neighbours only; the same over the whole network component, by flooding; a penalty for each active neighbour;
 and the heuristics `local_min` and `argmin_known`. For the games of t = 0 it also gives the number of components, the
-size of the greedy independent set, and the share of games of neighbours without a pure equilibrium, by enumeration of
-all profiles. There are two teams: that of the paper, in which only the fast pursuer and those near the evader can
-capture it in time, and one in which most pursuers can.
+size of the greedy independent set, and the share of games without a pure equilibrium under the utility of the active
+neighbours, by enumeration of all profiles. There are two teams: that of the paper, in which only the fast pursuer and
+those near the evader can capture it in time, and one in which most pursuers can.
 """
 
 from collections.abc import Sequence

@@ -2,10 +2,10 @@
 
 There are three scenarios: that of the paper, with one pursuer twice as fast as the others; one that stresses the relay,
 with all pursuers equally fast; and that of the paper without sensing of teammates, so that announcements also carry
-positions. A pursuer announces exactly ten times a second: the number of messages is equal, the number of bytes is not.
+positions. A pursuer announces exactly ten times a second, so protocols send equally many messages of unequal sizes.
 The centralised benchmark and, where positions are sensed, the geometric rules do not announce. Each pursuer decides ten
 times a second on average. The value of communication is the difference to a silent team, in which each pursuer decides
-alone; the cost of delay is the difference to the same protocol in the same runs without delay.
+alone; the cost of delay is the difference to the same protocol with the same seeds and without delay.
 """
 
 from collections import defaultdict
@@ -59,7 +59,7 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
         )
     what = f"{world}, {N} pursuers, {runs} runs, 95 % intervals"
     meaning = (
-        "regret: potential gap less that without delay; saved: active time of a silent team less that of the protocol"
+        "regret: increase of the potential gap by delay; saved: decrease of active time compared with a silent team"
     )
     return [
         f"Sum of active times, s: {what}\n{aligned(active)}",

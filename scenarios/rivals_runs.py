@@ -51,19 +51,19 @@ class Cell:
     captured: float
     """Share of the runs with capture."""
     relayed: float
-    """Share of the runs in which the relay pursuer chased alone for at least two latencies and periods."""
+    """Share of the runs in which the relay pursuer chased alone for at least 2 (L + `PERIOD`)."""
     time_to_relay: float | None
     """Mean over those runs, s; None without any."""
     misassigned_time: float
     network_regret: float
-    """Potential gap less that without delay, s^2."""
+    """Increase of the potential gap by delay, s^2."""
     handovers: float
     transmissions: float
     """Transmissions per second."""
     kilobytes: float
     """Kilobytes sent per second."""
     saved_per_transmission: float | None
-    """Active time of a silent team less that of the protocol, s per transmission; None without transmissions."""
+    """Decrease of active time compared with a silent team, s per transmission; None without transmissions."""
     saved_per_kilobyte: float | None
     """The same, s per kilobyte."""
 

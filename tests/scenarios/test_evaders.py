@@ -52,7 +52,7 @@ def test_every_strategy_meets_every_protocol_and_every_estimate_every_radius(tin
     sight = [(each["radius"], each["estimate"]) for each in document["sight"]]
     assert sight == [*((2.0, made) for made in evaders_runs.ESTIMATES), ("Infinity", "hold")]
     assert text.count("\nstill ") == 4
-    assert "sap: an evader that flees only the active" in text
+    assert "sap: an evader that ignores inactive pursuers" in text
     assert "L = 0.2 s, 2 runs" in text
     for word in (
         "lives longer than pure evasion by (s)",
