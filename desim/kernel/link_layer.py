@@ -126,6 +126,8 @@ class LinkLayer:
             reachable = topology.are_linked(src, dst) and not self._is_out_of_range(src, dst, number)
         if size is None:
             size = size_of(content.body)
+        elif size < 0:
+            raise ValueError(f"the size of a message should be at least 0 bytes (got {size})")
         transmission = _new(Transmission, (number, src, self._env.now, size, receivers, content, port, reachable))
         self._sent += len(receivers)
         if self._transmitter is None:

@@ -67,9 +67,10 @@ class Network:
             seed=seed,
             now=lambda: env.now / SECOND,
         )
+        self._size = self.topology.size
         self._sampler = LinkSampler(links, graph, seed, positions)
         self._medium, self._fault_state = links.medium, fault_state
-        self._records, self._inboxes = Records(env, self.topology.size, predicate), Inboxes(env, self.topology.size)
+        self._records, self._inboxes = Records(env, self._size, predicate), Inboxes(env, self._size)
         self._link_layer = LinkLayer(
             env,
             links,
@@ -81,12 +82,14 @@ class Network:
             trace if trace is not None and trace.wants_messages else None,
         )
         self._transmit = self._link_layer.transmit
-        self._seq = [count(1) for _ in range(self.topology.size)]
+        self._seq = [count(1) for _ in range(self._size)]
 
     # Operations of nodes.
 
     def set_initial_belief(self, src: int, body: Any, stamp: int | None = None) -> None:
         """Give all nodes an initial record of `src` without a message; `stamp` as in `publish`."""
+        if not 0 <= src < self._size:
+            raise self._unknown(src)
         self._records.set_initial_belief(Record(src, 0, self._env.now if stamp is None else stamp, as_sent(body)))
 
     def publish(self, src: int, body: Any, size: int | None = None, stamp: int | None = None) -> None:
@@ -100,6 +103,9 @@ class Network:
                 effect, see `desim.kernel.message_size.as_sent`.
             size: the size of the message, bytes; computed from the body if None, see `desim.kernel.message_size`.
             stamp: the time stamp, by the clock of `src`, ns; the true time if None.
+
+        Raises:
+            ValueError: if the node does not exist or the size is negative.
         """
         self._transmit(src, None, self.next_record(src, body, stamp), size)
 
@@ -112,33 +118,45 @@ class Network:
         changes by the sender have no effect, see `desim.kernel.message_size.as_sent`.
 
         Raises:
-            ValueError: if the receiver does not exist or is the sender.
+            ValueError: if a node does not exist, the receiver is the sender or the size is negative.
         """
-        if dst is not None and not 0 <= dst < self.topology.size:
-            raise ValueError(f"there is no node {dst}: the nodes are 0 .. {self.topology.size - 1}")
+        if not 0 <= src < self._size:
+            raise self._unknown(src)
+        if dst is not None and not 0 <= dst < self._size:
+            raise self._unknown(dst)
         if dst == src:
             raise ValueError(f"node {src} should not send messages to itself")
         self._transmit(src, dst, _new(Message, (src, self._env.now, as_sent(body))), size, port)
 
     def next_record(self, src: int, body: Any, stamp: int | None = None) -> Record:
         """Return the next record of a node, for a protocol that disseminates it without `publish`."""
+        if not 0 <= src < self._size:
+            raise self._unknown(src)
         return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
         """Insert a record that did not arrive by `publish`; it is ignored if the node has a newer one of its source."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
         if record.src != node:
             self._records.insert(node, record)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
         return self._records.latest_records(node)
 
     def matching(self, node: int) -> Table:
         """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
         return self._records.matching(node)
 
     def inbox(self, node: int, port: str = "") -> Inbox:
         """Return the inbox of a node at a port."""
+        if not 0 <= node < self._size:
+            raise self._unknown(node)
         return self._inboxes.at(port)[node]
 
     def overhear(self, listener: Listener) -> None:
@@ -176,6 +194,10 @@ class Network:
     def typical_latency(self) -> float:
         """Estimate of the mean one-way latency, with processing delays, without airtime and queueing, s."""
         return self._sampler.typical_latency()
+
+    def _unknown(self, node: int) -> ValueError:
+        """Return the error about a node that does not exist."""
+        return ValueError(f"there is no node {node}: the nodes are 0 .. {self._size - 1}")
 
     # Faults and counts.
 

@@ -467,20 +467,49 @@ def test_a_broadcast_wakes_all_waiting_receivers_in_id_order_and_reaches_every_i
     assert not any(network.inbox(node).drain() for node in range(4))
 
 
+@pytest.mark.parametrize("node", [-1, 3])
 @pytest.mark.parametrize(
-    ("src", "dst", "why"),
+    "use",
     [
-        (0, -1, r"there is no node -1: the nodes are 0 \.\. 2"),
-        (0, 3, r"there is no node 3: the nodes are 0 \.\. 2"),
-        (1, 1, "node 1 should not send messages to itself"),
+        lambda network, node: network.send(0, node, "x"),
+        lambda network, node: network.send(node, 0, "x"),
+        lambda network, node: network.send(node, None, "x"),
+        lambda network, node: network.publish(node, "x"),
+        lambda network, node: network.set_initial_belief(node, "x"),
+        lambda network, node: network.insert(node, network.next_record(0, "x")),
+        lambda network, node: network.latest_records(node),
+        lambda network, node: network.matching(node),
+        lambda network, node: network.inbox(node),
     ],
 )
-def test_a_message_to_oneself_or_to_an_unknown_node_is_refused(src, dst, why):
-    network = Network(Clock(), nx.complete_graph(3))
+def test_an_unknown_node_is_refused(use, node):
+    with pytest.raises(ValueError, match=rf"there is no node {node}: the nodes are 0 \.\. 2"):
+        use(Network(Clock(), nx.complete_graph(3)), node)
+
+
+@pytest.mark.parametrize(
+    ("transmit", "why"),
+    [
+        (lambda network: network.send(1, 1, "x"), "node 1 should not send messages to itself"),
+        (lambda network: network.send(0, 1, "x", size=-8), r"at least 0 bytes \(got -8\)"),
+        (lambda network: network.publish(0, "x", size=-8), r"at least 0 bytes \(got -8\)"),
+    ],
+)
+def test_a_message_to_oneself_or_of_negative_size_is_refused(transmit, why):
     with pytest.raises(ValueError, match=why):
-        network.send(src, dst, "x")
-    with pytest.raises(IndexError):
-        network.publish(-1, "x")
+        transmit(Network(Clock(), nx.complete_graph(3)))
+
+
+@pytest.mark.parametrize(("loss", "last"), [((), 3 * SECOND), ((2,), SECOND), ((1, 2), LOST)])
+def test_a_listener_is_told_of_the_last_arrival_that_is_not_lost(loss, last):
+    """The latency to node j is 1 s for j = 1 and 3 s for j = 2."""
+    links = Links(
+        latency=lambda context, rng: 2.0 * context.dst - 1.0, loss=lambda context, rng: np.isin(context.dst, loss)
+    )
+    network, heard = Network(Clock(), nx.complete_graph(3), links), []
+    network.overhear(lambda content, arrival: heard.append((content.body, arrival)))
+    network.publish(0, "x")
+    assert heard == [("x", last)]
 
 
 def test_a_broadcast_without_receivers_is_recorded_as_such():
