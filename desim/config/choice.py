@@ -11,7 +11,14 @@ from pathlib import Path
 from types import FunctionType, MappingProxyType
 from typing import Any
 
-from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError, ValidationInfo
+from pydantic import (
+    BaseModel,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PydanticUserError,
+    ValidationError,
+    ValidationInfo,
+)
 from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
@@ -117,6 +124,9 @@ class OneOf:
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes; raise ValidationError if the table is invalid."""
+        if not (isinstance(table, dict) or hasattr(table, "kind")):
+            text = "should be a table with a kind, a built-in model or an object that can be called"
+            raise PydanticCustomError("union_tag_not_found", text)
         kind = table.get("kind") if isinstance(table, dict) else None
         model = self.choice(kind) if isinstance(kind, str) else None
         validator = SchemaValidator(_union(self.choices())) if model is None else _validator(kind, model)
@@ -241,6 +251,8 @@ def load_named(kind: str, folder: Path | None) -> Any:
     except (ImportError, AttributeError, ValueError) as error:
         where = "" if folder is None else f"; also searched in the folder of the file, {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
+    except PydanticUserError as error:  # a model that is not well defined, such as a field without a type
+        raise ValueError(f"{kind!r} cannot be imported: {error.message}") from error
     except SystemExit as error:
         raise ValueError(f"{kind!r} cannot be imported: {module} calls exit({error.code!r})") from error
 

@@ -2,7 +2,8 @@
 
 A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. It
 has the traits that it has attributes for, own or inherited, and the defaults of all others. No base class is needed.
-An attribute whose name is one letter off that of a trait is an error, because its value would have no effect.
+An attribute of a function or a class whose name is one letter off that of a trait is an error, because its value would
+have no effect, unless the trait is there, too. Attributes set in `__init__`, or on a partial, are not checked.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -45,12 +46,12 @@ class Traits(Value):
         Raises:
             ValueError: if an attribute has a value that its trait cannot have.
         """
-        given = attributes(value, cls.model_fields)
         try:
-            return cls.model_validate(given)
+            return cls.model_validate(attributes(value, cls.model_fields))
         except ValidationError as error:
-            name, says = str(error.errors()[0]["loc"][0]), error.errors()[0]["msg"].removeprefix("Input ")
-            raise ValueError(f"{name} of {name_of(value)}: {says} (got {given[name]!r})") from error
+            first = error.errors()[0]
+            name, says = first["loc"][0], first["msg"].removeprefix("Input ")
+            raise ValueError(f"{name} of {name_of(value)}: {says} (got {first['input']!r})") from error
 
     @classmethod
     def check(cls, value: Any) -> None:
@@ -60,9 +61,10 @@ class Traits(Value):
         is_function = isinstance(value, FunctionType)
         for name, trait in _misspelt(names, vars(value)) if is_function else _misspelt_in(names, value.__class__):
             if any(cls._takes(trait, each) for each in attributes(value, [name]).values()):
+                default = cls.model_fields[trait].default
                 raise ValueError(
                     f"{name_of(value)} has an attribute {name!r}, did you mean {trait!r}? Attributes with an effect:"
-                    f" {', '.join(names)}"
+                    f" {', '.join(names)}. To keep {name!r}, set {trait} = {default!r} beside it"
                 )
 
     @classmethod

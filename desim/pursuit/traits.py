@@ -10,11 +10,28 @@ from typing import Annotated, Any, Literal
 from desim.config.model import Flag
 from desim.config.traits import Parameter, Traits
 
+AssumptionName = Literal[
+    "undivided",
+    "connected",
+    "everyone_heard",
+    "component_heard",
+    "messages_get_through",
+    "announcements_repeated",
+    "one_at_a_time",
+    "no_crashes",
+    "equal_clocks",
+    "equal_speeds",
+    "host_in_range",
+    "times_known",
+    "positions_known",
+]
+"""The names of the functions of `desim.scenario.assumptions`."""
+
 
 class Assuming(Traits):
     """The traits of all parts of a protocol."""
 
-    assumes: tuple[str, ...] = ()
+    assumes: tuple[AssumptionName, ...] = ()
     """Names of its assumptions about the scenario (`desim.scenario.assumptions`); a violated one gives a warning."""
 
 

@@ -115,7 +115,15 @@ UNRELATED = {
     "utility": {"expect": sum, "unexpected": 0, "assumed": 3.0},
     "dissemination": {"hop": 3, "relays": True, "shops": 1},
     "strategy": {"listen": print, "listener": None, "mood": "bold"},
-    "latency": {"drawn": len, "draws": 5, "raw": True, "started": True, "quantity": 3},
+    "latency": {
+        "quantiles": len,
+        "quantile": None,
+        "drawn": len,
+        "draws": 5,
+        "raw": True,
+        "started": True,
+        "quantity": 3,
+    },
     "loss": {"drawer": len, "p": 0.1},
     "reception": {"bounds": (0.0, 1.0), "round": 2, "sound": len([]), "ground": True},
 }
@@ -151,7 +159,7 @@ def test_a_trait_of_a_wrong_value_is_refused_as_the_scenario_is_made(family, att
     ("part", "name", "meant"), [("schedule", "at_onse", "at_once"), ("utility", "asumes", "assumes")]
 )
 def test_the_parts_of_a_protocol_that_is_no_model_are_looked_at_too(part, name, meant):
-    misspelt = type("Part", (Own,), {name: ("x",) if part == "utility" else True})()
+    misspelt = type("Part", (Own,), {name: ("undivided",) if part == "utility" else True})()
     protocol = type("Mine", (Own,), {part: misspelt})()
     with pytest.raises(
         ValidationError, match=rf"protocol\.{part}: Part has an attribute '{name}', did you mean '{meant}'"

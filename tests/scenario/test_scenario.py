@@ -259,8 +259,9 @@ class Called:
             "should have shared, half_duplex, queue_limit; <mine> lacks shared",
         ),
         (lambda: Links(medium=Called()), "medium", "<mine> lacks shared, half_duplex, queue_limit"),
+        (lambda: Links(latency=object()), "latency", "a built-in model or an object that can be called"),
     ],
-    ids=["dissemination", "schedule", "medium without shared", "medium without anything"],
+    ids=["dissemination", "schedule", "medium without shared", "medium without anything", "latency without a call"],
 )
 def test_a_user_model_that_lacks_an_attribute_is_refused_at_once_with_its_name(make, place, says):
     with pytest.raises(ValidationError) as refused:

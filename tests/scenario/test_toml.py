@@ -581,6 +581,7 @@ number = 3
 def own_models(tmp_path, monkeypatch):
     """Return a module that only this test can import."""
     (tmp_path / "own_models.py").write_text(OWN)
+    (tmp_path / "untyped.py").write_text("from protocols.rule import Rule\nclass Bold(Rule):\n    omniscient = True\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "own_models", raising=False)
     yield importlib.import_module("own_models")
@@ -623,6 +624,10 @@ BAD_MODELS = {
     "no module": ('{ kind = ":slow" }', ["':slow' cannot be imported"]),
     "no name": ('{ kind = "own_models:" }', ["'own_models:' cannot be imported"]),
     "parameter of a function": ('{ kind = "own_models:slow", value = 1.0 }', ["takes no parameters, got value"]),
+    "no type": (
+        '{ kind = "untyped:Bold" }',
+        ["'untyped:Bold' cannot be imported", "`omniscient = True`", "`ClassVar`"],
+    ),
     "no callable": ('{ kind = "own_models:number" }', []),
 }
 
