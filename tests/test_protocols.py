@@ -303,6 +303,15 @@ def no_process(me):
     me.sleep(1.0)
 
 
+def no_event(me):
+    yield 0.1
+
+
+def nothing(me):
+    yield me.sleep(0.1)
+    yield
+
+
 @pytest.mark.parametrize(
     ("protocol", "what"),
     [
@@ -310,8 +319,10 @@ def no_process(me):
         (Broken(fault="ends"), r"actions\(me\) of Broken should never end"),
         (Broken(fault="returns"), r"actions\(me\) of Broken should yield actions, not return True"),
         (no_process, "a protocol should be a generator.*no_process"),
+        (no_event, r"should yield events such as me\.sleep\(0\.1\) \(got 0\.1\)"),
+        (nothing, r"should yield events .* \(got None\)"),
     ],
-    ids=["divides", "ends", "returns", "no process"],
+    ids=["divides", "ends", "returns", "no process", "no event", "nothing"],
 )
 def test_errors_of_a_user_protocol_are_reported_with_pursuer_and_time(protocol, what):
     with pytest.raises((ZeroDivisionError, ValueError, TypeError), match=what) as raised:

@@ -21,10 +21,14 @@ class RestartableProcess(simpy.Process):
         super().__init__(env, self._behave(agent, protocol, phase))
 
     def _behave(self, agent: Agent, protocol: Behaviour, phase: Phase) -> Process:
-        """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation."""
-        awaited: simpy.Event | None = agent.at(agent.now, phase)
+        """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation.
+
+        Raises:
+            TypeError: if the behaviour yields something else.
+        """
+        awaited: simpy.Event = agent.at(agent.now, phase)
         missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
-        while awaited is not None:
+        while True:
             try:
                 value = yield awaited
             except simpy.Interrupt as crash:
@@ -42,9 +46,11 @@ class RestartableProcess(simpy.Process):
             try:
                 if self.behaviour is None:
                     self.behaviour = _start_behaviour(protocol, agent)
-                    awaited = next(self.behaviour, None)
+                    awaited = next(self.behaviour)
                 else:
                     awaited = self.behaviour.send(value)
+                if not isinstance(awaited, simpy.Event):
+                    raise TypeError(f"a protocol should yield events such as me.sleep(0.1) (got {awaited!r})")
             except StopIteration:
                 return
             except (Exception, SystemExit) as error:
