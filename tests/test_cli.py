@@ -592,6 +592,8 @@ def test_keys_goes_to_the_given_depth():
         ("network.latency.gama", "there is no 'gama' in 'latency'; allowed: constant, "),
         ("network.range.of", "there is no 'of' in 'range'; allowed: nothing"),
         ("protocol.kind", "there is no 'kind' in 'protocol'; allowed: "),
+        ("protocol.schedule", "'schedule' in 'protocol' depends on the kind: protocol.argmin_known.schedule, "),
+        ("evader.strategy.still.of", "there is no 'of'; allowed: nothing"),
         ("", "there is no ''; allowed: name, "),
     ],
 )
@@ -623,6 +625,43 @@ def test_protocols_lists_a_single_protocol_on_request():
     assert "\nsap: " not in text
     (said,) = refused("protocols", "loca_min")
     assert said.startswith("there is no protocol 'loca_min'; allowed: argmin, ")
+
+
+OWN_PROTOCOLS = '''
+from typing import ClassVar
+
+from protocols.rule import Rule
+
+
+class Plain:
+    """Announces nothing."""
+
+    announces = False
+
+    def __call__(self, me):
+        yield me.sleep(1.0)
+
+
+class Seeing(Rule):
+    """Sees all."""
+
+    omniscient: ClassVar[bool] = True
+'''
+
+
+def test_protocols_prints_the_traits_of_a_user_protocol_if_its_code_may_run(tmp_path, monkeypatch):
+    (tmp_path / "own_protocols.py").write_text(OWN_PROTOCOLS)
+    monkeypatch.chdir(tmp_path)
+    plain = accepted("protocols", "own_protocols:Plain", "--allow-import").stdout
+    assert plain.startswith("own_protocols:Plain: Announces nothing.\n    traits:\n")
+    assert "        announces = False: " in plain
+    seeing = accepted("protocols", "own_protocols:Seeing", "--allow-import").stdout
+    assert seeing.startswith("own_protocols:Seeing: Sees all.\n    schedule = { kind = 'shared_seed' }: ")
+    assert "        omniscient = True: " in seeing
+    (said,) = refused("protocols", "own_protocols:Plain")
+    assert "'own_protocols:Plain' names code to be run" in said
+    (said,) = refused("protocols", "own_protocols:Plane", "--allow-import")
+    assert "'own_protocols:Plane' cannot be imported" in said
 
 
 def test_keys_without_a_table_lists_all_of_them():

@@ -2,14 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, source_of
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
+from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, source_of
 
 
 @click.command()
@@ -71,15 +68,36 @@ def metrics() -> None:
 
 @click.command()
 @click.argument("only", metavar="[KIND]", required=False)
+@ALLOW_IMPORT
 def protocols(only: str | None) -> None:
-    """List the installed protocols with their parameters, or only one KIND with its parameters and traits."""
-    from desim.cli.description import described, described_traits
+    """List the installed protocols with their parameters, or only one KIND (or module:name), also with its traits."""
+    from pydantic import BaseModel
+
+    from desim.cli.description import described, described_traits, summary
+    from desim.config.choice import home_of
     from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()
-    if only is not None and only not in choices:
-        fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}")
-    known: set[type[BaseModel]] = set()  # models shared by several protocols are described once
-    for kind, protocol in choices.items() if only is None else [(only, choices[only])]:
-        traits = [] if only is None else described_traits(PROTOCOLS.traits.of(protocol.model_construct()))
-        echo("\n".join([*described(protocol, kind, known=known), *traits]) + "\n")
+    if only is None:
+        known: set[type[BaseModel]] = set()  # models shared by several protocols are described once
+        for kind, model in choices.items():
+            echo("\n".join(described(model, kind, known=known)) + "\n")
+        return
+    if only not in choices and ":" not in only:
+        fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}, and module:name")
+    protocol = choices[only].model_construct() if only in choices else _imported(only)
+    is_model = isinstance(protocol, BaseModel)
+    lines = described(type(protocol), only) if is_model else [f"{only}: {summary(home_of(protocol))}"]
+    echo("\n".join([*lines, *described_traits(PROTOCOLS.traits.of(protocol))]) + "\n")
+
+
+def _imported(kind: str) -> Any:
+    """Return the protocol module:name, installed or in the working folder; end the program if it is invalid."""
+    from desim.scenario.overrides import ScenarioError, Source
+    from desim.scenario.toml import validate
+
+    tables = {"protocol": {"kind": kind}}
+    try:
+        return validate(Source(kind, tables, folder=Path(), allow_import=is_import_allowed())).protocol
+    except ScenarioError as error:
+        fail(str(error))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from types import MethodType
+from typing import Any
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -19,7 +20,7 @@ def described(
     For a model in `known` only the first line is yielded; the models described are added to `known`.
     """
     known = set() if known is None else known
-    yield f"{indent}{title}: {_summary(model)}"
+    yield f"{indent}{title}: {summary(model)}"
     if model in known:
         return
     known.add(model)
@@ -52,7 +53,8 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     """
     (name, *rest), fields = place, fields_of(model)
     if name == "kind" or name not in fields:
-        raise ValueError(f"there is no {name!r}; allowed: {', '.join(each for each in fields if each != 'kind')}")
+        allowed = ", ".join(each for each in fields if each != "kind") or "nothing"
+        raise ValueError(f"there is no {name!r}; allowed: {allowed}")
     inner = {kind: chosen for choice in choices_of(fields[name]) for kind, chosen in choice.choices().items()}
     plain = next(models_in(fields[name].annotation), None)
     if not rest:
@@ -60,6 +62,9 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
     elif rest[0] in inner:
         chosen = inner[rest[0]]
         yield from described_at(rest[1:], chosen) if rest[1:] else described(chosen, rest[0])
+    elif rest[0] != "kind" and (having := [kind for kind, each in inner.items() if rest[0] in each.model_fields]):
+        ways = ", ".join(f"{name}.{kind}.{rest[0]}" for kind in having)
+        raise ValueError(f"{rest[0]!r} in {name!r} depends on the kind: {ways}")
     elif inner or plain is None:
         raise ValueError(f"there is no {rest[0]!r} in {name!r}; allowed: {', '.join(inner) or 'nothing'}")
     else:
@@ -68,7 +73,7 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
 
 def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[BaseModel]]) -> Iterator[str]:
     plain = next(models_in(field.annotation), None)
-    text = field.description or (_summary(plain) if plain is not None else "")
+    text = field.description or (summary(plain) if plain is not None else "")
     yield f"{indent}{name}{_default_of(field)}: {' '.join(text.split())}"
     for choice in choices_of(field):
         choices = choice.choices()
@@ -81,8 +86,8 @@ def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[B
         yield from list(described(model, name, indent, known))[1:]
 
 
-def _summary(model: type[BaseModel]) -> str:
-    """Return the first line of the docstring of a model; "" without a docstring."""
+def summary(model: Any) -> str:
+    """Return the first line of the docstring of a class or function; "" without a docstring."""
     return (model.__doc__ or "").strip().partition("\n")[0]
 
 
