@@ -138,9 +138,8 @@ class Server(Value):
             delay: delay of an order from sending to effect, s.
         """
         now = nanoseconds(me.now)
-        static = (
-            me.time_left(delay) == me.time_left()
-        )  # the world is static: no time passes while an order is in flight
+        # In a static world no time passes while an order is in flight.
+        static = me.time_left(delay) == me.time_left()
         effect = now if static else nanoseconds(me.now + delay)
         phi = []
         for evader in range(1, me.evader_count + 1):

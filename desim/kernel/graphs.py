@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, get_args
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -16,6 +16,8 @@ from desim.kernel.loss import LOSSES, Bernoulli, Loss
 if TYPE_CHECKING:
     import networkx as nx
 
+Order = Literal["overtaking", "fifo"]
+"""overtaking: a message may overtake an earlier one of its link; fifo: messages arrive in the order sent."""
 MAX_NAMES = 10
 """Maximum number of nodes listed in an error message."""
 Node = Annotated[int, Field(ge=0, strict=True)]
@@ -100,7 +102,7 @@ class Edge(Value):
     """One-way latency, s."""
     loss: Annotated[Loss, LOSSES] | None = None
     """Loss model."""
-    order: Literal["overtaking", "fifo"] | None = None
+    order: Order | None = None
     """overtaking: a message may overtake an earlier one of this link; fifo: messages arrive in the order sent."""
 
 
@@ -212,7 +214,7 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     """Convert a networkx graph to the fields of `Edges`."""
     size = len(graph)
     if set(graph) != set(range(size)):
-        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {_node_names(graph)}")
+        raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {node_names(graph)}")
     edges = [
         {"src": int(src), "dst": int(dst)}
         | {name: as_model(name, own[name]) for name in ("latency", "loss", "order") if name in own}
@@ -221,15 +223,21 @@ def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
     return {"edges": edges, "nodes": size, "directed": graph.is_directed()}
 
 
-def _node_names(graph: "nx.Graph[Any]") -> str:
+def node_names(graph: "nx.Graph[Any]") -> str:
     """Return the first nodes of a graph as a short text of one line, with long names truncated."""
     names = [repr(node)[:20] for node in sorted(graph, key=str)[:MAX_NAMES]]
     return f"[{', '.join([*names, *(['...'] if len(graph) > MAX_NAMES else [])])}]"
 
 
 def as_model(name: str, value: Any) -> Any:
-    """Return an edge attribute as a model; a number stands for a constant latency (s) or a loss probability."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    """Return an edge attribute as a model; a number stands for a constant latency (s) or a loss probability.
+
+    Raises:
+        ValueError: if it is no order of messages.
+    """
+    if name == "order" and value not in (None, *get_args(Order)):
+        raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")
+    if name == "order" or isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return Constant(value=float(value)) if name == "latency" else Bernoulli(p=float(value))
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import model_validator
 
 from desim.config.model import Extent, Time, Value
-from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link
+from desim.kernel.graphs import GRAPHS, Complete, GraphModel, Link, Order
 from desim.kernel.latency import LATENCIES, Constant, Latency
 from desim.kernel.loss import LOSSES, Bernoulli, Loss
 from desim.kernel.medium import MEDIA, Medium, Unlimited
@@ -62,7 +62,7 @@ class Links(Value):
     """When reception is evaluated: at transmission, on arrival, or both."""
     latency: Annotated[Latency, LATENCIES] = Constant()
     """One-way latency, s."""
-    order: Literal["overtaking", "fifo"] = "overtaking"
+    order: Order = "overtaking"
     """overtaking: a message may overtake an earlier one of its link; fifo: messages arrive in the order sent."""
     processing: Processing = Processing()
     """Processing delays at the sender and the receiver."""

@@ -9,6 +9,7 @@ import networkx as nx
 import numpy as np
 
 from desim.config.arrays import Bools, Floats
+from desim.kernel.graphs import node_names
 from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
 from desim.kernel.positions import Nodes, PositionSource, as_position_source, distances
 from desim.kernel.reception import Disk, ReceptionModel, bound
@@ -212,7 +213,7 @@ def _check(graph: "nx.Graph[int]") -> None:
     if is_implicit(graph):
         return
     if set(graph) != set(range(len(graph))):
-        raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {sorted(graph, key=str)}")
+        raise ValueError(f"the nodes of the graph should be 0 .. {len(graph) - 1}, got {node_names(graph)}")
     if loops := [node for node in graph if graph.has_edge(node, node)]:
         raise ValueError(f"no node should be linked to itself, got {loops}")
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from desim.config.arrays import Points
 from desim.config.model import Flag, Limit, Period, Timeout, Value
 from desim.kernel.clock import NodeClock
 from desim.kernel.network import Network

@@ -210,5 +210,5 @@ class _Team:
                 self._world.recover(node)
                 self._recoveries[node].succeed(remembers)
         self._agents[node].recovered(restarted=not remembers)
-        if self._sensor is not None and not crash.memory:
+        if self._sensor is not None and not (remembers and crash.memory):
             self._sensor.views[node].forget(heard_only=remembers)

@@ -213,6 +213,9 @@ def test_a_number_is_a_constant_latency_or_a_probability_of_loss():
     assert as_model("latency", np.float64(0.5)) == Constant(value=0.5)
     assert as_model("loss", 0.25) == Bernoulli(p=0.25)
     assert as_model("loss", Bernoulli(p=1.0)) == Bernoulli(p=1.0)
+    assert as_model("order", "fifo") == "fifo"
+    with pytest.raises(ValueError, match=r"order of an edge should be overtaking or fifo \(got 1\)"):
+        as_model("order", 1)
 
 
 def test_a_link_has_its_directions():

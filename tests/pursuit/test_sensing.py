@@ -231,11 +231,17 @@ def test_a_report_has_its_size_and_carries_the_newest_sighting():
         (1, "radio", True, True),
     ],
 )
-def test_recovery_without_memory_forgets_own_and_reported_sightings(who, scope, memory, knows):
-    """The sighting is of 1.11 s and reported until 3.11 s; none reports it again after the crash."""
-    crash = Crash(node=who, start=2.5, end=4.0, memory=memory, scope=scope)
+@pytest.mark.parametrize("overlapping", [False, True])
+def test_recovery_without_memory_forgets_own_and_reported_sightings(who, scope, memory, knows, overlapping):
+    """The sighting is of 1.11 s and reported until 3.11 s; none reports it again after the crash.
+
+    A crash that keeps the memory and ends later gives nothing back.
+    """
+    faults = [Crash(node=who, start=2.5, end=3.5 if overlapping else 4.0, memory=memory, scope=scope)]
+    if overlapping:
+        faults.append(Crash(node=who, start=3.0, end=4.0, memory=True, scope=scope))
     straight, sensing = ConstantHeading(angle=0.0), Sensing(radius=3.0, track_timeout=2.0 if who else inf)
-    answers = seen_once(sensing, straight, lambda me: me.may_chase(), who=who, fault=(crash,))
+    answers = seen_once(sensing, straight, lambda me: me.may_chase(), who=who, fault=tuple(faults))
     assert answers[2.0]
     assert answers[4.5] == knows
 
