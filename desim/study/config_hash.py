@@ -1,17 +1,25 @@
 """The identity of the runs of a configuration: a hash of its parameters, its user code and their data files.
 
-User code is hashed with the source of its module and of the user modules that this one imports, and with the values
-that it holds. In a script or a notebook, its compiled code and the globals that it reads are hashed, as the rest of the
+User code is hashed with the source of its module and of the user modules that this one imports, with the versions of
+the installed packages that these import, and with the values that its objects hold. An installed package is hashed with
+all its modules. In a script or a notebook, compiled code and the globals that it reads are hashed, as the rest of the
 script may change.
+
+The source is read when a run is identified. Reload a module that was edited after its import: the imported code is the
+old one, and the hash that of the new. The values of a module's globals, and of attributes of its functions and classes,
+do not count beyond its source, so values that a program assigns to them later do not distinguish runs.
 """
 
 import ast
 import json
 import os
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dis import get_instructions
 from functools import cache, cached_property
+from importlib.metadata import PackageNotFoundError, packages_distributions, requires, version
 from importlib.util import find_spec, resolve_name
 from io import BytesIO
 from operator import attrgetter
@@ -48,6 +56,13 @@ PICKLED = {NoneType, bool, int, float, list, dict}
 """The types whose pickle is the same in every process."""
 WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
 """The types that wrap a function and have no pickle, and the attribute that holds the function."""
+GENERATED = {
+    *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__annotations_cache__", "__orig_bases__"),
+    *("__firstlineno__", "__static_attributes__", "__parameters__", "__type_params__", "__abstractmethods__"),
+    *("_abc_impl", "__protocol_attrs__", "__dataclass_fields__", "__dataclass_params__"),
+    *("__class_vars__", "__private_attributes__", "__signature__"),
+}
+"""The attributes that Python, dataclasses and pydantic add to a class, besides methods and `__pydantic_*`."""
 ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
 
 
@@ -112,7 +127,9 @@ def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
-    """Pickles equal objects, functions and classes to equal bytes in every process; the bytes are only hashed.
+    """Pickles objects and code of equal content to equal bytes in every process; the bytes are only hashed.
+
+    Two references to one list, dict or object differ from references to two equal ones: they change together.
 
     cloudpickle itself writes sets in the order of hashes, equal texts by identity, the folder of a script, and a random
     number for each class.
@@ -166,7 +183,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             given = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
             parts = [value.__qualname__, value.__code__, reads, *given]
         elif isinstance(value, type):
-            own = {name: each for name, each in vars(value).items() if _is_written(name, each)}
+            own = {name: each for name, each in vars(value).items() if not _is_generated(name, each)}
             self._add_code(value, [each.__code__ for each in own.values() if isinstance(each, FunctionType)])
             parts = [value.__qualname__, value.__bases__, own]
         elif kind in WRAPPED:
@@ -205,21 +222,27 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     def _add_module(self, name: str) -> bool:
         """Add the source of a module, of the user modules that it imports, and the files that they opened.
 
-        Return whether the module has a source, or is in `KNOWN`. What an installed module imports is left out.
+        Return whether the module has a source, or is in `KNOWN`.
         """
         if name in self.code or _root(name) in KNOWN:
             return True
         file = None if name == "__main__" else _file(name)
         if file is None:
             return False
+        self.files |= opened_by(name)
+        if is_installed(file):
+            self.code |= _package(_root(name), file)
+            return True
         text = file.read_bytes()
         self.code[name] = content_hash(text)
-        self.files |= opened_by(name)
         parent = name.rpartition(".")[0]
-        if file.suffix == ".py" and not is_installed(file):
+        if file.suffix == ".py":
             for each in _imported(text, name if file.stem == "__init__" else parent) | {parent} - {""}:
-                if (root := _file(_root(each))) is None or not is_installed(root):
+                root = _root(each)
+                if (home := _file(root)) is None or not is_installed(home):
                     self._add_module(each)
+                elif root not in KNOWN:
+                    self.code |= _versions(_distributions().get(root, ()))
         return True
 
 
@@ -227,6 +250,38 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
 def is_installed(file: Path) -> bool:
     """Return whether a module with this file belongs to an installed package or to Python."""
     return bool({"site-packages", "dist-packages"} & set(file.parts)) or file.is_relative_to(Path(os.__file__).parent)
+
+
+@cache
+def _package(root: str, file: Path) -> Mapping[str, str]:
+    """Return the hash of all modules of an installed package, and the versions of what its distribution requires.
+
+    Args:
+        root: the name of the package, or of a module without a package.
+        file: the file of the module, for a module without a package.
+    """
+    folders = [Path(each) for each in getattr(sys.modules[root], "__path__", ())]
+    files = [(folder, each) for folder in folders for each in sorted(folder.rglob("*.py"))] or [(file.parent, file)]
+    hashes = [(each.relative_to(folder).as_posix(), content_hash(each.read_bytes())) for folder, each in files]
+    own = _distributions().get(root, ())
+    lines = [line for each in own for line in requires(each) or () if "extra ==" not in line]
+    needed = {re.split(r"[^\w.-]", line)[0] for line in lines} - KNOWN
+    return {root: content_hash(json.dumps(hashes).encode()), **_versions([*own, *sorted(needed)])}
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Return the names of the distributions of each installed package."""
+    return packages_distributions()
+
+
+def _versions(distributions: Iterable[str]) -> dict[str, str]:
+    """Return the version of each distribution, without those that are not installed."""
+    found = {}
+    for name in distributions:
+        with suppress(PackageNotFoundError):  # required on another platform, say
+            found[f"distribution {name}"] = version(name)
+    return found
 
 
 def _file(name: str) -> Path | None:
@@ -250,8 +305,9 @@ def _imported(text: bytes, package: str) -> frozenset[str]:
         if isinstance(node, ast.Import):
             names.update(each.name for each in node.names)
         elif isinstance(node, ast.ImportFrom):
-            home = resolve_name("." * node.level + (node.module or ""), package)
-            names.update([home, *(f"{home}.{each.name}" for each in node.names)])
+            with suppress(ImportError):  # a relative import outside of a package
+                home = resolve_name("." * node.level + (node.module or ""), package)
+                names.update([home, *(f"{home}.{each.name}" for each in node.names)])
     return frozenset(names)
 
 
@@ -266,10 +322,10 @@ def _globals_read(code: CodeType) -> set[str]:
     return own.union(*(_globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
-def _is_written(name: str, attribute: Any) -> bool:
-    """Return whether an attribute of a class stands in its source; others are generated."""
+def _is_generated(name: str, attribute: Any) -> bool:
+    """Return whether an attribute of a class is added by Python, dataclasses or pydantic, and no method."""
     is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
-    return is_method or not (name.startswith("__") or name == "_abc_impl")
+    return not is_method and (name in GENERATED or name.startswith("__pydantic_"))
 
 
 def _is_cached(kind: type, name: str) -> bool:

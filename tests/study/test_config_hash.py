@@ -11,8 +11,8 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Sized
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property, lru_cache, partial, reduce
-from importlib import import_module
+from functools import cached_property, lru_cache, partial, partialmethod, reduce
+from importlib import import_module, invalidate_caches
 from math import inf, nan, nextafter
 from types import MappingProxyType, SimpleNamespace
 from weakref import WeakSet
@@ -23,6 +23,7 @@ import pytest
 from pydantic import BaseModel, PrivateAttr
 
 from desim.config.model import Value
+from desim.study import config_hash
 from desim.study.config_hash import StablePickler
 
 
@@ -170,6 +171,13 @@ def various(gain):
     return Local
 
 
+def bound_beforehand(gain):
+    class Local:
+        __call__ = partialmethod(Plain.rule, gain)
+
+    return Local
+
+
 def derived(gain):
     class Local:
         @cached_property
@@ -203,6 +211,7 @@ MADE_OF = {
     "attribute of a local class": local,
     "method of a local class": local_closure,
     "methods of a local class": various,
+    "method that is no function": bound_beforehand,
     "property that is kept": derived,
     "what a model has beside its fields": lambda gain: Open(gain=gain),
     "array": lambda gain: np.array([0.1, gain]),
@@ -318,6 +327,10 @@ def test_an_object_without_a_stable_hash_is_refused(make, why, tmp_path):
 
 MODULE = """
 FACTOR = {}
+try:
+    from . import beside_in_a_package
+except ImportError:
+    pass
 class Rule:
     pass
 def rule(me):
@@ -340,6 +353,57 @@ def test_the_text_of_a_module_beside_the_file_counts(tmp_path, monkeypatch, made
         found.append(stable_hash([eval(made, vars(import_module("beside")))]))
     sys.modules.pop("beside")
     assert found[0] == found[1] != found[2]
+
+
+INSTALLED = {
+    "pack/__init__.py": "",
+    "pack/rule.py": "def rule(me):\n    from pack.inner import helper\n",
+    "pack/inner/helper.py": "FACTOR = 1",
+    "pack-1.0.dist-info/METADATA": (
+        "Name: pack\nVersion: 1.0\nRequires-Dist: other>=1\nRequires-Dist: none; extra == 'x'\nRequires-Dist: absent"
+    ),
+    "pack-1.0.dist-info/top_level.txt": "pack",
+    "other-1.0.dist-info/METADATA": "Name: other\nVersion: 1.0",
+    "other-1.0.dist-info/top_level.txt": "another",
+    "another.py": "",
+    "../own.py": "import another, numpy\ndef rule(me):\n    pass\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "text", "whose"),
+    [
+        ("pack/rule.py", "def rule(me):\n    pass\n", ["pack"]),
+        ("pack/inner/helper.py", "FACTOR = 2", ["pack"]),
+        ("other-1.0.dist-info/METADATA", "Name: other\nVersion: 1.1", ["pack", "own"]),
+        ("another.py", "FACTOR = 2", []),
+    ],
+)
+def test_an_installed_package_counts_with_all_its_modules_and_what_it_requires_with_its_version(
+    tmp_path, monkeypatch, changed, text, whose
+):
+    """So does an installed package that a module beside the file imports."""
+    folder = tmp_path / "site-packages"
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    names, found = ("pack", "pack.rule", "own"), []
+    for texts in (INSTALLED, INSTALLED, INSTALLED | {changed: text}):
+        for name, each in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(each)
+        for memory in (config_hash._package, config_hash._distributions):
+            memory.cache_clear()
+        for name in names:
+            sys.modules.pop(name, None)
+        invalidate_caches()
+        found.append({name: stable_hash(import_module(name).rule) for name in names[1:]})
+    for name in names:
+        sys.modules.pop(name)
+    config_hash._distributions.cache_clear()
+    assert found[0] == found[1]
+    assert [name.split(".")[0] for name in names[1:] if found[1][name] != found[2][name]] == whose
+    assert ("distribution other", "1.0") in found[0]["own"][1]
 
 
 SCRIPT = """
