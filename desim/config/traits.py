@@ -6,9 +6,10 @@ An attribute of a function or a class whose name is one letter off that of a tra
 have no effect, unless the trait is there, too. Attributes set in `__init__`, or on a partial, are not checked.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import takewhile
+from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any, Self
 
@@ -38,6 +39,8 @@ class Traits(Value):
 
     kind: Annotated[str | None, Parameter(str)] = None
     """Name in messages."""
+    depends_on: tuple[str | Path, ...] | Callable[[], Any] = ()
+    """Paths of its data files, or a method that returns them; see `desim.open_data`."""
 
     @classmethod
     def of(cls, value: Any) -> Self:

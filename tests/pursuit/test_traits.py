@@ -84,6 +84,7 @@ MISSPELT = {
         ("recons", True, "reckons"),
         ("asumes", ("no_crashes",), "assumes"),
         ("claimsize", len, "claim_size"),
+        ("depend_on", ("table.txt",), "depends_on"),
     ],
     "schedule": [
         ("at_onse", True, "at_once"),
@@ -94,7 +95,7 @@ MISSPELT = {
     "utility": [("expeced", sum, "expected"), ("assume", ("undivided",), "assumes")],
     "dissemination": [("asumes", ["undivided"], "assumes")],
     "strategy": [("listen", True, "listens"), ("listnes", True, "listens")],
-    "latency": [("start_runs", len, "start_run"), ("quantiles", len, "quantile")],
+    "latency": [("depends_one", list, "depends_on"), ("start_runs", len, "start_run"), ("quantiles", len, "quantile")],
     "loss": [("strat_run", len, "start_run")],
     "reception": [("bonud", len, "bound")],
 }
@@ -147,6 +148,7 @@ def test_attributes_of_a_user_that_mean_something_else_are_left_alone(family):
             "spreads_to of Mine: should be 'all' or 'neighbours' (got 'everyone')",
         ),
         ("strategy", {"listens": 1.5}, "listens of Mine: should be a valid boolean (got 1.5)"),
+        ("strategy", {"depends_on": "a.txt"}, "depends_on of Mine: should be a valid tuple (got 'a.txt')"),
         ("latency", {"draw": 3}, "draw of Mine: should be callable (got 3)"),
     ],
 )
