@@ -178,7 +178,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
         elif kind is FunctionType:
             has_source = self._add_code(value, value.__code__)
-            names = () if has_source else sorted(_globals_read(value.__code__) & value.__globals__.keys())
+            names = () if has_source else sorted(globals_read(value.__code__) & value.__globals__.keys())
             reads = {name: value.__globals__[name] for name in names}
             given = value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)
             parts = [value.__qualname__, value.__code__, reads, *given]
@@ -316,10 +316,10 @@ def _root(module: Any) -> str:
     return str(module).partition(".")[0]
 
 
-def _globals_read(code: CodeType) -> set[str]:
+def globals_read(code: CodeType) -> set[str]:
     """Return the names of the globals that a function reads, functions inside it included."""
     own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
-    return own.union(*(_globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
+    return own.union(*(globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
 def _is_generated(name: str, attribute: Any) -> bool:

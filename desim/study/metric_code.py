@@ -3,9 +3,11 @@
 import hashlib
 import inspect
 from functools import cache
+from types import FunctionType
+from typing import Any
 
-from desim.analysis.metrics import METRICS, Metric, UsersMetrics
-from desim.study.config_hash import object_hash
+from desim.analysis.metrics import METRICS, Metric, UsersMetrics, summary
+from desim.study.config_hash import globals_read, object_hash
 
 
 def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
@@ -25,9 +27,22 @@ def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
 
 @cache
 def _source_hash(metric: Metric) -> str:
-    """Return a hash of the source of the function of a built-in metric; a store records that of all other code."""
+    """Return a hash of the source of a built-in metric; a store records that of all code outside of its module."""
     try:
-        source = inspect.getsource(metric.of)
+        source = "".join(map(inspect.getsource, _functions(metric.of)))
     except OSError:  # desim is installed without its source
         source = ""
     return hashlib.sha256(source.encode()).hexdigest()[:16]
+
+
+def _functions(of: Any) -> list[Any]:
+    """Return the function of a metric and those of the module of metrics that it calls, directly or not."""
+    found = [of]
+    for each in found:
+        called = [each.__globals__.get(name) for name in sorted(globals_read(each.__code__))]
+        found += [
+            one
+            for one in called
+            if isinstance(one, FunctionType) and one.__module__ == summary.__module__ and one not in found
+        ]
+    return found

@@ -16,11 +16,13 @@ from types import SimpleNamespace
 import pytest
 
 from desim import explain, sweep
+from desim.analysis import metrics
 from desim.analysis.metrics import METRICS, Metric, Summary, active_time, end_time, summary
 from desim.analysis.statistics import runs_needed
 from desim.scenario import named_metrics
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Recording, Scenario, Team
+from desim.study import metric_code
 from desim.study import sweep as module
 from desim.study.config_hash import identify
 from desim.study.configurations import without_metrics
@@ -172,6 +174,18 @@ def test_values_of_a_metric_whose_code_has_changed_are_removed_and_computed_anew
     found = sweep(BASE, GRID, 2, store=store)
     assert len(done) == 12, "capture_time is in every table, and so is asked for"
     assert found.groups[0].values("energy") == again.groups[0].values("energy")
+
+
+def test_the_code_of_a_built_in_metric_includes_the_functions_beside_it_that_it_calls(monkeypatch):
+    def other(result):
+        return 0.0
+
+    monkeypatch.setattr(metric_code, "_source_hash", metric_code._source_hash.__wrapped__)
+    monkeypatch.setattr(other, "__module__", metrics.__name__)
+    before = units_and_codes(())
+    monkeypatch.setattr(metrics, "end_time", other)
+    after = units_and_codes(())
+    assert [name for name in METRICS if before[name] != after[name]] == ["capture_time"]
 
 
 def test_a_built_in_metric_that_is_new_is_added_to_a_store_only_if_it_is_asked_for(tmp_path, done, monkeypatch):
