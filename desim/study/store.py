@@ -84,6 +84,7 @@ class Store(StoreFile):
     def __init__(self, path: Path | None = None, *, read_only: bool = False):
         super().__init__(path, read_only=read_only)
         self.added = 0
+        self._codes: dict[str, str] = {}
         try:
             (self.check_same if read_only else self.record_properties)({"format": FORMAT})
         except BaseException:
@@ -160,6 +161,7 @@ class Store(StoreFile):
             if not changed.keys() <= there.keys():
                 database.execute("DROP VIEW results")
                 database.execute(view_of(tuple(there | changed)))
+        self._codes |= {name: code for name, (_, code) in metrics.items()}
 
     @property
     @naming_the_file
@@ -185,9 +187,15 @@ class Store(StoreFile):
         """Add a run of a configuration and a root seed.
 
         It replaces the same run if that one failed. A run that did not fail only receives the metrics that it lacks.
+
+        Raises:
+            StoreError: if another process has registered other code of a metric since this one did.
         """
         values = (key, row.replication, str(root), str(row.seed), row.status, None, row.traceback)
-        with self.writing():
+        with self.writing() as database:
+            for name, code in database.execute("SELECT name, code FROM metrics"):
+                if self._codes.get(name, code) != code:
+                    raise StoreError(f"{self.path}: another command computes the metric {name} by other code; {HINT}")
             self._add(values, None if row.summary is None else dict(row.summary))
         self.added += 1
 

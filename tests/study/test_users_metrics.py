@@ -247,6 +247,18 @@ def test_a_name_that_is_taken_or_no_identifier_is_refused_before_anything_is_wri
     assert not (tmp_path / "s.sqlite").exists()
 
 
+def test_of_two_commands_with_different_code_of_a_metric_only_the_later_adds_runs(tmp_path):
+    plans = [SweepPlan.of(BASE, GRID, metrics={"x": of}) for of in (lambda result: 1.0, lambda result: 2.0)]
+    row = Row(0, 0, "ok", Summary({"x": 1.0}))
+    with Store(tmp_path / "s.sqlite") as first, Store(tmp_path / "s.sqlite") as second:
+        for plan, store in zip(plans, (first, second), strict=True):
+            plan.register(store)
+        with pytest.raises(StoreError, match="another command computes the metric x by other code"):
+            first.add(plans[0].configurations[0].key, 0, row)
+        assert len(first) == 0
+        second.add(plans[1].configurations[0].key, 0, row)
+
+
 def test_stores_are_merged_with_the_metrics_of_both_unless_their_code_differs(tmp_path):
     one, other, third = (tmp_path / f"{name}.sqlite" for name in ("one", "other", "third"))
     sweep(BASE, GRID, 2, store=one, metrics={"half": half})
