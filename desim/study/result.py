@@ -4,13 +4,12 @@ import csv
 import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
-from desim.analysis.metrics import METRICS, title, words
+from desim.analysis.metrics import METRICS, check_numeric, title, words
 from desim.analysis.statistics import Estimate, mean, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, with_half_width
 from desim.config.json_numbers import json_number
@@ -63,6 +62,8 @@ class SweepResult:
     """The groups in the order of the grid, whose last key changes fastest."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """The unit of each metric of the sweep that is not built in, by name."""
 
     @classmethod
     def of(
@@ -95,13 +96,8 @@ class SweepResult:
             )
             for key in chosen
         )
-        return cls(name, keys, groups, seeds == "common")
-
-    @cached_property
-    def units(self) -> Mapping[str, str]:
-        """The unit of each metric that some run has and that is not built in, by name."""
-        summaries = (row.summary for group in self.groups for row in group.rows if row.summary is not None)
-        return {name: unit for each in summaries for name, unit in each.units.items() if name in each}
+        units = {name: unit for name, unit in store.units.items() if name not in METRICS}
+        return cls(name, keys, groups, seeds == "common", units)
 
     @property
     def failed(self) -> list[Row]:
@@ -109,7 +105,12 @@ class SweepResult:
         return [row for group in self.groups for row in group.failed]
 
     def estimates(self, metric: str) -> list[Estimate]:
-        """Return the mean of a metric for each configuration, over its runs with a value."""
+        """Return the mean of a metric for each configuration, over its runs with a value.
+
+        Raises:
+            ValueError: if the sweep has no numeric metric of this name.
+        """
+        check_numeric(metric, self.units)
         return [mean(group.present(metric)) for group in self.groups]
 
     def differences(self, metric: str, reference: int | None = None) -> list[Estimate]:
@@ -121,8 +122,9 @@ class SweepResult:
                 configuration that has the same values of all keys but, at most, the first key with several values.
 
         Raises:
-            ValueError: if the configurations do not share their seeds.
+            ValueError: if the configurations do not share their seeds, or the sweep has no numeric metric of this name.
         """
+        check_numeric(metric, self.units)
         if not self.common:
             raise ValueError("runs with independent seeds cannot be paired")
         others = self._references if reference is None else [reference] * len(self.groups)

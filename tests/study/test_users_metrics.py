@@ -229,6 +229,16 @@ def test_a_metric_that_fails_is_told_with_configuration_and_seed_and_the_stored_
         sweep(BASE, GRID, 2, store=store, metrics={"wrong": of_users.wrong}, fail_fast=True)
 
 
+@pytest.mark.parametrize("show", ["table", "document", "estimates", "differences"])
+def test_a_metric_that_the_sweep_lacks_is_refused_but_not_one_that_fails_in_every_run(show):
+    found = sweep(BASE, GRID, 1, metrics={"wrong": of_users.wrong})
+    listed = show in {"table", "document"}
+    assert found.failed == [row for group in found.groups for row in group.rows]
+    getattr(found, show)(["wrong"] if listed else "wrong")
+    with pytest.raises(ValueError, match="there is no numeric metric 'wrng', did you mean 'wrong'"):
+        getattr(found, show)(["wrng"] if listed else "wrng")
+
+
 @pytest.mark.slow
 def test_a_precision_of_a_metric_takes_as_many_runs_whether_or_not_there_are_runs_without_it(tmp_path):
     grid, target = {"capture.radius": [0.2]}, ("half", 0.012)
