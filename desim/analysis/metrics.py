@@ -8,7 +8,7 @@ A user's metric is a function of a result that returns a number, True, False or 
 It is given to `summary` or `sweep`, or named by a scenario (`record.metrics`).
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from keyword import iskeyword
 from math import isnan, nan
@@ -44,6 +44,7 @@ from desim.analysis.trace_index import (
 from desim.config.json_numbers import to_json
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
+from desim.scenario.named_metrics import NamedMetric
 from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 
@@ -305,7 +306,7 @@ def summary(result: Result, metrics: Mapping[str, Callable[[Result], Any]] = Map
         ValueError: if a metric has the name of another, or one that is not an identifier.
         MetricError: if a metric that is not built in fails, or returns something else.
     """
-    return measured(users_metrics(result.scenario, metrics), result)
+    return measured(users_metrics(result.scenario.record.metrics, metrics), result)
 
 
 def measured(own: UsersMetrics, result: Result) -> Summary:
@@ -334,19 +335,19 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
 
 
 def users_metrics(
-    scenario: Scenario, more: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})
+    named: Sequence[NamedMetric], more: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})
 ) -> UsersMetrics:
-    """Return the metrics that a scenario names (`record.metrics`), and more, each with its name.
+    """Return the metrics that a scenario names (its `record.metrics`), and more, each with its name.
 
     Raises:
         ValueError: if a metric is not a function, or has the name of another, or one that is not an identifier.
     """
     found: dict[str, Metric] = {}
-    for name, of in [*((each.name, each.of) for each in scenario.record.metrics), *more.items()]:
+    for name, of in [*((each.name, each.of) for each in named), *more.items()]:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
         low = name.lower()  # SQL does not tell cases apart
-        if low in METRICS or low in COLUMNS or low in type(scenario).model_fields:
+        if low in METRICS or low in COLUMNS or low in Scenario.model_fields:
             what = "built-in metric" if low in METRICS else "column of tables" if low in COLUMNS else "scenario key"
             raise ValueError(f"metric {name!r} should have another name: there is a {what} of this name")
         if not callable(of) or isinstance(of, type):

@@ -118,7 +118,7 @@ def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]
 
 def _rows_of_run(scenario: Scenario, run: Summary, shown: Sequence[str]) -> Iterator[tuple[str, str, str]]:
     """Yield the rows of the metrics of a run: label, value with unit, note."""
-    own = dict(users_metrics(scenario))
+    own = dict(users_metrics(scenario.record.metrics))
     for name, metric in {**METRICS, **own}.items():
         value = run[name]
         is_silent = metric.note is None and name not in own and name not in shown

@@ -121,11 +121,14 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
                 check_numeric(each, installed_metrics())
         except ValueError as error:
             fail(f"--metric {each}: {error}, and MODULE:FUNCTION")
-    table = source.tables.get("record")
-    named = table.get("metrics", []) if isinstance(table, dict) else []
     added = [each for each in metrics if each not in METRICS]
-    if added and isinstance(named, list):
-        source.set("record.metrics", [*named, *added], " ".join(f"--metric {each}" for each in added))
+    table = source.tables.setdefault("record", {}) if added else None
+    named = table.get("metrics", []) if isinstance(table, dict) else None
+    if isinstance(table, dict) and isinstance(named, list):
+        table["metrics"] = [*named, *added]
+        source.origins.update(
+            (("record", "metrics", k), f"--metric {each}") for k, each in enumerate(added, len(named))
+        )
 
 
 def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
@@ -147,10 +150,11 @@ def valid(source: "Source") -> "Scenario":
     if scenario.record.metrics:
         from desim.analysis.metrics import users_metrics
 
-        try:
-            users_metrics(scenario)
-        except ValueError as error:
-            fail(f"{source.where(('record', 'metrics'))}: record.metrics: {error}")
+        for k in range(len(scenario.record.metrics)):
+            try:
+                users_metrics(scenario.record.metrics[: k + 1])
+            except ValueError as error:
+                fail(f"{source.where(('record', 'metrics', k))}: record.metrics.{k}: {error}")
     for key, why in warnings(scenario):
         place = tuple(int(part) if part.isdigit() else part for part in key.split("."))
         echo(f"warning: {source.where(place)}: {key}: {why}", err=True)

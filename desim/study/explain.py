@@ -73,7 +73,7 @@ class Variants:
         """
         if index(runs) < 2:
             raise ValueError(f"an interval needs at least 2 runs, got {runs}")
-        own, scenario = users_metrics(scenario, metrics or {}), without_metrics(scenario)
+        own, scenario = users_metrics(scenario.record.metrics, metrics or {}), without_metrics(scenario)
         ideal = reduce(lambda so_far, remove: remove(so_far), IMPERFECTIONS.values(), scenario)
         removed = {name: remove(scenario) for name, remove in IMPERFECTIONS.items()}
         named = {AS_IT_IS: scenario, **removed, IDEAL: ideal}

@@ -78,7 +78,7 @@ class SweepPlan:
         source = scenario if isinstance(scenario, Source) else Source.of(scenario)
         base = validate(source)
         reps, root = index(base.sweep.reps if reps is None else reps), index(base.seed if seed is None else seed)
-        own, found = users_metrics(base, metrics or {}), tuple(configurations(source, grid))
+        own, found = users_metrics(base.record.metrics, metrics or {}), tuple(configurations(source, grid))
         return cls(without_metrics(base), found, reps, root, base.sweep.seeds == "common", own)
 
     def __post_init__(self) -> None:

@@ -395,8 +395,20 @@ def test_a_name_of_a_built_in_metric_is_refused_with_file_line_and_key(file, com
     file.write_text(FILE.replace(":gap", ":energy").replace("energy", "active_time"))
     (file.parent / "mine_of_commands.py").write_text(MODULE.replace("energy", "active_time"))
     assert refused(command, file, TRUSTED).startswith(
-        f"{file}:6: record.metrics: metric 'active_time' should have another name: there is a built-in metric"
+        f"{file}:6: record.metrics.0: metric 'active_time' should have another name: there is a built-in metric"
     )
+
+
+@pytest.mark.parametrize(
+    ("in_file", "option", "where"),
+    [("none", "twice", "FILE:6: record.metrics.0"), ("energy", "twice", "FILE:6: record.metrics.0"),
+     ("gap", "none", "--metric mine_of_commands:none: record.metrics.1"),
+     ("gap", "energy", "--metric mine_of_commands:energy: record.metrics.1")],
+)  # fmt: skip
+def test_a_fault_of_a_metric_is_told_where_the_metric_is_named(file, in_file, option, where):
+    file.write_text(FILE.replace(":gap", f":{in_file}"))
+    said = refused("run", file, TRUSTED, "--metric", f"mine_of_commands:{option}")
+    assert said.startswith(where.replace("FILE", str(file)))
 
 
 def test_a_sweep_shows_measures_and_stores_them(file, tmp_path):
