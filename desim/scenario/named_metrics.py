@@ -40,7 +40,10 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     if isinstance(value, FunctionType):
         return NamedMetric(name=value.__name__, given=import_name(value), of=value)
     if not isinstance(value, str):
-        raise ValueError(f'should be "module:name" or the name of an installed metric (got {value!r})')
+        also = "; give others to `sweep` or `summary`, which take metrics by name" if callable(value) else ""
+        raise ValueError(
+            f'should be a function, "module:name" or the name of an installed metric{also} (got {value!r})'
+        )
     if ":" in value:
         if names_code(value) and not is_trusted(info):
             raise ValueError(refusal(value))
@@ -51,7 +54,10 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         close = get_close_matches(value, installed, n=1)
         hint = f", did you mean {close[0]!r}?" if close else ""
         names = ", ".join(['"module:name"', *installed])
-        raise ValueError(f"there is no installed metric {value!r}{hint}; allowed: {names}")
+        raise ValueError(
+            f"there is no installed metric {value!r}{hint}; allowed: {names}; built-in metrics need no naming:"
+            " every summary has them"
+        )
     _check_called(value, of)
     return NamedMetric(name=name, given=value, of=of)
 

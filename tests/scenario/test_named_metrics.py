@@ -1,5 +1,6 @@
 """Metrics that a scenario file names: what is imported, and what is said of the rest."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -53,7 +54,7 @@ def test_a_module_is_imported_only_if_it_is_trusted(file, tmp_path):
         ("no_such_module:gap", "cannot be imported: No module named 'no_such_module'"),
         ("tests.analysis.of_users:of_two", r"should be called with \(result\): missing a required argument: 'more'"),
         ("desim:Scenario", r"should be a function of a result \(got <class"),
-        ("gap", "there is no installed metric 'gap'; allowed: \"module:name\""),
+        ("gap", "there is no installed metric 'gap'; allowed: \"module:name\"; built-in metrics need no naming"),
     ],
 )
 def test_what_is_no_metric_is_told_with_file_line_and_key(file, given, said):
@@ -75,8 +76,12 @@ def test_a_scenario_of_a_script_has_functions_and_says_how_a_file_would_name_the
     recording = Recording(metrics=(of_users.half,))
     assert recording.model_dump()["metrics"] == ("tests.analysis.of_users:half",)
     assert Recording.model_validate_json(recording.model_dump_json()) == recording
-    with pytest.raises(ValueError, match='should be "module:name" or the name of an installed metric'):
+    allowed = 'should be a function, "module:name" or the name of an installed metric'
+    with pytest.raises(ValueError, match=rf"{allowed} \(got 3\)"):
         Recording(metrics=(3,))
+    for unnamed in (of_users.speed, partial(of_users.half)):
+        with pytest.raises(ValueError, match=f"{allowed}; give others to `sweep` or `summary`, which take metrics by"):
+            Recording(metrics=(unnamed,))
 
 
 def test_metrics_that_a_scenario_names_are_replaced_as_any_other_key():
