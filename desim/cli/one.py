@@ -1,9 +1,11 @@
 """`desim run`: runs of a scenario with one or several seeds, from a file or as recorded in a run.json."""
 
 import json
+import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from traceback import extract_tb, format_list
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
@@ -12,6 +14,7 @@ from desim.cli.options import (
     JOBS,
     JSON,
     METRIC,
+    RAISED,
     SEED,
     SET,
     TIMEOUT,
@@ -26,7 +29,7 @@ from desim.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from desim.analysis.metrics import Summary
+    from desim.analysis.metrics import MetricError, Summary
     from desim.results.provenance import Document
     from desim.scenario.scenario import Scenario
 
@@ -63,7 +66,7 @@ def run(
     overrides: tuple[str, ...],
 ) -> None:
     """Run a scenario FILE, or repeat the runs of a run.json, and print the metrics."""
-    from desim.analysis.metrics import plain
+    from desim.analysis.metrics import MetricError, plain
     from desim.analysis.tables import batch_table, run_table
     from desim.simulation.watchdog import within
 
@@ -85,11 +88,21 @@ def run(
             table = batch_table(scenario, results, time.perf_counter() - start)
     except OSError as error:
         fail(f"--out {error.filename or out}: cannot be written: {error.strerror}")
+    except MetricError as error:
+        _fail_in(error)
     if as_json:
         table = json.dumps({"scenario": scenario.plain(), "runs": [plain(each) for each in results]}, indent=2)
     echo(table)
     if out is not None:
         echo(f"wrote {out}", err=True)
+
+
+def _fail_in(error: "MetricError") -> NoReturn:
+    """Print the calls in a user's metric that led to its exception, and end the program."""
+    cause = error.__cause__
+    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two are of desim
+    echo("".join([*format_list(calls), str(error)]), err=True)
+    sys.exit(RAISED)
 
 
 def _make_output(out: Path, scenario: "Scenario", count: int, folder: Path) -> "tuple[Path, Document]":

@@ -23,6 +23,8 @@ FAILED = 3
 """Exit code if some of many runs failed."""
 WRONG_INPUT = 2
 """Exit code if a file or an option is invalid."""
+RAISED = 1
+"""Exit code if a metric of a user raises an exception."""
 OUT_OF_TIME = 1
 """Exit code if a run exceeds its time limit."""
 

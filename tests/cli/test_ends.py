@@ -26,6 +26,16 @@ class Flee:
     def __call__(self, state, rng):
         sys.exit(0)
 """
+METRICS = """\
+def divided(number):
+    return number / 0
+
+def fails(result):
+    return divided(1)
+
+def returns_text(result):
+    return "x"
+"""
 
 
 @pytest.fixture
@@ -71,6 +81,23 @@ def test_a_run_whose_code_calls_exit_has_failed(file, tmp_path, monkeypatch, key
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(RuntimeError, match=f"^{told}$"):
         desim("run", file(f"{key}\n"), "--allow-import", *runs)
+
+
+@pytest.mark.parametrize("runs", [(), ("-n", "2")])
+@pytest.mark.parametrize(
+    ("name", "calls", "told"),
+    [("fails", ["return divided(1)", "return number / 0"], "ZeroDivisionError: division by zero"),
+     ("returns_text", [], "should return a number, True, False or None, not a str")],
+)  # fmt: skip
+def test_a_metric_that_fails_is_told_with_its_own_calls_only(file, tmp_path, monkeypatch, name, calls, told, runs):
+    (tmp_path / "metrics_that_end.py").write_text(METRICS)
+    monkeypatch.syspath_prepend(tmp_path)
+    done = desim("run", file(), "--allow-import", "--metric", f"metrics_that_end:{name}", *runs)
+    *lines, last = done.stderr.splitlines()
+    assert done.exit_code == 1
+    assert last == f"metric '{name}' of 'unnamed' with seed 0: {told}"
+    assert [line.strip() for line in lines if "File" not in line and "^" not in line] == calls
+    assert all("metrics_that_end.py" in line for line in lines if "File" in line)
 
 
 def test_a_module_that_calls_exit_cannot_be_imported(file, tmp_path, monkeypatch):
