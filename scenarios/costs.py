@@ -25,7 +25,7 @@ from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
-from desim.kernel.positions import Positions
+from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.events import Ended
@@ -59,14 +59,14 @@ MEGABYTE = 1e6
 # Large teams.
 
 
-class Drifting(Positions):
+class Drifting(PositionSource):
     """A position source: nodes move straight in a square and are reflected at its sides."""
 
     def __init__(self, env: Clock, size: int, side: float, seed: int):
         rng = np.random.default_rng(seed)
         self._env, self._side = env, side
         self._from, self._velocity = rng.uniform(0.0, side, (size, 2)), rng.uniform(-0.05, 0.05, (size, 2))
-        self.fastest = 0.05 * sqrt(2.0)
+        self.max_speed = 0.05 * sqrt(2.0)
 
     def __call__(self) -> Floats:
         """Return the (n, 2) positions of all nodes, m."""

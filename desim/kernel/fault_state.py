@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from desim.kernel.positions import PositionSource, as_position_source
+from desim.kernel.positions import PositionFunction, as_position_source
 
 Cut = Mapping[int, int]
 """The group number of each listed node; all other nodes form one more group."""
@@ -16,7 +16,7 @@ Disc = tuple[tuple[float, float], float]
 class FaultState:
     """The active faults of a network; faults may overlap, and the caller that starts a fault also ends it."""
 
-    def __init__(self, positions: PositionSource | None = None):
+    def __init__(self, positions: PositionFunction | None = None):
         self._positions = None if positions is None else as_position_source(positions)
         self._down: Counter[int] = Counter()
         self._cuts: list[Cut] = []

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from desim.kernel.positions import PositionSource, as_position_source, distances
+from desim.kernel.positions import PositionFunction, as_position_source, distances
 from desim.kernel.seeds import pair_uniform
 
 
@@ -21,7 +21,7 @@ class LinkContext:
     """Size of the message, bytes."""
     seed: int = 0
     """Seed of the run."""
-    positions: PositionSource | None = None
+    positions: PositionFunction | None = None
 
     @property
     def distances(self) -> NDArray[np.float64]:

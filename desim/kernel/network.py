@@ -18,7 +18,7 @@ from desim.kernel.inbox import Inbox, Inboxes, Message
 from desim.kernel.link_layer import LinkLayer, Listener
 from desim.kernel.links import Links
 from desim.kernel.message_size import as_sent, size_of
-from desim.kernel.positions import PositionSource
+from desim.kernel.positions import PositionFunction
 from desim.kernel.propagation import LinkSampler
 from desim.kernel.records import Predicate, Record, Records, Table
 from desim.kernel.topology import Topology
@@ -51,7 +51,7 @@ class Network:
         links: Links | None = None,
         *,
         seed: int = 0,
-        positions: PositionSource | None = None,
+        positions: PositionFunction | None = None,
         trace: Trace | None = None,
         fault_state: FaultState | None = None,
         predicate: Predicate | None = None,

@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 from desim.config.arrays import Floats
 
 Nodes = NDArray[np.intp]
-PositionSource = Callable[[], Floats]
-"""A function that returns the current positions of all nodes, (n, 2) m; a `Positions` is faster for large networks."""
+PositionFunction = Callable[[], Floats]
+"""A function that returns the current positions of all nodes, (n, 2) m. A `PositionSource` is faster for large
+networks."""
 
 
-class Positions:
+class PositionSource:
     """Base of the sources of the current positions of the nodes."""
 
-    fastest = inf
+    max_speed = inf
     """Upper bound of the speed of all nodes at all times, m/s; inf if unknown."""
 
     def __call__(self) -> Floats:
@@ -28,22 +29,22 @@ class Positions:
         return self().take(nodes, axis=0)
 
 
-class _PositionFunction(Positions):
-    """`Positions` from a function that returns the positions of all nodes."""
+class _FunctionSource(PositionSource):
+    """A position source that calls a function for the positions of all nodes."""
 
-    def __init__(self, function: PositionSource):
+    def __init__(self, function: PositionFunction):
         self._function = function
 
     def __call__(self) -> Floats:
         return np.asarray(self._function())
 
 
-def as_position_source(source: PositionSource) -> Positions:
-    """Return a position source as `Positions`; a plain function is wrapped."""
-    return source if isinstance(source, Positions) else _PositionFunction(source)
+def as_position_source(positions: PositionFunction) -> PositionSource:
+    """Return a `PositionSource` unchanged; wrap a plain function in one."""
+    return positions if isinstance(positions, PositionSource) else _FunctionSource(positions)
 
 
-def distances(at: Floats, here: int) -> Floats:
-    """Return the (k,) distances of (k, 2) positions from the position with index `here`, m."""
-    x, y = at[here].tolist()
+def distances(at: Floats, index: int) -> Floats:
+    """Return the (k,) distances of (k, 2) positions from the position with this index, m."""
+    x, y = at[index].tolist()
     return np.asarray(np.hypot(at[:, 0] - x, at[:, 1] - y))

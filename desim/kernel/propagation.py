@@ -17,7 +17,7 @@ from desim.kernel.latency import Constant
 from desim.kernel.link_context import LinkContext
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
-from desim.kernel.positions import PositionSource
+from desim.kernel.positions import PositionFunction
 from desim.kernel.records import Arrival, per_receiver
 from desim.kernel.seeds import stream
 from desim.kernel.traits import LinkTraits
@@ -54,7 +54,7 @@ class LinkSampler:
     """
 
     def __init__(
-        self, links: Links, graph: "nx.Graph[int]", seed: int, positions: PositionSource | None, purpose: str = ""
+        self, links: Links, graph: "nx.Graph[int]", seed: int, positions: PositionFunction | None, purpose: str = ""
     ):
         size = len(graph)
         self._links, self._graph = links, graph

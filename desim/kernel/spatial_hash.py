@@ -11,7 +11,7 @@ import numpy as np
 
 from desim.config.arrays import Floats
 from desim.config.model import MAX_COORDINATE
-from desim.kernel.positions import Nodes, Positions
+from desim.kernel.positions import Nodes, PositionSource
 
 VERLET_SKIN = 0.25
 """Distance by which two nodes may approach each other before all nodes are hashed again, divided by the radius."""
@@ -29,13 +29,13 @@ class CellList:
     Args:
         positions: the positions of the nodes, with coordinates up to `MAX_COORDINATE`.
         radius: the radius of the search, m.
-        now: returns the time, s. With it and a finite `positions.fastest`, the movement of the nodes is bounded by
+        now: returns the time, s. With it and a finite `positions.max_speed`, the movement of the nodes is bounded by
             speed x time; otherwise each query compares the positions of all nodes with those that were hashed.
     """
 
-    def __init__(self, positions: Positions, radius: float, now: Callable[[], float] | None = None):
+    def __init__(self, positions: PositionSource, radius: float, now: Callable[[], float] | None = None):
         self._positions = positions
-        self._now, self._fastest = (now, positions.fastest) if now is not None else (lambda: 0.0, inf)
+        self._now, self._max_speed = (now, positions.max_speed) if now is not None else (lambda: 0.0, inf)
         self._side = max(ROUNDING * (1.0 + VERLET_SKIN) * radius, FINEST)
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
@@ -63,8 +63,8 @@ class CellList:
 
     def _drifted(self) -> float:
         """Return an upper bound of the movement of any node along an axis since the nodes were hashed, m."""
-        if self._fastest < inf:
-            return self._fastest * (self._now() - self._when)
+        if self._max_speed < inf:
+            return self._max_speed * (self._now() - self._when)
         at = self._positions()
         fixed = at is self._seen and at.flags.owndata and not at.flags.writeable
         if not fixed:

@@ -11,7 +11,7 @@ import numpy as np
 from desim.config.arrays import Bools, Floats
 from desim.kernel.graphs import node_names
 from desim.kernel.implicit_complete import complete_digraph, is_complete, is_implicit
-from desim.kernel.positions import Nodes, PositionSource, as_position_source, distances
+from desim.kernel.positions import Nodes, PositionFunction, as_position_source, distances
 from desim.kernel.reception import Disk, ReceptionModel, bound
 from desim.kernel.seeds import ROOM, pair_uniform
 from desim.kernel.spatial_hash import CellList
@@ -44,7 +44,7 @@ class Topology:
         self,
         graph: "nx.Graph[int]",
         range: float = inf,  # noqa: A002
-        positions: PositionSource | None = None,
+        positions: PositionFunction | None = None,
         reception: ReceptionModel | None = None,
         *,
         per_link: bool = True,

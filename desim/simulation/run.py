@@ -12,7 +12,7 @@ from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import Crash, clock_errors, draw_faults
 from desim.kernel.network import Network
-from desim.kernel.positions import Nodes, Positions
+from desim.kernel.positions import Nodes, PositionSource
 from desim.pursuit.agent import Agent
 from desim.pursuit.announcements import announces_chase
 from desim.pursuit.events import Captured, Ended
@@ -128,12 +128,12 @@ def run(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Resu
     return Result(scenario, seed, trace)
 
 
-class _PursuerPositions(Positions):
+class _PursuerPositions(PositionSource):
     """The positions of the pursuers for the network; see `desim.kernel.positions.PositionSource`."""
 
     def __init__(self, state: WorldState):
         self._state = state
-        self.fastest = 0.0 if state.static else float(state.speeds.max())
+        self.max_speed = 0.0 if state.static else float(state.speeds.max())
 
     def __call__(self) -> Floats:
         return coordinates(self._state.positions())

@@ -8,16 +8,16 @@ import pytest
 
 from desim.kernel.fault_state import FaultState
 from desim.kernel.link_context import LinkContext
-from desim.kernel.positions import Positions, as_position_source, distances
+from desim.kernel.positions import PositionSource, as_position_source, distances
 from desim.kernel.topology import Topology
 
 AT = np.array([[0.0, 0.0], [3.0, 4.0], [-6.0, 8.0], [0.0, 1.0]])
 
 
-class OfSome(Positions):
+class OfSome(PositionSource):
     """Positions that are never asked for all together, and note for how many."""
 
-    fastest = 0.0
+    max_speed = 0.0
 
     def __init__(self):
         self.asked = []
@@ -38,7 +38,7 @@ def test_a_position_source_with_subset_queries_is_used_directly():
 def test_a_position_function_is_called_each_time_and_may_reuse_its_array_or_return_a_list():
     at = AT.copy()
     positions = as_position_source(lambda: at)
-    assert positions.fastest == inf
+    assert positions.max_speed == inf
     assert positions.of(np.array([2, 0])).tolist() == [[-6.0, 8.0], [0.0, 0.0]]
     at[2] = [7.0, 7.0]
     assert positions.of(np.array([2])).tolist() == [[7.0, 7.0]]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from desim.kernel.positions import Positions, as_position_source
+from desim.kernel.positions import PositionSource, as_position_source
 from desim.kernel.spatial_hash import FINEST, VERLET_SKIN, CellList
 
 
@@ -17,11 +17,11 @@ def line(count, apart):
     return np.column_stack([apart * np.arange(count), np.zeros(count)])
 
 
-class Flying(Positions):
+class Flying(PositionSource):
     """Every node moves straight; counts how often all positions were read."""
 
     def __init__(self, origins, velocities, fastest):
-        self.origins, self.velocities, self.fastest = origins, velocities, fastest
+        self.origins, self.velocities, self.max_speed = origins, velocities, fastest
         self.now = 0.0
         self.looks = 0
 

@@ -15,7 +15,7 @@ from desim.kernel.clock import SECOND, Clock
 from desim.kernel.graphs import Complete
 from desim.kernel.links import Links
 from desim.kernel.network import Network
-from desim.kernel.positions import Positions
+from desim.kernel.positions import PositionSource
 from desim.kernel.reception import Disk, LogDistance, QuasiUnitDisk
 from desim.kernel.topology import Topology
 
@@ -118,10 +118,10 @@ def many(few=0):
         yield
 
 
-class Flying(Positions):
+class Flying(PositionSource):
     """Every node moves straight at 3 m/s, the maximum; counts the positions queried."""
 
-    fastest = 3.0
+    max_speed = 3.0
 
     def __init__(self, at, seed=0):
         angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(at))

@@ -204,7 +204,7 @@ def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
         assert (here <= 0.3).all()
         assert np.array_equal(places.of(np.array([3, 17])), here[[3, 17]])
         step = np.hypot(*(here - before).T)
-        assert (step <= places.fastest + 1e-12).all()
+        assert (step <= places.max_speed + 1e-12).all()
         path += step
         before = here
     assert (path > 0.3).any()  # some node has been thrown back
