@@ -64,10 +64,10 @@ class GilbertElliott(Value):
     """Probability of loss in the bad state, in [0, 1]."""
 
     @model_validator(mode="after")
-    def _possible(self) -> Self:
-        least = max(1.0, self.share / (1.0 - self.share))
-        if self.advance == "message" and self.burst < least:
-            raise ValueError(f"burst should be at least {least:g} messages for this share (got {self.burst:g})")
+    def _check_burst(self) -> Self:
+        min_burst = max(1.0, self.share / (1.0 - self.share))
+        if self.advance == "message" and self.burst < min_burst:
+            raise ValueError(f"burst should be at least {min_burst:g} messages for this share (got {self.burst:g})")
         return self
 
     def start_run(self, size: int) -> Loss:
