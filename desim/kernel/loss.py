@@ -87,7 +87,7 @@ class _Bursts:
         self._recovery = 1.0 / model.burst  # r
         self._failure = self._recovery * model.share / (1.0 - model.share)  # p
         self._loss_good, self._loss_bad = model.loss_good, model.loss_bad
-        self._rows: defaultdict[int, _Row] = defaultdict(lambda: _Row(model.share))
+        self._rows: defaultdict[int, _Row] = defaultdict(_Row)
 
     def __call__(self, context: LinkContext, rng: np.random.Generator) -> Bools:
         """Advance the state of each link and return the (k,) losses."""
@@ -99,7 +99,7 @@ class _Bursts:
             memory = exp((self._failure + self._recovery) * (since - context.now))
             chance = self._share + (was_bad - self._share) * memory
         else:
-            chance = np.where(was_bad > 0.0, 1.0 - self._recovery, self._failure)
+            chance = np.where(was_bad, 1.0 - self._recovery, self._failure)
         bad: Bools = rng.random(len(context.dst)) < np.where(since > -np.inf, chance, self._share)
         row.was_bad[links], row.since[links] = bad, context.now
         if self._loss_good == 0.0 and self._loss_bad == 1.0:
@@ -109,15 +109,15 @@ class _Bursts:
 
 
 class _Row:
-    """The last state of the links of one sender and the time of their last use; -inf if a link was never used.
+    """The links of one sender: whether each was bad at its last use, and the time of that use, s.
 
-    A link that was never used starts in the stationary distribution.
+    Before its first use the time of a link is -inf and its state has no meaning: the link starts in the stationary
+    distribution.
     """
 
-    def __init__(self, share: float):
-        self._share = share
-        self._nodes = np.array([-1])  # no node
-        self.was_bad, self.since = np.array([share]), np.array([-np.inf])
+    def __init__(self) -> None:
+        self._nodes = np.array([-1])  # never empty, for take
+        self.was_bad, self.since = np.array([False]), np.array([-np.inf])
 
     def links(self, dst: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the (k,) indices in this row of the links to the nodes `dst`; new links are added first."""
@@ -130,7 +130,7 @@ class _Row:
     def _add(self, dst: NDArray[np.intp]) -> None:
         old, was_bad, since = self._nodes, self.was_bad, self.since
         self._nodes = np.union1d(old, dst)
-        self.was_bad, self.since = np.full(len(self._nodes), self._share), np.full(len(self._nodes), -np.inf)
+        self.was_bad, self.since = np.zeros(len(self._nodes), bool), np.full(len(self._nodes), -np.inf)
         kept = self._nodes.searchsorted(old)
         self.was_bad[kept], self.since[kept] = was_bad, since
 
