@@ -33,10 +33,10 @@ Table = dict[int, TimedRecord]
 """The newest received record by source."""
 Arrival = int | list[int]
 """Arrival times of a transmission at its receivers, ns; one number if all are equal."""
-
-
 Predicate = Callable[[Any], object]
 """A function that selects bodies of records: its result is true for a match."""
+MAX_UNREAD = 2048
+"""Longest flat list of unread records, at two items per record, that is not merged while its node does not read."""
 
 
 class SharedTable:
@@ -64,25 +64,25 @@ class SharedTable:
         if received[1].src not in self.table:
             _store(received, self.table, self.matching, self._predicate)
 
-    def schedule(self, received: TimedRecord) -> None:
+    def schedule(self, timed: TimedRecord) -> None:
         """Add a record to those waiting until their arrival times."""
         self.only_initial = False
-        if self.waiting and received < self.waiting[-1]:
-            insort(self.waiting, received)
+        if self.waiting and timed < self.waiting[-1]:
+            insort(self.waiting, timed)
         else:
-            self.waiting.append(received)
+            self.waiting.append(timed)
 
     def apply_arrived(self, now: int) -> None:
         """Move the records that have arrived by `now` (ns) to the table."""
         arrived, table = 0, self.table
-        for received in self.waiting:
-            arrival, record = received
+        for timed in self.waiting:
+            arrival, record = timed
             if arrival > now:
                 break
             arrived += 1
             known = table.get(record[0])  # src and seq, by position for speed
             if known is None or known[1][1] < record[1]:
-                _store(received, table, self.matching, self._predicate)
+                _store(timed, table, self.matching, self._predicate)
         del self.waiting[:arrived]
 
 
@@ -108,7 +108,7 @@ class Records:
         self._matching: list[Table] = [{} for _ in range(size)] if predicate is not None else [{}] * size
         self._scheduled, self._merge_interval = 0, max(4096, size)
         self._out_of_order: set[int] = set()  # readers with records inserted out of order
-        self._forgetful: set[int] = set()  # readers that have lost the initial beliefs
+        self._without_initial: set[int] = set()  # readers that have lost the initial beliefs
 
     def set_initial_belief(self, record: Record) -> None:
         """Give all nodes a record at the current time, unless the shared table has one of its source already."""
@@ -140,32 +140,32 @@ class Records:
         self._apply_arrived(node)
         self._out_of_order.add(node)
         received, own = (self._env.now, record), self._tables[node]
-        if _is_newer(received, own) and (node in self._forgetful or _is_newer(received, self._shared.table)):
+        if _is_newer(received, own) and (node in self._without_initial or _is_newer(received, self._shared.table)):
             _store(received, own, self._matching[node], self._predicate)
 
     def latest_records(self, node: int) -> Table:
         """Return the newest record of each other source that `node` has received; cost O(new records + sources)."""
         self._apply_arrived(node)
         own, shared = self._tables[node], self._shared
-        if not shared.table or node in self._forgetful:
+        if not shared.table or node in self._without_initial:
             return own.copy()
         known = shared.table.copy()
         known.pop(node, None)
         if own:
-            known |= own if shared.only_initial else self._still_new(own)
+            known |= own if shared.only_initial else self._not_older_than_shared(own)
         return known
 
     def matching(self, node: int) -> Table:
         """Return those of `latest_records` whose body satisfies the predicate; cost O(new records + matches)."""
         self._apply_arrived(node)
         own, matching, shared = self._tables[node], self._matching[node], self._shared
-        if not shared.table or node in self._forgetful:
+        if not shared.table or node in self._without_initial:
             return matching.copy()
         known = shared.matching.copy()
         known.pop(node, None)
         if own:
             known = {src: received for src, received in known.items() if _is_newer(received, own)}
-            known |= self._still_new(matching)
+            known |= self._not_older_than_shared(matching)
         return known
 
     def forget(self, node: int) -> None:
@@ -179,7 +179,7 @@ class Records:
         self._merge(node)
         self._tables[node].clear()
         self._matching[node].clear()
-        self._forgetful.add(node)
+        self._without_initial.add(node)
 
     def in_flight(self) -> int:
         """Return the number of records in flight, counted once per receiver."""
@@ -198,7 +198,7 @@ class Records:
         if self._waiting[node] or node in self._still_in_flight:
             self._merge(node)
 
-    def _still_new(self, own: Table) -> Table:
+    def _not_older_than_shared(self, own: Table) -> Table:
         """Return the records of a table that are not older than those of the shared table."""
         shared = self._shared.table
         return {src: each for src, each in own.items() if src not in shared or each[1].seq >= shared[src][1].seq}
@@ -245,7 +245,7 @@ class Records:
     def _merge_unread(self) -> None:
         """Merge long lists of unread records, to bound the memory of nodes that do not read."""
         for node, waiting in enumerate(self._waiting):
-            if len(waiting) > 2048:
+            if len(waiting) > MAX_UNREAD:
                 self._merge(node)
 
 
