@@ -1,6 +1,6 @@
 """The newest record of each source that has arrived at each node.
 
-Records need no SimPy event: when it is sent, a record is stored with its arrival time, before which reads ignore it.
+Records need no SimPy event: a record is stored at transmission with its arrival time; reads ignore it until then.
 """
 
 from bisect import insort
@@ -12,7 +12,7 @@ from desim.kernel.clock import SECOND, Clock
 
 
 class Record(NamedTuple):
-    """The state of its source at one time; `seq` orders the records of a source."""
+    """A state of node `src` at one time; `seq` orders its records."""
 
     src: int
     seq: int
@@ -28,7 +28,7 @@ class Record(NamedTuple):
 
 
 TimedRecord = tuple[int, Record]
-"""The arrival time of a record, ns, and the record, whether it has arrived already or not."""
+"""The arrival time of a record, ns, past or future, and the record."""
 Table = dict[int, TimedRecord]
 """The newest received record by source."""
 Arrival = int | list[int]
@@ -49,7 +49,7 @@ class SharedTable:
         waiting: the waiting records, ordered by arrival.
         table: the newest record of each source at the last `apply_arrived`.
         matching: the records of the table whose body satisfies the predicate.
-        only_initial: whether no records but initial beliefs have been added, to the table or to those waiting.
+        only_initial: whether only initial beliefs have been added so far.
     """
 
     def __init__(self, predicate: Predicate | None):
@@ -237,9 +237,7 @@ class Records:
                 still_in_flight.append(arrival)
                 still_in_flight.append(record)
             elif known is None or known[1][1] < record[1]:  # src and seq, by position for speed
-                table[record[0]] = received = (arrival, record)
-                if predicate is not None:
-                    _store(received, table, matching, predicate)
+                _store((arrival, record), table, matching, predicate)
         return still_in_flight
 
     def _merge_unread(self) -> None:
