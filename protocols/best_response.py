@@ -19,7 +19,7 @@ from pydantic import Field
 from desim.pursuit.agent import Agent
 from protocols.rule import LearningRule, argmax, current_action
 
-Willingness = Annotated[float, Field(gt=0, le=1, strict=True)]
+RevisionProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
 """A probability greater than 0."""
 
 
@@ -39,14 +39,14 @@ class BetterReply(LearningRule):
     """At its turn a pursuer changes, with probability alpha, to a random action among those better than its own."""
 
     kind: Literal["better_reply"] = "better_reply"
-    alpha: Willingness = 0.5
+    alpha: RevisionProbability = 0.5
     """Probability of changing if there is a better action, in (0, 1]; 1 - alpha is the inertia."""
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield a better action or the present one."""
         while True:
-            worth = self.utilities(me)
-            now = current_action(me, worth)
-            better = [action for action, value in worth.items() if value > worth[now]]
-            willing = me.rng.random() < self.alpha
-            yield better[me.rng.integers(len(better))] if better and willing else now
+            utilities = self.utilities(me)
+            current = current_action(me, utilities)
+            better = [action for action, value in utilities.items() if value > utilities[current]]
+            revises = me.rng.random() < self.alpha
+            yield better[me.rng.integers(len(better))] if better and revises else current

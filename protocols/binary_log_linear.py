@@ -25,17 +25,17 @@ class BinaryLogLinear(LogLinear):
 
     kind: Literal["binary_log_linear"] = "binary_log_linear"
 
-    def trial(self, me: Agent, options: list[int], now: int) -> int:
+    def trial(self, me: Agent, options: list[int], current: int) -> int:
         """Return the trial action, drawn uniformly from all options except the present action."""
-        return options[(options.index(now) + int(me.rng.integers(1, len(options)))) % len(options)]
+        return options[(options.index(current) + int(me.rng.integers(1, len(options)))) % len(options)]
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield the present action or the trial action."""
         for inverse_tau in self.inverse_temperatures(me):
-            worth = self.utilities(me)
-            now = current_action(me, worth)
-            trial = self.trial(me, list(worth), now)
-            yield (now, trial)[categorical(logit([worth[now], worth[trial]], inverse_tau), me.rng)]
+            utilities = self.utilities(me)
+            current = current_action(me, utilities)
+            trial = self.trial(me, list(utilities), current)
+            yield (current, trial)[categorical(logit([utilities[current], utilities[trial]], inverse_tau), me.rng)]
 
 
 class SelectiveSAP(BinaryLogLinear):
@@ -48,7 +48,7 @@ class SelectiveSAP(BinaryLogLinear):
 
     kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]
 
-    def trial(self, me: Agent, options: list[int], now: int) -> int:
+    def trial(self, me: Agent, options: list[int], current: int) -> int:
         """Return the trial action: each of the options with probability 1 / (M + 1), else the present action."""
         index = int(me.rng.integers(me.evader_count + 1))
-        return options[index] if index < len(options) else now
+        return options[index] if index < len(options) else current

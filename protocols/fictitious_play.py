@@ -23,7 +23,7 @@ from desim.config.model import Probability
 from desim.pursuit.agent import Agent
 from desim.pursuit.beliefs import Belief
 from desim.pursuit.traits import UtilityTraits
-from protocols.best_response import Willingness
+from protocols.best_response import RevisionProbability
 from protocols.rule import LearningRule, argmax, current_action
 
 
@@ -49,12 +49,12 @@ class FictitiousPlay(LearningRule):
                 frequency = frequencies[evader]
                 for j in believed.keys() | frequency.keys():
                     frequency[j] += ((j in believed and believed[j].active == evader) - frequency[j]) / turn
-            worth = {0: 0.0}
+            utilities = {0: 0.0}
             for evader in me.options()[1:]:
                 times = self._counted_times(me, beliefs[evader])
                 chances = [frequencies[evader][j] for j in times]
-                worth[evader] = expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
-            yield argmax(worth)
+                utilities[evader] = expected(me.capture_time(evader), list(times.values()), chances, me.time_left())
+            yield argmax(utilities)
 
     def _counted_times(self, me: Agent, beliefs: dict[int, Belief]) -> dict[int, float]:
         """Return the finite believed capture times of the teammates that count, s."""
@@ -69,7 +69,7 @@ class JointStrategyFictitiousPlay(LearningRule):
     """
 
     kind: Literal["jsfp"] = "jsfp"
-    alpha: Willingness = 0.5
+    alpha: RevisionProbability = 0.5
     """Probability of changing to a better action, in (0, 1]; 1 - alpha is the inertia."""
     rho: Probability = 0.03
     """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
@@ -79,10 +79,10 @@ class JointStrategyFictitiousPlay(LearningRule):
         average: dict[int, float] = defaultdict(float)
         for turn in count(1):
             weight = max(self.rho, 1.0 / turn)
-            worth = self.utilities(me)
-            for action, utility in worth.items():
+            utilities = self.utilities(me)
+            for action, utility in utilities.items():
                 average[action] += weight * (utility - average[action])
-            now, willing = current_action(me, worth), me.rng.random() < self.alpha
-            averages = {action: average[action] for action in worth}
+            current, revises = current_action(me, utilities), me.rng.random() < self.alpha
+            averages = {action: average[action] for action in utilities}
             better = argmax(averages)
-            yield better if willing and averages[now] < averages[better] else now
+            yield better if revises and averages[current] < averages[better] else current

@@ -21,7 +21,7 @@ from typing import Literal
 
 from desim.config.model import Probability
 from desim.pursuit.agent import Agent
-from protocols.best_response import Willingness
+from protocols.best_response import RevisionProbability
 from protocols.rule import LearningRule, current_action
 from protocols.sap import categorical
 
@@ -36,21 +36,24 @@ class RegretMatching(LearningRule):
     kind: Literal["regret_matching"] = "regret_matching"
     rho: Probability = 0.0
     """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
-    alpha: Willingness = 1.0
+    alpha: RevisionProbability = 1.0
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""
 
     def actions(self, me: Agent) -> Iterator[int]:
         """Yield an action drawn in proportion to its regret, or the present one."""
         regret: dict[int, float] = defaultdict(float)
         for turn in count(1):
-            worth = self.utilities(me)
-            now, weight = current_action(me, worth), max(self.rho, 1.0 / turn)
-            for action, utility in worth.items():
-                regret[action] += weight * (utility - worth[now] - regret[action])
-            positive = [max(regret[action], 0.0) for action in worth]
+            utilities = self.utilities(me)
+            current, weight = current_action(me, utilities), max(self.rho, 1.0 / turn)
+            for action, utility in utilities.items():
+                regret[action] += weight * (utility - utilities[current] - regret[action])
+            positive = [max(regret[action], 0.0) for action in utilities]
             total = sum(positive)
-            willing = me.rng.random() < self.alpha
-            yield list(worth)[categorical([r / total for r in positive], me.rng)] if total > 0.0 and willing else now
+            revises = me.rng.random() < self.alpha
+            if total > 0.0 and revises:
+                yield list(utilities)[categorical([r / total for r in positive], me.rng)]
+            else:
+                yield current
 
 
 class GeneralisedRegretMatching(RegretMatching):
@@ -59,5 +62,5 @@ class GeneralisedRegretMatching(RegretMatching):
     kind: Literal["generalised_regret_matching"] = "generalised_regret_matching"  # type: ignore[assignment]
     rho: Probability = 0.1
     """Least weight of the latest turn in the average, the rate of forgetting; 0: all turns have equal weight."""
-    alpha: Willingness = 0.5
+    alpha: RevisionProbability = 0.5
     """Probability of choosing anew, in (0, 1]; 1 - alpha is the inertia."""

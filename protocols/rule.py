@@ -77,10 +77,10 @@ class LearningRule(Rule):
 
         The gain of a pursuer that can never capture is -1e9 s (`MAX_TIME`), so that averages are finite.
         """
-        worth = {0: 0.0}
+        utilities = {0: 0.0}
         for evader in me.options()[1:]:
-            worth[evader] = max(me.gain(self.utility, evader), -MAX_TIME)
-        return worth
+            utilities[evader] = max(me.gain(self.utility, evader), -MAX_TIME)
+        return utilities
 
 
 def current_action(me: Agent, actions: Collection[int]) -> int:
