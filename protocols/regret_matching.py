@@ -1,15 +1,16 @@
 """Regret matching: a pursuer draws each action with probability proportional to its regret for not having taken it.
 
 Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
-    unconditional variant: the regret of an action is that of not having taken it at every turn. The conditional
+    unconditional variant: the regret of an action is the gain had it been taken at every turn. The conditional
     procedure of the paper's title (regrets of each action against each other action, and an inertia constant), which
     leads to correlated equilibria, is not implemented.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
-Assumes: announcements of all teammates; no order of revisions. Regret matching has no regret in the long run, and the
-    empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay profile in the relay game
-    with one evader and constant capture times. The generalised one settles in a pure equilibrium.
+Assumes: announcements of all teammates; any revision order. With the default parameters, regret matching has no regret
+    in the long run, and the empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay
+    profile in the relay game with one evader and constant capture times. The generalised one settles in a pure
+    equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """
