@@ -33,14 +33,14 @@ def kind_of(model: type[BaseModel]) -> str:
     return str(model.model_fields["kind"].default)
 
 
-def home_of(value: Any) -> Any:
+def definition_of(value: Any) -> Any:
     """Return the function or class that defines a value: a function itself, or the class of an object."""
     return value if isinstance(value, FunctionType) else type(value)
 
 
-def import_name(home: Any) -> str:
+def import_name(definition: Any) -> str:
     """Return the `kind` "module:name" that selects a function or class without an entry point."""
-    return f"{home.__module__}:{home.__qualname__}"
+    return f"{definition.__module__}:{definition.__qualname__}"
 
 
 class OneOf:
@@ -99,7 +99,7 @@ class OneOf:
 
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
-        points = [*entry_points(group=self.group), *_own_points(self.group)] if self.group else []
+        points = [*entry_points(group=self.group), *_builtin_points(self.group)] if self.group else []
         return {point.name: point for point in sorted(points, key=lambda point: point.name)}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -120,7 +120,7 @@ class OneOf:
             parameters = value.model_dump()
         elif is_dataclass(value):
             parameters = attributes(value, [each.name for each in fields(value) if each.init])
-        return parameters | {"kind": import_name(home_of(value))}
+        return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
         """Return the model that a table describes; raise ValidationError if the table is invalid."""
@@ -172,7 +172,7 @@ class OneOf:
         The module is imported only if the file is trusted. A class is instantiated only if its instances are callable.
         """
         kind = table["kind"]
-        if names_code(kind) and not is_trusted(info):
+        if is_unlisted_import(kind) and not is_trusted(info):
             raise PydanticCustomError("import_refused", "{why}", {"why": refusal(kind)})
         found = load_named(kind, (info.context or {}).get("folder"))
         parameters = {key: each for key, each in table.items() if key != "kind"}
@@ -204,15 +204,15 @@ def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
     return SchemaValidator(_union({kind: model}))
 
 
-def names_code(kind: Any) -> bool:
+def is_unlisted_import(kind: Any) -> bool:
     """Return whether a kind is a "module:name" that no entry point of a group `desim.*` refers to."""
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
-def _own_points(group: str) -> list[EntryPoint]:
+def _builtin_points(group: str) -> list[EntryPoint]:
     """Return the entry points of the kinds of a group in `protocols`, which need no installation."""
     kinds = import_module("protocols").KINDS.get(group, {})
-    return [EntryPoint(kind, home, group) for kind, home in kinds.items()]
+    return [EntryPoint(kind, definition, group) for kind, definition in kinds.items()]
 
 
 def refusal(kind: str) -> str:
@@ -228,7 +228,7 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
         each
         for group in groups
         if group.startswith("desim.")
-        for each in (*entry_points(group=group), *_own_points(group))
+        for each in (*entry_points(group=group), *_builtin_points(group))
     )
     return MappingProxyType({f"{each.module}:{each.attr}": each for each in points})
 
@@ -236,7 +236,7 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 def load_named(kind: str, folder: Path | None) -> Any:
     """Return the object "module:name"; `folder`, if given, is added to `sys.path`, which worker processes copy.
 
-    The caller has to check that the text that names it is trusted; see `names_code`.
+    The caller has to check that the text that names it is trusted; see `is_unlisted_import`.
 
     Raises:
         ValueError: if it cannot be imported.
@@ -261,19 +261,19 @@ def _constructed(model: type, kind: str, parameters: dict[str, Any], context: An
     """Return an instance of a class.
 
     Raises:
-        PydanticCustomError: of the type "own_model" if parameters are invalid, with the class and the list of errors.
+        PydanticCustomError: of the type "user_model" if parameters are invalid, with the class and the list of errors.
         ValueError: if the class cannot be instantiated with these parameters.
     """
     allowed = _parameters_of(model)
     if unknown := [key for key in parameters if allowed is not None and key not in allowed]:
-        says = {"type": "extra_forbidden", "msg": "Extra inputs are not permitted", "ctx": {"allowed": allowed}}
-        raise _own_model(model, kind, [says | {"loc": (key,), "input": parameters[key]} for key in unknown])
+        detail = {"type": "extra_forbidden", "msg": "Extra inputs are not permitted", "ctx": {"allowed": allowed}}
+        raise _model_error(model, kind, [detail | {"loc": (key,), "input": parameters[key]} for key in unknown])
     try:
         return (
             model.model_validate(parameters, context=context) if issubclass(model, BaseModel) else model(**parameters)
         )
     except ValidationError as error:
-        raise _own_model(model, kind, error.errors(include_url=False)) from error
+        raise _model_error(model, kind, error.errors(include_url=False)) from error
     except TypeError as error:
         raise ValueError(f"{kind!r}: {error}") from error
 
@@ -287,9 +287,11 @@ def _parameters_of(model: type) -> list[str] | None:
     return None if any(each.kind is each.VAR_KEYWORD for each in found) else sorted(each.name for each in found)
 
 
-def _own_model(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) -> PydanticCustomError:
-    faults = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in errors)
-    return PydanticCustomError("own_model", "{why}", {"why": f"{kind!r}: {faults}", "model": model, "errors": errors})
+def _model_error(model: type, kind: str, errors: Sequence[Mapping[str, Any]]) -> PydanticCustomError:
+    problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in errors)
+    return PydanticCustomError(
+        "user_model", "{why}", {"why": f"{kind!r}: {problems}", "model": model, "errors": errors}
+    )
 
 
 def choices_of(field: FieldInfo) -> list[OneOf]:

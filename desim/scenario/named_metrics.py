@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo, WithJsonSchema
 
-from desim.config.choice import import_name, load_named, names_code, refusal
+from desim.config.choice import import_name, is_unlisted_import, load_named, refusal
 from desim.config.trust import is_trusted
 
 GROUP = "desim.metrics"
@@ -45,7 +45,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
             f'should be a function, "module:name" or the name of an installed metric{also} (got {value!r})'
         )
     if ":" in value:
-        if names_code(value) and not is_trusted(info):
+        if is_unlisted_import(value) and not is_trusted(info):
             raise ValueError(refusal(value))
         name, of = value.rpartition(":")[2], load_named(value, (info.context or {}).get("folder"))
     elif value in (installed := installed_metrics()):

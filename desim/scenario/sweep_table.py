@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_serializer, field_validator
 from pydantic_core import PydanticCustomError
 
-from desim.config.choice import home_of, import_name, names_code, refusal
+from desim.config.choice import definition_of, import_name, is_unlisted_import, refusal
 from desim.config.model import Value
 from desim.config.trust import is_trusted
 
@@ -63,7 +63,7 @@ class Sweep(Value):
     @classmethod
     def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
         """Refuse code named by an untrusted file here, because the values of a key are validated only later."""
-        named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if names_code(kind)]
+        named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if is_unlisted_import(kind)]
         if named:
             text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
             misfits = [(("sweep", "grid", key), refusal(kind)) for key, kind in named]
@@ -103,4 +103,4 @@ def _as_json(value: Any) -> Any:
         return [_as_json(each) for each in value]
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    return {"kind": import_name(home_of(value))}
+    return {"kind": import_name(definition_of(value))}

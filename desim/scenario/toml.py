@@ -107,7 +107,7 @@ def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPa
             yield _problem(source, place, why)
         return
     place, owner, info = _locate(error, value_at(source.tables, above), model, above)
-    if error["type"] == "own_model":
+    if error["type"] == "user_model":
         for each in error["ctx"]["errors"]:
             yield from _explain(each, source, error["ctx"]["model"], place)
         return

@@ -32,7 +32,7 @@ import cloudpickle
 import numpy as np
 from pydantic import BaseModel
 
-from desim.config.choice import home_of
+from desim.config.choice import definition_of
 from desim.config.data_files import DataFileError, content_hash, declared, opened_by
 from desim.results.environment import NUMERICS
 from desim.scenario.overrides import ScenarioError
@@ -116,7 +116,7 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield each callable and model that is not of desim inside a model or a list, with its dotted key."""
     inner: Any = ()
-    if (callable(value) or isinstance(value, BaseModel)) and _root(home_of(value).__module__) not in OURS:
+    if (callable(value) or isinstance(value, BaseModel)) and _root(definition_of(value).__module__) not in OURS:
         yield key, value
     elif isinstance(value, BaseModel):
         inner = [(name, vars(value)[name]) for name in type(value).model_fields if key or name not in UNSWEPT]

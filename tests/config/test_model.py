@@ -224,8 +224,8 @@ def test_what_the_table_of_the_repository_names_needs_no_installation(monkeypatc
     assert OneOf(group="desim.shapes").choices() == {"round": Circle, "square": Square}
     choice._named_by_entry_points.cache_clear()
     try:
-        assert not choice.names_code(f"{__name__}:Circle")
-        assert choice.names_code(f"{__name__}:Drawing")
+        assert not choice.is_unlisted_import(f"{__name__}:Circle")
+        assert choice.is_unlisted_import(f"{__name__}:Drawing")
     finally:
         choice._named_by_entry_points.cache_clear()
 
