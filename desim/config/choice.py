@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, reduce
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
@@ -46,11 +46,12 @@ def import_name(definition: Any) -> str:
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    The models of `protocols.KINDS` of the group `group`, and those that other distributions install under this entry
-    point group, are accepted too; each is imported when a table selects it. A callable object is accepted unchanged, so
-    a script can pass its own function or model. A file selects such a callable by the kind "module:name"; the module is
-    installed or lies beside the file. Importing a module runs its code, so the file must be trusted (`is_trusted`),
-    unless `protocols.KINDS` or an entry point of a group `desim.*` refers to the same "module:name".
+    The models under `group` in `protocols.KINDS` and in the entry points of other distributions are accepted too; a
+    table with a known kind imports only its model, a table without one imports them all to list them. A callable object
+    is accepted unchanged, so a script can pass its own function or model. A file selects such a callable by the kind
+    "module:name"; the module is installed or lies beside the file. Importing a module runs its code, so the file must
+    be trusted (`is_trusted`), unless `protocols.KINDS` or an entry point of a group `desim.*` refers to the same
+    "module:name".
 
     Args:
         models: the models of this distribution.
@@ -210,7 +211,7 @@ def is_unlisted_import(kind: Any) -> bool:
 
 
 def _builtin_points(group: str) -> list[EntryPoint]:
-    """Return the entry points of the kinds of a group in `protocols`, which need no installation."""
+    """Return the kinds of a group in `protocols.KINDS` as entry points, without installation."""
     kinds = import_module("protocols").KINDS.get(group, {})
     return [EntryPoint(kind, definition, group) for kind, definition in kinds.items()]
 
@@ -234,9 +235,10 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 
 
 def load_named(kind: str, folder: Path | None) -> Any:
-    """Return the object "module:name"; `folder`, if given, is added to `sys.path`, which worker processes copy.
+    """Return the object "module:name"; without an entry point, `folder` is added to `sys.path`, also for workers.
 
-    The caller has to check that the text that names it is trusted; see `is_unlisted_import`.
+    The name may have dots, for example "module:Outer.Inner". The caller has to check that the text that names it is
+    trusted; see `is_unlisted_import`.
 
     Raises:
         ValueError: if it cannot be imported.
@@ -247,7 +249,7 @@ def load_named(kind: str, folder: Path | None) -> Any:
     if folder is not None and str(folder.absolute()) not in sys.path:
         sys.path.append(str(folder.absolute()))
     try:
-        return getattr(import_module(module), name)
+        return reduce(getattr, name.split("."), import_module(module))
     except (ImportError, AttributeError, ValueError) as error:
         where = "" if folder is None else f"; also searched in the folder of the file, {folder.absolute()}"
         raise ValueError(f"{kind!r} cannot be imported: {error}{where}") from error
@@ -279,7 +281,7 @@ def _constructed(model: type, kind: str, parameters: dict[str, Any], context: An
 
 
 def _parameters_of(model: type) -> list[str] | None:
-    """Return the parameters of a class, sorted; None if it accepts any, or is a model that rejects unknown ones."""
+    """Return the parameters of a class, sorted; None if no check is needed (all accepted, or the model checks)."""
     if issubclass(model, BaseModel):
         names = {*model.model_fields, *(field.alias for field in model.model_fields.values() if field.alias)}
         return sorted(names) if model.model_config.get("extra", "ignore") == "ignore" else None

@@ -566,6 +566,14 @@ class Rule(LearningRule):
             yield 0
 
 
+class Outer:
+    class Inner(Doubled):
+        pass
+
+    def constant(context, rng):
+        return 0.5
+
+
 class Misspelt:
     ominscient = True
 
@@ -618,9 +626,22 @@ def test_a_scenario_with_user_models_survives_dumping_and_loading(own_models, sh
     assert dump(again) == dump(scenario)
 
 
+def test_a_class_inside_another_survives_dumping_and_loading(own_models, shelf):
+    """Its name is dotted, as that of an entry point may be."""
+    for model in (own_models.Outer.Inner(value=0.5), own_models.Outer.constant):
+        scenario = Scenario(network=Links(latency=model))
+        shelf.write_text(dump(scenario), encoding="utf-8")
+        assert 'kind = "own_models:Outer.' in shelf.read_text(encoding="utf-8")
+        assert load(shelf, allow_import=True) == scenario
+
+
 BAD_MODELS = {
     "no such module": ('{ kind = "own_modelz:slow" }', ["'own_modelz:slow' cannot be imported", "own_modelz"]),
     "no such name": ('{ kind = "own_models:fast" }', ["'own_models:fast' cannot be imported", "fast"]),
+    "no such inner name": (
+        '{ kind = "own_models:Outer.fast" }',
+        ["'own_models:Outer.fast' cannot be imported", "fast"],
+    ),
     "no module": ('{ kind = ":slow" }', ["':slow' cannot be imported"]),
     "no name": ('{ kind = "own_models:" }', ["'own_models:' cannot be imported"]),
     "parameter of a function": ('{ kind = "own_models:slow", value = 1.0 }', ["takes no parameters, got value"]),
