@@ -77,7 +77,7 @@ class LocalMutex(Value):
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
 
-    def without_turns(self) -> dict[str, Any]:
+    def without_serial_decisions(self) -> dict[str, Any]:
         """Return the schedule without mutual exclusion."""
         return {"kind": "poisson", "rate": self.rate}
 

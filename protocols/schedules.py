@@ -52,7 +52,7 @@ class SharedSeed(Value):
         """Return delta, s."""
         return self.slot
 
-    def without_turns(self) -> dict[str, Any]:
+    def without_serial_decisions(self) -> dict[str, Any]:
         """Return the schedule under which all pursuers revise in every slot."""
         return {"kind": "synchronous", "schedule": self}
 

@@ -36,7 +36,7 @@ class _WithToken(Value):
         """Return holding_time + L + A, s; A is the airtime of a full token. A slot without a hop lasts holding_time."""
         return self.holding_time + hop_time(me)
 
-    def without_turns(self) -> dict[str, Any]:
+    def without_serial_decisions(self) -> dict[str, Any]:
         """Return the schedule under which all pursuers revise whenever the token would be forwarded."""
         return {"kind": "synchronous", "schedule": self}
 

@@ -67,8 +67,8 @@ class ScheduleTraits(Assuming):
     """Whether several pursuers may revise at the same instant."""
     spreads_to: Literal["all", "neighbours"] | None = None
     """The pursuers to which its own messages repeatedly carry actions, so that announcements are not needed there."""
-    without_turns: Callable[[], dict[str, Any]] | None = None
-    """`without_turns()` returns the table of a schedule without waiting for each other, for `desim explain`."""
+    without_serial_decisions: Callable[[], dict[str, Any]] | None = None
+    """`without_serial_decisions()` returns the table of a schedule without waiting, for `desim explain`."""
     warnings: Callable[[float], Iterator[tuple[str, str]]] | None = None
     """`warnings(step)` yields (key, reason) for each parameter that is unwise with this motion step, s."""
 

@@ -123,12 +123,12 @@ def _cost(
     absent: tuple[str, ...],
 ) -> Cost:
     """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value."""
-    there = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
-    values = {name: [float(found[k].value(metric)) for k in there] for name, found in rows.items()}
+    shared_seeds = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
+    values = {name: [float(found[k].value(metric)) for k in shared_seeds] for name, found in rows.items()}
     as_it_is = values.pop(AS_IT_IS)
     saved = {name: [a - b for a, b in zip(as_it_is, each, strict=True)] for name, each in values.items()}
     parts = {name: saved[name] for name in IMPERFECTIONS if name not in absent}
-    rest = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
+    interaction = [total - sum(part[k] for part in parts.values()) for k, total in enumerate(saved[IDEAL])]
     return Cost(
         EXPLAINED.get(metric) or words(metric),
         unit_of(metric, {name: each.unit for name, each in own}),
@@ -136,5 +136,5 @@ def _cost(
         mean(values[IDEAL]),
         {name: Saving.of(each) for name, each in parts.items()},
         Saving.of(saved[IDEAL]),
-        Saving.of(rest),
+        Saving.of(interaction),
     )

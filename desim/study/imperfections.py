@@ -32,8 +32,8 @@ def without_latency(scenario: Scenario) -> Scenario:
         latency=Constant(),
         processing=Processing(),
         medium=Unlimited(),
-        graph=_bare_graph(scenario, "latency"),
-        link=_bare_links(scenario.network, "latency"),
+        graph=_graph_without(scenario, "latency"),
+        link=_links_without(scenario.network, "latency"),
     )
 
 
@@ -42,8 +42,8 @@ def without_loss(scenario: Scenario) -> Scenario:
     return _with_network(
         scenario,
         loss=Bernoulli(),
-        graph=_bare_graph(scenario, "loss"),
-        link=_bare_links(scenario.network, "loss"),
+        graph=_graph_without(scenario, "loss"),
+        link=_links_without(scenario.network, "loss"),
     )
 
 
@@ -57,7 +57,7 @@ def without_faults(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"fault": ()})
 
 
-def without_turns(scenario: Scenario) -> Scenario:
+def without_serial_decisions(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers take no turns: no decision waits for those of teammates.
 
     If messages of the schedule, such as a token, carry the actions, pursuers instead announce each change of action
@@ -65,10 +65,10 @@ def without_turns(scenario: Scenario) -> Scenario:
     """
     protocol = scenario.protocol
     schedule = scenario.schedule_traits
-    if not isinstance(protocol, BaseModel) or schedule.without_turns is None or scenario.team.count == 1:
+    if not isinstance(protocol, BaseModel) or schedule.without_serial_decisions is None or scenario.team.count == 1:
         return scenario
     try:
-        free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_turns()})
+        free = type(protocol).model_validate({**dict(protocol), "schedule": schedule.without_serial_decisions()})
     except ValidationError:  # a user's protocol that accepts no other schedule keeps its turns
         return scenario
     announcements = scenario.announce.model_copy(update={"trigger": "both"} if schedule.spreads_to else {})
@@ -85,7 +85,7 @@ def without_staleness(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
 
 
-def without_blindness(scenario: Scenario) -> Scenario:
+def without_sensing_limit(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers sense the evaders at any distance."""
     return scenario.model_copy(update={"sensing": Sensing()}) if scenario.sensing.limited else scenario
 
@@ -96,9 +96,9 @@ IMPERFECTIONS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
         "loss": without_loss,
         "range limit": without_range,
         "faults": without_faults,
-        "serial decisions": without_turns,
+        "serial decisions": without_serial_decisions,
         "stale knowledge": without_staleness,
-        "limited sight": without_blindness,
+        "limited sight": without_sensing_limit,
     }
 )
 """The name of each imperfection, and the function that removes it."""
@@ -112,13 +112,13 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
     return scenario.model_copy(update={"network": network.model_copy(update={"preset": None, **ideal})})
 
 
-def _bare_links(network: Links, key: str) -> tuple[Any, ...]:
+def _links_without(network: Links, key: str) -> tuple[Any, ...]:
     """Return the links with their own models, without the model named `key`; drop links that have no model left."""
     bare = [link.model_copy(update={key: None}) for link in network.link]
     return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
 
 
-def _bare_graph(scenario: Scenario, key: str) -> Any:
+def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph without one property of its edges."""
     made = scenario.network.graph(scenario.team.count).copy()  # the function may reuse the graph
     own = [data for _, _, data in made.edges(data=True) if key in data]

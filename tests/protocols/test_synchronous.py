@@ -13,7 +13,7 @@ from desim.pursuit.events import Decided
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Motion, Recording, Team
-from desim.study.imperfections import without_turns
+from desim.study.imperfections import without_serial_decisions
 from protocols.best_response import BestResponse
 from protocols.mutex import LocalMutex
 from protocols.sap import SpatialAdaptivePlay
@@ -151,13 +151,13 @@ def test_it_needs_equal_clocks_and_is_not_one_at_a_time():
 @pytest.mark.parametrize("other", [SharedSeed(slot=SLOT), TokenRing(holding_time=0.2), TokenWalk(holding_time=0.2)])
 def test_it_replaces_schedules_with_slots_when_turns_are_removed(other):
     scenario = Scenario(protocol=SpatialAdaptivePlay(schedule=other))
-    assert without_turns(scenario).protocol == SpatialAdaptivePlay(schedule=Synchronous(schedule=other))
-    assert without_turns(without_turns(scenario)) == without_turns(scenario)
+    assert without_serial_decisions(scenario).protocol == SpatialAdaptivePlay(schedule=Synchronous(schedule=other))
+    assert without_serial_decisions(without_serial_decisions(scenario)) == without_serial_decisions(scenario)
 
 
 def test_without_turns_local_mutex_decides_by_its_clocks_and_sends_no_requests():
     """At 6 x 3 = 18 decisions per second, of which 54 +- 3 x 7.3 are expected in 3 s; and no requests are sent."""
-    free = without_turns(frozen(LocalMutex(rate=3.0)))
+    free = without_serial_decisions(frozen(LocalMutex(rate=3.0)))
     result = run(free, 4)
     assert not result.trace.of(Sent)
     assert 32 <= len(result.trace.of(Decided)) <= 76

@@ -89,7 +89,7 @@ MISSPELT = {
     "schedule": [
         ("at_onse", True, "at_once"),
         ("spread_to", "all", "spreads_to"),
-        ("without_turn", dict, "without_turns"),
+        ("without_serial_decision", dict, "without_serial_decisions"),
         ("warning", list, "warnings"),
     ],
     "utility": [("expeced", sum, "expected"), ("assume", ("undivided",), "assumes")],

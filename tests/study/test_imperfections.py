@@ -29,8 +29,8 @@ from desim.study.imperfections import (
     without_latency,
     without_loss,
     without_range,
+    without_serial_decisions,
     without_staleness,
-    without_turns,
 )
 from desim.study.store import flat
 from protocols.cbba import CBBA
@@ -367,7 +367,7 @@ class Own(Value):
 class OwnTurns(Own):
     """One that knows how it is without turns."""
 
-    def without_turns(self):
+    def without_serial_decisions(self):
         return {"kind": "rounds", "period": 0.25}
 
 
@@ -403,13 +403,13 @@ class NoModel:
 )
 def test_a_protocol_without_turns_is_unchanged(protocol):
     scenario = Scenario(protocol=protocol, announce=Announcements(trigger="never"))
-    assert without_turns(scenario) is scenario
+    assert without_serial_decisions(scenario) is scenario
 
 
 def test_a_rule_that_accepts_no_other_schedule_keeps_its_turns():
     """`synchronous` is none that it takes."""
     scenario = Scenario(protocol=Narrow())
-    assert without_turns(scenario) == scenario
+    assert without_serial_decisions(scenario) == scenario
 
 
 ANNOUNCED = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
@@ -429,19 +429,19 @@ ANNOUNCED = Announcements(trigger="change", heartbeat=0.7, warm_start=False)
 def test_without_turns_a_protocol_announces_what_schedule_messages_carried(schedule, free, trigger):
     """Nothing else of the rule or of what is announced changes."""
     scenario = Scenario(protocol=CBBA(schedule=schedule, winner_timeout=7.0), announce=ANNOUNCED)
-    found = without_turns(scenario)
+    found = without_serial_decisions(scenario)
     assert found.protocol == CBBA(schedule=free, winner_timeout=7.0)
     assert found.announce == ANNOUNCED.model_copy(update={"trigger": trigger})
     assert found == scenario.model_copy(update={"protocol": found.protocol, "announce": found.announce})
-    assert without_turns(found) == found
+    assert without_serial_decisions(found) == found
 
 
 @pytest.mark.parametrize("schedule", [SharedSeed(), RING, TokenWalk(), LocalMutex()], ids=lambda each: each.kind)
 def test_a_single_pursuer_waits_for_no_other(schedule):
     scenario = Scenario(team=Team(count=1), protocol=SpatialAdaptivePlay(schedule=schedule), announce=ANNOUNCED)
-    assert without_turns(scenario) is scenario
+    assert without_serial_decisions(scenario) is scenario
     two = scenario.model_copy(update={"team": Team(count=2)})
-    assert without_turns(two) != two
+    assert without_serial_decisions(two) != two
 
 
 @pytest.mark.parametrize("trigger", ["change", "heartbeat", "both", "revision", "never"])
