@@ -236,7 +236,7 @@ def working(jobs: int, cluster: str | None, store: "Store") -> Iterator["Workers
         error.add_note(f"{len(store)} runs are in {store.path}; the same command resumes")
         raise
     except RunError as error:
-        echo(f"{error}{len(store)} runs are in {store.path}", err=True)
+        echo(f"{str(error).rstrip()}\n{len(store)} runs are in {store.path}", err=True)
         sys.exit(FAILED)
 
 

@@ -1,6 +1,6 @@
 """The cost of each imperfection of a scenario, such as latency or loss.
 
-The scenario runs with the same seeds as it is, without each imperfection, and without all of them. The cost of an
+The scenario runs as it is, without each imperfection, and without all of them, with the same seeds. The cost of an
 imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not add
 up to the difference that all imperfections make together, the imperfections interact. For example, if either of two is
 enough to delay a capture, removing one alone saves nothing.
@@ -25,7 +25,7 @@ from desim.study.sweep import Metrics, RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100
-"""The default number of runs of each variant. Differences that occur with few seeds only need more runs; see
+"""The default number of runs of each variant. If only a few seeds differ, more runs are needed; see
 `desim.analysis.statistics.paired`."""
 
 
@@ -45,12 +45,13 @@ def explain(
     other arguments are those of `sweep`.
 
     Raises:
-        ValueError: if there are fewer than 2 runs, the seed is negative, or a metric does not exist.
+        ValueError: if there are fewer than 2 runs, the seed is negative, or a metric does not exist or is not numeric.
         StoreError: if the store cannot be written, or belongs to other runs.
         ConnectionError: if a scheduler does not answer.
-        RunError: if for every seed some variant fails.
+        RunError: if no seed completes in all variants.
     """
     variants = Variants.of(scenario, runs, seed, metrics)
+    variants.check_shown(shown)
     with Store(None if store is None else Path(store)) as kept, workers_for(executor) as workers:
         variants.plan.register(kept)
         return variants.carry_out(kept, workers, shown)
@@ -88,16 +89,20 @@ class Variants:
             configurations,
         )
 
+    def check_shown(self, shown: Sequence[str]) -> None:
+        """Raise ValueError if one of the metrics to be shown does not exist or is not numeric."""
+        for metric in shown:
+            check_numeric(metric, dict(self.plan.metrics))
+
     def carry_out(self, store: Store, workers: Workers, shown: Sequence[str] = tuple(EXPLAINED)) -> Explanation:
         """Perform the runs that a store lacks, and return the comparison of the variants in each of some metrics.
 
         Raises:
-            RunError: if for every seed some variant fails.
-            ValueError: if a metric does not exist, or is no number.
+            RunError: if no seed completes in all variants.
+            ValueError: if a metric does not exist or is not numeric.
         """
+        self.check_shown(shown)
         plan = self.plan
-        for metric in shown:
-            check_numeric(metric, dict(plan.metrics))
         groups = carry_out(plan, store, workers, metrics=shown).groups
         by_key = {
             configuration.key: {row.replication: row for row in group.rows}
@@ -107,7 +112,7 @@ class Variants:
         complete = [k for k in range(plan.reps) if all(found[k].ok for found in rows.values())]
         if not complete:
             failed = next(row for found in rows.values() for row in found.values() if not row.ok)
-            raise RunError(f"for every seed some run failed; the first: {failed.error}\n")
+            raise RunError(f"no seed completed in all variants; first failure: {failed.error}")
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )

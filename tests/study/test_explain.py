@@ -449,8 +449,9 @@ def test_if_every_seed_fails_the_first_failure_is_reported(where):
         if (me.latency > 0.0) is (where == "as it is"):
             raise RuntimeError(f"for good, {where}, {me.latency:g}")
 
-    with pytest.raises(RunError, match=r"^for every seed some run failed; the first: RuntimeError: for good, " + where):
+    with pytest.raises(RunError, match=r"^no seed completed in all variants; first failure: RuntimeError") as raised:
         explain(LATE.model_copy(update={"protocol": bad}), 2)
+    assert str(raised.value).endswith(f": for good, {where}, {0.4 if where == 'as it is' else 0:g}")
 
 
 # Stores.
@@ -472,6 +473,13 @@ def test_a_store_of_anything_else_is_refused_with_what_differs(tmp_path):
     refuses(LATE, store, r"root seed was 0, is 1", seed=1)
     refuses(LATE.model_copy(update={"name": "other"}), store, r'name was "small", is "other"')
     assert explain(LATE, 2, store=store) == found
+
+
+@pytest.mark.parametrize("shown", ["activ_time", "captured_by"])
+def test_a_metric_that_does_not_exist_leaves_no_store(tmp_path, shown):
+    with pytest.raises(ValueError, match=f"there is no numeric metric '{shown}'"):
+        explain(LATE, 2, store=tmp_path / "s.sqlite", shown=["end_time", shown])
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_store_of_a_sweep_is_none_of_an_explanation(tmp_path):
@@ -637,9 +645,9 @@ def test_if_every_seed_fails_the_command_reports_the_reason_and_ends_with_3(file
     result = command(file, "-n", 2, "--allow-import", "--set", "protocol.kind=wrong_in_explain:always")
     assert result.exit_code == 3
     assert result.stdout == ""
-    assert "for every seed some run failed; the first: RuntimeError: for good\n" in result.stderr
     # as it is, without latency, without faults, without both
-    assert "8 runs are in out/late/explain/sweep.sqlite" in result.stderr
+    told = "no seed completed in all variants; first failure: RuntimeError: for good\n8 runs are in out/late/explain/"
+    assert told in result.stderr
     assert not (file.parent / "out/late/explain/explain.txt").exists()
 
 
