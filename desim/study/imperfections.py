@@ -1,7 +1,7 @@
 """The imperfections of a scenario, and functions that remove them one by one.
 
-Two properties are not imperfections: the graph, which defines which pursuers are linked, and the decision rate of a
-pursuer with its own clock.
+Two properties are not imperfections: the graph, which defines which pursuers are linked, and the decision rate where
+pursuers take no turns.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ def without_latency(scenario: Scenario) -> Scenario:
 
 
 def without_loss(scenario: Scenario) -> Scenario:
-    """Return the scenario in which no message is lost at random in transit."""
+    """Return the scenario without loss models; random reception is kept."""
     return _with_network(
         scenario,
         loss=Bernoulli(),
@@ -78,8 +78,8 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
 def without_staleness(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers announce actions at once, sense positions and know the initial actions.
 
-    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses only positions from
-    announcements senses them instead, and so needs no messages.
+    Announcements are repeated, and beliefs about silent teammates expire. A protocol that reads announcements only for
+    positions then senses these, and so needs no messages.
     """
     ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
@@ -120,7 +120,7 @@ def _links_without(network: Links, key: str) -> tuple[Any, ...]:
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
     """Return the graph without one property of its edges."""
-    made = scenario.network.graph(scenario.team.count).copy()  # the function may reuse the graph
+    made = scenario.network.graph(scenario.team.count).copy()  # a graph model may return one shared object
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:
         del data[key]
