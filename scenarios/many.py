@@ -30,15 +30,15 @@ from scenarios.many_runs import (
     REFERENCE,
     SIZES,
     TEMPERATURES,
-    Negotiation,
-    Pursuits,
-    negotiations,
-    pursuits,
+    NegotiationSummary,
+    PursuitSummary,
+    run_pursuits,
+    run_static_games,
 )
 from scenarios.study import Options, study
 
 
-def table(games: Sequence[Negotiation], moved: Sequence[Pursuits], runs: int) -> str:
+def table(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary], runs: int) -> str:
     """Return all results as text."""
     return "\n\n".join(
         [
@@ -50,7 +50,7 @@ def table(games: Sequence[Negotiation], moved: Sequence[Pursuits], runs: int) ->
     )
 
 
-def _by_size(games: Sequence[Negotiation], runs: int) -> str:
+def _by_size(games: Sequence[NegotiationSummary], runs: int) -> str:
     here = {(each.pursuers, each.evaders, each.protocol): each for each in games if each.slots == BUDGET}
     rows = [("", *(f"{n} to {m}" for n, m in SIZES))]
     for name in CONTENDERS:
@@ -62,7 +62,7 @@ def _by_size(games: Sequence[Negotiation], runs: int) -> str:
     )
 
 
-def _by_cooling(games: Sequence[Negotiation], runs: int) -> str:
+def _by_cooling(games: Sequence[NegotiationSummary], runs: int) -> str:
     here = {(each.slots, each.protocol): each for each in games if _is_hard(each)}
     rows = [("", *(f"{slots} slots" for slots in BUDGETS))]
     for name in COOLED:
@@ -72,7 +72,7 @@ def _by_cooling(games: Sequence[Negotiation], runs: int) -> str:
     return f"Share of games that end in the best assignment: {what}\n{aligned(rows)}"
 
 
-def _by_temperature(games: Sequence[Negotiation], runs: int) -> str:
+def _by_temperature(games: Sequence[NegotiationSummary], runs: int) -> str:
     here = {(each.temperature, each.protocol): each for each in games}
     rows = [("", *(f"{tau:g} s" for tau in TEMPERATURES))]
     for kind in ("sap", "selective_sap"):
@@ -82,7 +82,7 @@ def _by_temperature(games: Sequence[Negotiation], runs: int) -> str:
     return f"Welfare of the final profile / optimum at constant temperatures: {what}\n{aligned(rows)}"
 
 
-def _pursuit_tables(moved: Sequence[Pursuits], runs: int) -> str:
+def _pursuit_tables(moved: Sequence[PursuitSummary], runs: int) -> str:
     here = {(each.pursuers, each.evaders, each.protocol): each for each in moved}
     heads = [f"{n} to {m}" for n, m in SIZES]
     times, paired, caught = [("", *heads)], [("", *heads)], [("", *heads)]
@@ -100,11 +100,11 @@ def _pursuit_tables(moved: Sequence[Pursuits], runs: int) -> str:
     )
 
 
-def _is_hard(game: Negotiation) -> bool:
+def _is_hard(game: NegotiationSummary) -> bool:
     return (game.pursuers, game.evaders) == HARD and game.temperature is None
 
 
-def picture(games: Sequence[Negotiation], moved: Sequence[Pursuits]) -> "Figure":
+def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]) -> "Figure":
     """Draw the effects of cooling and of a constant temperature, and the durations of the pursuits."""
     from desim.analysis import plots
 
@@ -116,7 +116,7 @@ def picture(games: Sequence[Negotiation], moved: Sequence[Pursuits]) -> "Figure"
     return figure
 
 
-def draw_cooling(axes: "Axes", games: Sequence[Negotiation]) -> None:
+def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw the share of games that end in the best assignment over the number of slots."""
     from desim.analysis import plots
 
@@ -137,7 +137,7 @@ def draw_cooling(axes: "Axes", games: Sequence[Negotiation]) -> None:
     axes.legend(fontsize=7, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 0.98))
 
 
-def draw_temperatures(axes: "Axes", games: Sequence[Negotiation]) -> None:
+def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw the welfare over constant temperatures, a line per protocol."""
     from desim.analysis import plots
 
@@ -153,7 +153,7 @@ def draw_temperatures(axes: "Axes", games: Sequence[Negotiation]) -> None:
     axes.legend(fontsize=7, loc="lower left")
 
 
-def draw_pursuits(axes: "Axes", moved: Sequence[Pursuits]) -> None:
+def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     """Draw the durations of the pursuits, a row per protocol, a mark per size."""
     from desim.analysis import plots
 
@@ -182,7 +182,7 @@ def draw_pursuits(axes: "Axes", moved: Sequence[Pursuits]) -> None:
 @study("many", __doc__, runs=40)
 def main(options: Options) -> None:
     """Measure the static games and the pursuits, and show them."""
-    games, moved = negotiations(options), pursuits(options)
+    games, moved = run_static_games(options), run_pursuits(options)
     document = {"negotiations": [asdict(each) for each in games], "pursuits": [asdict(each) for each in moved]}
     options.show(document, table(games, moved, options.runs), lambda: picture(games, moved))
 

@@ -78,7 +78,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Negotiation:
+class NegotiationSummary:
     """The results of the static games of one size under one protocol."""
 
     pursuers: int
@@ -111,7 +111,7 @@ class Chase:
 
 
 @dataclass(frozen=True)
-class Pursuits:
+class PursuitSummary:
     """The results of the pursuits of one size under one protocol."""
 
     pursuers: int
@@ -152,7 +152,7 @@ def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
     return PROTOCOLS.choices()[kind](**settings if tau is None else settings | {"tau": tau})
 
 
-def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = None) -> Scenario:
+def moving_game(pursuers: int, evaders: int, kind: str, tau: Temperature | None = None) -> Scenario:
     """Return a pursuit of several evaders in which all players move."""
     return Scenario(
         name=f"{kind}, {pursuers} to {evaders}",
@@ -164,9 +164,9 @@ def moving(pursuers: int, evaders: int, kind: str, tau: Temperature | None = Non
     )
 
 
-def frozen(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
+def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
     """Return the static game of t = 0, negotiated for a number of slots."""
-    return moving(pursuers, evaders, kind).model_copy(
+    return moving_game(pursuers, evaders, kind).model_copy(
         update={"motion": Motion(static=True), "protocol": protocol(kind, HORIZON / slots, tau)}
     )
 
@@ -197,58 +197,62 @@ def chase(result: Result) -> Chase:
     return Chase(captured / len(result.scenario.evaders), seconds(result.trace.of(Ended)[0].t))
 
 
-def negotiations(options: Options) -> list[Negotiation]:
+def run_static_games(options: Options) -> list[NegotiationSummary]:
     """Run static games: each protocol at each size, over the number of slots, and at constant temperatures."""
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
     more = replace(options, runs=GAMES_PER_RUN * options.runs)
-    return negotiated(by_size, options) + negotiated(hard, more)
+    return run_negotiations(by_size, options) + run_negotiations(hard, more)
 
 
-def negotiated(keys: Sequence[Key], options: Options) -> list[Negotiation]:
+def run_negotiations(keys: Sequence[Key], options: Options) -> list[NegotiationSummary]:
     """Run the static games of some keys and return their results."""
     scenarios = [
-        frozen(*size, kind_of(name), slots, cooled(name, slots) if tau is None else ConstantTau(value=tau))
+        static_game(*size, protocol_kind(name), slots, cooled(name, slots) if tau is None else ConstantTau(value=tau))
         for size, name, slots, tau in keys
     ]
     found = options.measure(scenarios, "negotiations", outcome)
-    return [negotiation(key, outcomes) for key, outcomes in zip(keys, found, strict=True)]
+    return [summarize_negotiations(key, outcomes) for key, outcomes in zip(keys, found, strict=True)]
 
 
-def kind_of(name: str) -> str:
+def protocol_kind(name: str) -> str:
     """Return the kind of protocol of a contender; any other name is returned unchanged."""
     return CONTENDERS.get(name, (name, None))[0]
 
 
-def negotiation(key: Key, outcomes: Sequence[Outcome]) -> Negotiation:
+def summarize_negotiations(key: Key, outcomes: Sequence[Outcome]) -> NegotiationSummary:
     """Return the results of the static games of one key."""
     size, name, slots, tau = key
     shares = [each.share for each in outcomes]
     count, mean = sum(each.best for each in outcomes), estimate(shares)
     ends = wilson(count, len(outcomes))
-    return Negotiation(*size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends)
+    return NegotiationSummary(
+        *size, name, slots, tau, mean.mean, mean.half_width, min(shares), count / len(outcomes), *ends
+    )
 
 
-def pursuits(options: Options) -> list[Pursuits]:
+def run_pursuits(options: Options) -> list[PursuitSummary]:
     """Run pursuits in which all players move: each protocol at each size."""
     keys = [(size, name) for size in SIZES for name in CONTENDERS]
-    scenarios = [moving(*size, kind_of(name), cooled(name, COOLING)) for size, name in keys]
+    scenarios = [moving_game(*size, protocol_kind(name), cooled(name, COOLING)) for size, name in keys]
     runs = dict(zip(keys, options.measure(scenarios, "pursuits", chase), strict=True))
-    return [compared(*key, runs[key], runs[key[0], REFERENCE]) for key in keys]
+    return [summarize_pursuits(*key, runs[key], runs[key[0], REFERENCE]) for key in keys]
 
 
-def compared(size: tuple[int, int], name: str, own: Sequence[Chase], reference: Sequence[Chase]) -> Pursuits:
+def summarize_pursuits(
+    size: tuple[int, int], name: str, candidate: Sequence[Chase], reference: Sequence[Chase]
+) -> PursuitSummary:
     """Return the results of pursuits, and their difference to the reference with the same seeds."""
-    captured = estimate([each.captured for each in own])
-    duration = estimate([each.duration for each in own])
-    paired = estimate([each.duration - other.duration for each, other in zip(own, reference, strict=True)])
-    return Pursuits(
+    captured = estimate([each.captured for each in candidate])
+    duration = estimate([each.duration for each in candidate])
+    paired = estimate([each.duration - other.duration for each, other in zip(candidate, reference, strict=True)])
+    return PursuitSummary(
         *size,
         name,
         captured.mean,
         captured.half_width,
-        sum(each.captured == 1.0 for each in own) / len(own),
+        sum(each.captured == 1.0 for each in candidate) / len(candidate),
         duration.mean,
         duration.half_width,
         paired.mean,

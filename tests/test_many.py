@@ -108,7 +108,9 @@ def test_slow_cooling_finds_the_best_assignment_more_often_than_fast_cooling():
     """
     slow, fast = (
         [
-            many_runs.outcome(run(many_runs.frozen(4, 4, "sap", 300, tau).model_copy(update=UNRECORDED), seed)).best
+            many_runs.outcome(
+                run(many_runs.static_game(4, 4, "sap", 300, tau).model_copy(update=UNRECORDED), seed)
+            ).best
             for seed in range(120)
         ]
         for tau in (many_runs.slow(300), many_runs.FAST)

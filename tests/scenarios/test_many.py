@@ -32,14 +32,14 @@ def test_the_study_shows_what_runs_come_to(few, study):
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}
     game = games[3, "SAP, slow", 20]
     outcomes = [
-        many_runs.outcome(run(many_runs.frozen(3, 2, "sap", 20, many_runs.slow(20)), seed)) for seed in range(3)
+        many_runs.outcome(run(many_runs.static_game(3, 2, "sap", 20, many_runs.slow(20)), seed)) for seed in range(3)
     ]
     assert game["share"] == pytest.approx(np.mean([each.share for each in outcomes]))
     assert game["best"] == pytest.approx(np.mean([each.best for each in outcomes]))
     assert game["best_low"] < game["best"] < game["best_high"] or game["best"] in (0.0, 1.0)
     moved = {(each["pursuers"], each["protocol"]): each for each in document["pursuits"]}
     chases = [
-        many_runs.chase(run(many_runs.moving(3, 2, "sap", many_runs.slow(many_runs.COOLING)), seed))
+        many_runs.chase(run(many_runs.moving_game(3, 2, "sap", many_runs.slow(many_runs.COOLING)), seed))
         for seed in range(3)
     ]
     assert moved[3, "SAP, slow"]["duration"] == pytest.approx(np.mean([each.duration for each in chases]))
@@ -58,7 +58,7 @@ def test_an_outcome_is_the_welfare_of_the_last_profile_in_units_of_the_best():
     def still(me):
         yield me.sleep(1.0)
 
-    scenario = many_runs.frozen(3, 2, "sap", 10)
+    scenario = many_runs.static_game(3, 2, "sap", 10)
     phi = many_runs.capture_times(scenario, 4)
     best = optimal_assignment(phi, scenario.horizon)
 
@@ -75,14 +75,14 @@ def test_an_outcome_is_the_welfare_of_the_last_profile_in_units_of_the_best():
 
 
 def test_the_game_of_the_study_is_that_of_the_runs():
-    scenario = many_runs.moving(3, 2, "sap")
+    scenario = many_runs.moving_game(3, 2, "sap")
     start = run(scenario.model_copy(update={"horizon": 0.01}), 5).trace.of(Started)[0]
     gaps = np.linalg.norm(np.array(start.pursuers)[:, None] - np.array(start.evaders)[None], axis=2)
     assert many_runs.capture_times(scenario, 5) == pytest.approx((gaps - 0.1) / (2.0 - 0.9))
 
 
 def test_a_chase_counts_the_evaders_captured_until_the_horizon():
-    short = many_runs.moving(3, 6, "sap").model_copy(update={"horizon": 4.0})
+    short = many_runs.moving_game(3, 6, "sap").model_copy(update={"horizon": 4.0})
     result = run(short, 2)
     caught = [event.t for event in result.trace.of(Captured)]
     assert 0 < len(caught) < 6
