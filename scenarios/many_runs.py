@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from desim import Result, Scenario
+from desim.analysis.metrics import end_time
 from desim.analysis.statistics import estimate, wilson
 from desim.config.arrays import Floats
-from desim.kernel.clock import seconds
 from desim.pursuit.assignment import optimum, welfare
 from desim.pursuit.capture import capture_time
-from desim.pursuit.events import Captured, Decided, Ended, Started
+from desim.pursuit.events import Captured, Decided, Started
 from desim.scenario.scenario import PROTOCOLS, Evader, Motion, Recording, Team
 from protocols.schedules import SharedSeed
 from protocols.temperature import ConstantTau, GeometricTau, Temperature
@@ -24,7 +24,7 @@ SIZES = ((3, 3), (6, 6), (6, 3), (3, 6))
 HARD = (4, 4)
 """The size for the study of cooling: with M = N no pursuer is free to correct a poor assignment."""
 HORIZON = 15.0
-"""Horizon t_f, in the static game the reward r, s."""
+"""Horizon t_f and, in the static game, reward r, s."""
 BOX = (0.0, 20.0)
 """Interval of both initial coordinates, m."""
 SPEED = 2.0
@@ -37,11 +37,11 @@ BUDGET = 300
 TEMPERATURES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Constant temperatures, s."""
 HOT, COLD = 5.0, 0.05
-"""First and last temperature, s: the loss of a pursuer that leaves its evader, and a typical difference of choices."""
+"""First and last temperature, s: about the utility of a chase, and a typical difference between two utilities."""
 SETTLING = 0.1
 """Share of the slots that remains after the temperature has reached `COLD`."""
 COOLING = 100
-"""Number of slots over which the temperature falls in moving pursuits: one second."""
+"""Number of slots over which slow cooling takes place in moving pursuits: one second."""
 SLOT = 0.01
 """Slot of moving pursuits, s."""
 FAST = GeometricTau(first=HOT, ratio=0.5, floor=COLD)
@@ -132,13 +132,13 @@ class PursuitSummary:
 
 
 def slow(slots: int) -> GeometricTau:
-    """Return a temperature that falls from `HOT` to `COLD` over all but the last tenth of a number of slots."""
+    """Return a temperature that falls from `HOT` to `COLD` over a number of slots, except the last share `SETTLING`."""
     ratio = (COLD / HOT) ** (1.0 / ((1.0 - SETTLING) * slots))
     return GeometricTau(first=HOT, ratio=ratio, floor=COLD)
 
 
 def cooled(name: str, slots: int) -> Temperature | None:
-    """Return the temperature of a contender over a number of slots; None for a protocol without temperature."""
+    """Return the temperature of a contender, None if it has none; slow cooling takes a number of slots."""
     cooling = CONTENDERS[name][1]
     return None if cooling is None else slow(slots) if cooling == "slow" else FAST
 
@@ -154,20 +154,23 @@ def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
 
 def moving_game(pursuers: int, evaders: int, kind: str, tau: Temperature | None = None) -> Scenario:
     """Return a pursuit of several evaders in which all players move."""
+    return _game(pursuers, evaders, kind, protocol(kind, SLOT, tau), Motion())
+
+
+def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
+    """Return the static game of t = 0, negotiated for a number of slots."""
+    return _game(pursuers, evaders, kind, protocol(kind, HORIZON / slots, tau), Motion(static=True))
+
+
+def _game(pursuers: int, evaders: int, kind: str, negotiation: Any, motion: Motion) -> Scenario:
     return Scenario(
         name=f"{kind}, {pursuers} to {evaders}",
         horizon=HORIZON,
         team=Team(count=pursuers, box=BOX, speeds=SPEED),
         evader=Evader(count=evaders, box=BOX),
-        protocol=protocol(kind, SLOT, tau),
+        protocol=negotiation,
+        motion=motion,
         record=Recording(trajectory=0.0),
-    )
-
-
-def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
-    """Return the static game of t = 0, negotiated for a number of slots."""
-    return moving_game(pursuers, evaders, kind).model_copy(
-        update={"motion": Motion(static=True), "protocol": protocol(kind, HORIZON / slots, tau)}
     )
 
 
@@ -194,11 +197,11 @@ def outcome(result: Result) -> Outcome:
 def chase(result: Result) -> Chase:
     """Return the share of captured evaders and the duration of a pursuit."""
     captured = len(result.trace.of(Captured))
-    return Chase(captured / len(result.scenario.evaders), seconds(result.trace.of(Ended)[0].t))
+    return Chase(captured / len(result.scenario.evaders), end_time(result))
 
 
 def run_static_games(options: Options) -> list[NegotiationSummary]:
-    """Run static games: each protocol at each size, over the number of slots, and at constant temperatures."""
+    """Run static games: all protocols at each size; at size `HARD` the SAP variants by slots and temperature."""
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
@@ -217,7 +220,7 @@ def run_negotiations(keys: Sequence[Key], options: Options) -> list[NegotiationS
 
 
 def protocol_kind(name: str) -> str:
-    """Return the kind of protocol of a contender; any other name is returned unchanged."""
+    """Return the protocol kind of a contender, or the name itself if it is a kind."""
     return CONTENDERS.get(name, (name, None))[0]
 
 
