@@ -43,7 +43,7 @@ SHORT = 0.1
 
 
 @dataclass(frozen=True)
-class Numbers:
+class RunMetrics:
     """The numbers of one run."""
 
     active_time: float
@@ -51,16 +51,16 @@ class Numbers:
     end: float
     """Time of capture, or t_f, s."""
     captured: bool
-    alone: float | None
+    alone_from: float | None
     """Time at which for the first time a single pursuer was active, s; None if there was none."""
     handovers: int
 
 
-def numbers(result: Result) -> Numbers:
+def run_metrics(result: Result) -> RunMetrics:
     """Return the numbers of a run."""
-    end, alone = ended(result), relays(result)
-    first = seconds(alone[0][0]) if alone else None
-    return Numbers(active_time(result), seconds(end.t), end.reason == "captured", first, handovers(result))
+    end, chain = ended(result), relays(result)
+    first = seconds(chain[0][0]) if chain else None
+    return RunMetrics(active_time(result), seconds(end.t), end.reason == "captured", first, handovers(result))
 
 
 def panels(count: int) -> dict[str, Scenario]:
@@ -78,7 +78,7 @@ def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[
     return times, active, np.where(active, np.concatenate([gains(part) for part in parts]), 0.0)
 
 
-def initial(result: Result) -> "Figure":
+def draw_initial(result: Result) -> "Figure":
     """Draw the initial positions of all players, with the ids of the pursuers."""
     from desim.analysis import plots
     from desim.view.labels import label_points
@@ -104,7 +104,7 @@ def initial(result: Result) -> "Figure":
     return figure
 
 
-def trajectories(results: "Mapping[str, Result]") -> "Figure":
+def draw_trajectories(results: "Mapping[str, Result]") -> "Figure":
     """Draw the trajectories of the runs, in four panels with shared axes."""
     from desim.analysis import plots
     from desim.view.paths import draw_pursuit, label_handovers
@@ -130,29 +130,29 @@ def trajectories(results: "Mapping[str, Result]") -> "Figure":
     return figure
 
 
-def utilities(results: "Mapping[str, Result]") -> "Figure":
+def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
     """Draw the individual utilities over time, one panel below the other, each with its own scale."""
     from desim.analysis import plots
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
         rows = figure.subplots(len(results), 1, sharex=True)
         for axes, (name, result) in zip(rows, results.items(), strict=True):
-            draw_utilities(axes, result)
+            draw_utility_panel(axes, result)
             axes.set_title(name, loc="left")
             axes.label_outer()
-            if (alone := relays(result)) and alone[0][0] < SHORT * ended(result).t:
-                _enlarge(axes, result, 1.1 * seconds(alone[0][0]))
+            if (chain := relays(result)) and chain[0][0] < SHORT * ended(result).t:
+                _draw_beginning(axes, result, 1.1 * seconds(chain[0][0]))
         rows[-1].set_xlabel("time (s)")
         figure.supylabel("individual utility (s)", fontsize=7)
         handles, names = rows[-1].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=3)
         figure.draw_without_rendering()
         for axes, result in zip(rows, results.values(), strict=True):
-            _name_handovers(axes, result)
+            _label_handovers(axes, result)
     return figure
 
 
-def _name_handovers(axes: "Axes", result: Result) -> None:
+def _label_handovers(axes: "Axes", result: Result) -> None:
     """Label the beginning of each bold line with the id of its pursuer."""
     from desim.analysis import plots
     from desim.view.labels import label_points
@@ -161,30 +161,30 @@ def _name_handovers(axes: "Axes", result: Result) -> None:
     chain, (begin, end) = relays(result), axes.get_xlim()
     rows = [int(np.searchsorted(times, t, side="right")) - 1 for t, _ in chain]
     places = [(seconds(t), float(found[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
-    lines = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
-    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=lines, color=plots.BLUE)
+    points = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
+    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=plots.BLUE)
 
 
-def _enlarge(axes: "Axes", result: Result, until: float) -> None:
+def _draw_beginning(axes: "Axes", result: Result, until: float) -> None:
     """Draw the time up to `until` (s) enlarged, in the empty part of a panel."""
     inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
-    draw_utilities(inset, result)
+    draw_utility_panel(inset, result)
     inset.set_xlim(0.0, until)
     inset.set_title("the beginning", fontsize=6, pad=2)
     inset.tick_params(labelsize=6, length=2, pad=1.5)
 
 
-def draw_utilities(axes: "Axes", result: Result) -> None:
+def draw_utility_panel(axes: "Axes", result: Result) -> None:
     """Draw the utility of each pursuer while it is active, bold if it is alone; one line stands for all inactive."""
     from desim.analysis import plots
 
     times, active, found = individual_utilities(result)
     t = np.repeat(times, 2)[1:-1] / SECOND
-    alone = active & (active.sum(axis=1) == 1)[:, None]
+    is_alone = active & (active.sum(axis=1) == 1)[:, None]
     axes.axhline(0.0, color=plots.GREY, lw=0.8, label="inactive")
     looks: list[tuple[NDArray[np.bool_], str, dict[str, Any]]] = [
-        (active & ~alone, "active with others", {"color": plots.SKY, "lw": 0.7}),
-        (alone, "active alone", {"color": plots.BLUE, "lw": 2.0}),
+        (active & ~is_alone, "active with others", {"color": plots.SKY, "lw": 0.7}),
+        (is_alone, "active alone", {"color": plots.BLUE, "lw": 2.0}),
     ]
     for shown, label, look in looks:
         for k, i in enumerate(np.flatnonzero(shown.any(axis=0))):
@@ -195,16 +195,16 @@ def draw_utilities(axes: "Axes", result: Result) -> None:
 def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
     """Yield the name and the figure of each picture for N pursuers."""
     results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
-    yield f"configuration_{count}", initial(results["centralised"])
-    yield f"trajectories_{count}", trajectories(results)
-    yield f"utilities_{count}", utilities({name: each for name, each in results.items() if name != "centralised"})
+    yield f"configuration_{count}", draw_initial(results["centralised"])
+    yield f"trajectories_{count}", draw_trajectories(results)
+    yield f"utilities_{count}", draw_utilities({name: each for name, each in results.items() if name != "centralised"})
 
 
-def table(found: dict[tuple[int, str], list[Numbers]]) -> str:
+def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
     """Return the means over the runs as text, a line per panel."""
     rows: list[Sequence[str]] = [("N", "panel", "active time, s", "ends, s", "captured", "alone from, s", "hand-overs")]
     for (count, name), runs in found.items():
-        alone = [each.alone for each in runs if each.alone is not None]
+        starts = [each.alone_from for each in runs if each.alone_from is not None]
         rows.append(
             (
                 str(count),
@@ -212,7 +212,7 @@ def table(found: dict[tuple[int, str], list[Numbers]]) -> str:
                 f"{estimate([each.active_time for each in runs]).mean:.2f}",
                 f"{estimate([each.end for each in runs]).mean:.2f}",
                 f"{sum(each.captured for each in runs)}/{len(runs)}",
-                f"{estimate(alone).mean:.2f}" if alone else "-",
+                f"{estimate(starts).mean:.2f}" if starts else "-",
                 f"{estimate([float(each.handovers) for each in runs]).mean:.1f}",
             )
         )
@@ -223,7 +223,7 @@ def table(found: dict[tuple[int, str], list[Numbers]]) -> str:
 def main(options: Options) -> None:
     """Measure and draw."""
     scenarios = {(count, name): each for count in COUNTS for name, each in panels(count).items()}
-    found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", numbers), strict=True))
+    found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
     cells = [{"N": n, "panel": name, "runs": [asdict(each) for each in runs]} for (n, name), runs in found.items()]
     options.show({"cells": cells}, table(found))
     if not can_plot():

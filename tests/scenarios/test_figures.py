@@ -28,9 +28,9 @@ def results():
 def drawn(results):
     decentralised = {name: each for name, each in results.items() if name != "centralised"}
     return {
-        "configuration": figures.initial(results["centralised"]),
-        "trajectories": figures.trajectories(results),
-        "utilities": figures.utilities(decentralised),
+        "configuration": figures.draw_initial(results["centralised"]),
+        "trajectories": figures.draw_trajectories(results),
+        "utilities": figures.draw_utilities(decentralised),
     }
 
 
@@ -62,7 +62,7 @@ def test_utilities_are_marginal_contributions_at_the_actions_that_are_played(res
 @pytest.mark.slow
 def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
     """Bold while it is active alone; together the lines are active as long as the sum of active times."""
-    figure = figures.utilities({name: each for name, each in results.items() if name != "centralised"})
+    figure = figures.draw_utilities({name: each for name, each in results.items() if name != "centralised"})
     for axes, (name, result) in zip(figure.axes[:3], list(results.items())[1:], strict=True):
         lines = [line for line in axes.lines if len(line.get_xdata()) > 2]
         shown = 0.0
@@ -165,14 +165,14 @@ def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_sa
     for cell, scenario in zip(document["cells"], figures.panels(20).values(), strict=True):
         result = run(scenario, 0)
         numbers = summary(result)
-        alone = relays(result)
+        chain = relays(result)
         assert cell["N"] == 20
         assert cell["runs"] == [
             {
                 "active_time": numbers.active_time,
                 "end": numbers.end_time,
                 "captured": numbers.captured,
-                "alone": alone[0][0] / SECOND if alone else None,
+                "alone_from": chain[0][0] / SECOND if chain else None,
                 "handovers": numbers.handovers,
             }
         ]
@@ -190,4 +190,6 @@ def test_the_study_writes_its_figures_and_its_numbers_and_another_process_the_sa
 
 @pytest.mark.slow
 def test_a_run_of_the_paper_has_the_numbers_that_are_quoted(results):
-    assert figures.numbers(results["delta = 0.01 s"]) == figures.Numbers(pytest.approx(12.19), 4.45, True, 1.71, 0)
+    assert figures.run_metrics(results["delta = 0.01 s"]) == figures.RunMetrics(
+        pytest.approx(12.19), 4.45, True, 1.71, 0
+    )
