@@ -1,15 +1,15 @@
 """Draw the figures of Lee & Bakolas: initial configuration, trajectories, and individual utilities over time.
 
-The figures show the configurations of Table I, N = 20 and 40: centralised (Algorithm 3), and decentralised
-(Algorithm 2) for three slots delta. They are drawn for the run of the first seed; the table has means over all seeds.
+The figures show the configurations of Table I, N = 20 and 40: decentralised (Algorithm 2) for three slots delta, and,
+except for the utilities, centralised (Algorithm 3). They are drawn for the run of the first seed; the table has means
+over all seeds.
 The utility of a pursuer is its wonderful-life utility at the actions that are actually played,
 U_E(S) - U_E(S without i), which is 0 for an inactive pursuer.
 """
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import click
 import numpy as np
 
 from desim import Result, Scenario, run
@@ -20,7 +20,6 @@ from desim.analysis.tables import aligned
 from desim.analysis.timeline import timeline
 from desim.analysis.trace_index import ended, started, trace_index
 from desim.kernel.clock import SECOND, seconds
-from desim.results.run_folder import can_plot
 from desim.scenario.scenario import Recording
 from scenarios.study import Options, study
 from scenarios.table1 import DELTAS, centralised, configuration, decentralised
@@ -39,12 +38,12 @@ SAMPLING = 0.02
 PRINT = 300
 """Resolution of the PNG, dots per inch."""
 SHORT = 0.1
-"""If a single pursuer is active after at most this share of a run, the beginning is also drawn enlarged."""
+"""If a pursuer is first alone before this share of a run, the beginning is also drawn enlarged."""
 
 
 @dataclass(frozen=True)
 class RunMetrics:
-    """The numbers of one run."""
+    """The metrics of one run."""
 
     active_time: float
     """Sum of active times over the pursuers, s."""
@@ -52,12 +51,12 @@ class RunMetrics:
     """Time of capture, or t_f, s."""
     captured: bool
     alone_from: float | None
-    """Time at which for the first time a single pursuer was active, s; None if there was none."""
+    """First time at which exactly one pursuer was active, s; None if never."""
     handovers: int
 
 
 def run_metrics(result: Result) -> RunMetrics:
-    """Return the numbers of a run."""
+    """Return the metrics of a run."""
     end, chain = ended(result), relays(result)
     first = seconds(chain[0][0]) if chain else None
     return RunMetrics(active_time(result), seconds(end.t), end.reason == "captured", first, handovers(result))
@@ -70,12 +69,24 @@ def panels(count: int) -> dict[str, Scenario]:
     return found | {f"delta = {delta:g} s": decentralised(base, delta) for delta in DELTAS}
 
 
-def individual_utilities(result: Result) -> tuple["NDArray[np.int64]", "NDArray[np.bool_]", "NDArray[np.float64]"]:
-    """Return the breakpoints of a run, (k + 1,) ns, the active pursuers, (k, N), and their utilities, (k, N) s."""
+class IndividualUtilities(NamedTuple):
+    """The utilities of the pursuers between the breakpoints of a run."""
+
+    times: "NDArray[np.int64]"
+    """(k + 1,) breakpoints, ns."""
+    active: "NDArray[np.bool_]"
+    """(k, N) whether each pursuer is active."""
+    utilities: "NDArray[np.float64]"
+    """(k, N) utilities, s; 0 while inactive."""
+
+
+def individual_utilities(result: Result) -> IndividualUtilities:
+    """Return the utilities of the pursuers of a run."""
     parts = list(timeline(result))
     times = np.concatenate([parts[0].times[:1], *(part.times[1:] for part in parts)])
     active = np.concatenate([part.active for part in parts])
-    return times, active, np.where(active, np.concatenate([gains(part) for part in parts]), 0.0)
+    utilities = np.where(active, np.concatenate([gains(part) for part in parts]), 0.0)
+    return IndividualUtilities(times, active, utilities)
 
 
 def draw_initial(result: Result) -> "Figure":
@@ -136,49 +147,49 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
         rows = figure.subplots(len(results), 1, sharex=True)
-        for axes, (name, result) in zip(rows, results.items(), strict=True):
-            draw_utility_panel(axes, result)
+        found = [individual_utilities(result) for result in results.values()]
+        for axes, (name, result), each in zip(rows, results.items(), found, strict=True):
+            draw_utility_panel(axes, each)
             axes.set_title(name, loc="left")
             axes.label_outer()
             if (chain := relays(result)) and chain[0][0] < SHORT * ended(result).t:
-                _draw_beginning(axes, result, 1.1 * seconds(chain[0][0]))
+                _draw_beginning(axes, each, 1.1 * seconds(chain[0][0]))
         rows[-1].set_xlabel("time (s)")
         figure.supylabel("individual utility (s)", fontsize=7)
         handles, names = rows[-1].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=3)
         figure.draw_without_rendering()
-        for axes, result in zip(rows, results.values(), strict=True):
-            _label_handovers(axes, result)
+        for axes, result, each in zip(rows, results.values(), found, strict=True):
+            _label_handovers(axes, relays(result), each)
     return figure
 
 
-def _label_handovers(axes: "Axes", result: Result) -> None:
+def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: IndividualUtilities) -> None:
     """Label the beginning of each bold line with the id of its pursuer."""
     from desim.analysis import plots
     from desim.view.labels import label_points
 
-    times, _, found = individual_utilities(result)
-    chain, (begin, end) = relays(result), axes.get_xlim()
-    rows = [int(np.searchsorted(times, t, side="right")) - 1 for t, _ in chain]
-    places = [(seconds(t), float(found[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
+    begin, end = axes.get_xlim()
+    rows = [int(np.searchsorted(found.times, t, side="right")) - 1 for t, _ in chain]
+    places = [(seconds(t), float(found.utilities[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
     points = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
     label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=plots.BLUE)
 
 
-def _draw_beginning(axes: "Axes", result: Result, until: float) -> None:
+def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> None:
     """Draw the time up to `until` (s) enlarged, in the empty part of a panel."""
     inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
-    draw_utility_panel(inset, result)
+    draw_utility_panel(inset, found)
     inset.set_xlim(0.0, until)
     inset.set_title("the beginning", fontsize=6, pad=2)
     inset.tick_params(labelsize=6, length=2, pad=1.5)
 
 
-def draw_utility_panel(axes: "Axes", result: Result) -> None:
+def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
     """Draw the utility of each pursuer while it is active, bold if it is alone; one line stands for all inactive."""
     from desim.analysis import plots
 
-    times, active, found = individual_utilities(result)
+    times, active, utilities = found
     t = np.repeat(times, 2)[1:-1] / SECOND
     is_alone = active & (active.sum(axis=1) == 1)[:, None]
     axes.axhline(0.0, color=plots.GREY, lw=0.8, label="inactive")
@@ -188,7 +199,7 @@ def draw_utility_panel(axes: "Axes", result: Result) -> None:
     ]
     for shown, label, look in looks:
         for k, i in enumerate(np.flatnonzero(shown.any(axis=0))):
-            u = np.repeat(np.where(shown[:, i], found[:, i], np.nan), 2)
+            u = np.repeat(np.where(shown[:, i], utilities[:, i], np.nan), 2)
             axes.plot(t, u, label=None if k else label, **look)
 
 
@@ -197,7 +208,8 @@ def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
     results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
     yield f"configuration_{count}", draw_initial(results["centralised"])
     yield f"trajectories_{count}", draw_trajectories(results)
-    yield f"utilities_{count}", draw_utilities({name: each for name, each in results.items() if name != "centralised"})
+    del results["centralised"]
+    yield f"utilities_{count}", draw_utilities(results)
 
 
 def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
@@ -226,15 +238,8 @@ def main(options: Options) -> None:
     found = dict(zip(scenarios, options.measure(list(scenarios.values()), "figures", run_metrics), strict=True))
     cells = [{"N": n, "panel": name, "runs": [asdict(each) for each in runs]} for (n, name), runs in found.items()]
     options.show({"cells": cells}, table(found))
-    if not can_plot():
-        click.echo("no pictures without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
-        return
-    from desim.analysis.plots import save
-
-    for count in COUNTS:
-        for name, figure in pictures(count, options.seed):
-            for path in save(figure, options.out / f"{options.name}_{name}", dpi=PRINT):
-                click.echo(f"wrote {path}", err=True)
+    drawn = (each for count in COUNTS for each in pictures(count, options.seed))
+    options.save_figures(lambda: ((f"{options.name}_{name}", figure) for name, figure in drawn), dpi=PRINT)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The common part of all studies: their options, and the output of their results."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -58,15 +58,22 @@ class Options:
             self.out, provenance.document(self.name, seed=self.seed, runs=self.runs), f"{self.name}.{provenance.FILE}"
         )
         stem.with_suffix(".txt").write_text(table + "\n", encoding="utf-8")
-        if figure is None:
-            return
+        if figure is not None:
+            self.save_figures(lambda: [(self.name, figure())])
+
+    def save_figures(self, figures: Callable[[], Iterable[tuple[str, "Figure"]]], *, dpi: int = 150) -> None:
+        """Write the named figures to the folder, as SVG and as PNG with `dpi` dots per inch.
+
+        Without matplotlib none is drawn, and a line on stderr says so.
+        """
         if not can_plot():
             click.echo("no picture without matplotlib: pip install 'pursuit-desim[plot]'", err=True)
             return
         from desim.analysis.plots import save
 
-        for path in save(figure(), stem):
-            click.echo(f"wrote {path}", err=True)
+        for name, figure in figures():
+            for path in save(figure, self.out / name, dpi=dpi):
+                click.echo(f"wrote {path}", err=True)
 
 
 def study(

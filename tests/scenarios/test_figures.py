@@ -75,6 +75,18 @@ def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
         assert max(thin) == (2.0 if name != "delta = 0.1 s" else 0.7)
 
 
+def test_the_utilities_of_a_run_are_computed_once(monkeypatch):
+    """Also if its beginning is drawn enlarged, and hand-overs are labelled."""
+    computed, utilities = [], figures.individual_utilities
+    monkeypatch.setattr(figures, "individual_utilities", lambda result: computed.append(result) or utilities(result))
+    monkeypatch.setattr(figures, "SHORT", 1.0)
+    result = trace_index(run(figures.panels(20)["delta = 0.01 s"], 0))
+    figure = figures.draw_utilities({"one": result, "two": result})
+    assert len(computed) == 2
+    assert len(figure.axes[0].child_axes) == 1
+    assert figure.axes[0].texts
+
+
 @pytest.mark.slow
 def test_a_short_beginning_is_drawn_larger(drawn):
     (inset,) = drawn["utilities"].axes[2].child_axes
