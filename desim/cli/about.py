@@ -74,7 +74,7 @@ def protocols(only: str | None) -> None:
     from pydantic import BaseModel
 
     from desim.cli.description import described, described_traits, summary
-    from desim.config.choice import home_of
+    from desim.config.choice import definition_of
     from desim.scenario.scenario import PROTOCOLS
 
     choices = PROTOCOLS.choices()
@@ -87,7 +87,7 @@ def protocols(only: str | None) -> None:
         fail(f"there is no protocol {only!r}; allowed: {', '.join(choices)}, and module:name")
     protocol = choices[only].model_construct() if only in choices else _imported(only)
     is_model = isinstance(protocol, BaseModel)
-    lines = described(type(protocol), only) if is_model else [f"{only}: {summary(home_of(protocol))}"]
+    lines = described(type(protocol), only) if is_model else [f"{only}: {summary(definition_of(protocol))}"]
     echo("\n".join([*lines, *described_traits(PROTOCOLS.traits.of(protocol))]) + "\n")
 
 
