@@ -32,7 +32,7 @@ from desim.pursuit.events import Ended
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
-from scenarios.measuring import MessageCost, apart, command, memory, per_unit
+from scenarios.measuring import Cost, apart, command, memory, per_unit
 from scenarios.peers.bare_loop import bare_loop
 from scenarios.peers.workloads import LOGNORMAL
 from scenarios.study import SCENARIOS, Options
@@ -44,7 +44,7 @@ DEGREE = 20
 """Mean number of neighbours on the disk graph."""
 DURATION = 2.0
 """Simulated time of a run on a disk graph, s."""
-CROWD, HORIZON = 1_000, 10.0
+LARGE_TEAM, HORIZON = 1_000, 10.0
 """Number of pursuers on the complete graph, and their simulated time, s."""
 SLOT = 0.001
 """Slot delta, s."""
@@ -70,14 +70,14 @@ class Drifting(PositionSource):
 
     def __call__(self) -> Floats:
         """Return the (n, 2) positions of all nodes, m."""
-        return self._thrown_back(self._from + self._velocity * seconds(self._env.now))
+        return self._reflected(self._from + self._velocity * seconds(self._env.now))
 
     def of(self, nodes: NDArray[np.intp]) -> Floats:
         """Return the (k, 2) positions of some nodes, m."""
         there = self._from.take(nodes, axis=0), self._velocity.take(nodes, axis=0)
-        return self._thrown_back(there[0] + there[1] * seconds(self._env.now))
+        return self._reflected(there[0] + there[1] * seconds(self._env.now))
 
-    def _thrown_back(self, at: Floats) -> Floats:
+    def _reflected(self, at: Floats) -> Floats:
         return self._side - np.abs(at % (2.0 * self._side) - self._side)
 
 
@@ -105,7 +105,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
     return (time.process_time() - begin) / network.message_counts().sent, (memory("VmHWM") - before) / size
 
 
-def flat(options: Options) -> list[MessageCost]:
+def disk_graphs(options: Options) -> list[Cost]:
     """Measure the time per delivery and the memory per node on disk graphs of equal density and different size."""
     found = {}
     for size in SIZES:
@@ -114,19 +114,16 @@ def flat(options: Options) -> list[MessageCost]:
     base, largest = SIZES[1], SIZES[-1]
     ratio = found[largest][0] / found[base][0]
     return [
-        *(
-            MessageCost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us")
-            for size, (per_delivery, _) in found.items()
-        ),
-        MessageCost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
-        MessageCost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
+        *(Cost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us") for size, (per_delivery, _) in found.items()),
+        Cost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
+        Cost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
     ]
 
 
-def crowd(count: int, horizon: float) -> Scenario:
+def large_team(count: int, horizon: float) -> Scenario:
     """Return a pursuit on a complete graph without a capture before the horizon."""
     return Scenario(
-        name="crowd",
+        name="large_team",
         horizon=horizon,
         team=Team(count=count, box=(0.0, 1_000.0)),
         evader=Evader(box=(400.0, 600.0)),
@@ -134,64 +131,64 @@ def crowd(count: int, horizon: float) -> Scenario:
     )
 
 
-def whole_crowd(count: int, horizon: float, seed: int) -> tuple[float, float]:
-    """Return the time, s, and the peak memory, B, of a run of `crowd`."""
+def large_team_cost(count: int, horizon: float, seed: int) -> tuple[float, float]:
+    """Return the time, s, and the peak memory, B, of a run of `large_team`."""
     begin = time.perf_counter()
-    result = run(crowd(count, horizon), seed)
+    result = run(large_team(count, horizon), seed)
     took = time.perf_counter() - begin
     assert end(result) == horizon
     return took, memory("VmHWM")
 
 
-def complete(options: Options) -> list[MessageCost]:
+def complete(options: Options) -> list[Cost]:
     """Measure Spatial Adaptive Play on a large complete graph."""
-    took, peak = apart(whole_crowd, CROWD, HORIZON, options.seed)
-    what = f"N = {CROWD:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
-    return [MessageCost(what, took, "s", 20.0), MessageCost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
+    took, peak = apart(large_team_cost, LARGE_TEAM, HORIZON, options.seed)
+    what = f"N = {LARGE_TEAM:,}, {1 / SLOT:,.0f} decisions/s, {HORIZON:g} s"
+    return [Cost(what, took, "s", 20.0), Cost("peak memory", peak / MEGABYTE, "MB", 1_000.0)]
 
 
 # Whole runs.
 
 
-def table_1(_: Options) -> list[MessageCost]:
+def table_1(_: Options) -> list[Cost]:
     """Measure the command of the Table I study with two worker processes."""
     with TemporaryDirectory() as folder:
-        words = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
+        arguments = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
         before = os.times()
-        took = command("-m", "scenarios.table1", *words)
+        took = command("-m", "scenarios.table1", *arguments)
         after = os.times()
-    cores = sum(after[2:4]) - sum(before[2:4])
+    cpu_time = sum(after[2:4]) - sum(before[2:4])
     return [
-        MessageCost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
-        MessageCost("CPU time of both cores", cores, "s"),
+        Cost(f"scenarios.table1 --runs {TABLE1_RUNS} --jobs 2", took, "s", 60.0),
+        Cost("CPU time of both cores", cpu_time, "s"),
     ]
 
 
-def loop(options: Options) -> list[MessageCost]:
+def loop(options: Options) -> list[Cost]:
     """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages."""
     fine = decentralised(configuration(40), SLOT)
-    ways: dict[str, Callable[[int], int]] = {
+    variants: dict[str, Callable[[int], int]] = {
         "h = delta": lambda seed: round(end(run(fine, seed)) / SLOT),
         "h = 10 delta": lambda seed: round(end(run(coarse, seed)) / SLOT),
         "bare": lambda seed: bare_loop(fine, seed, SLOT),
     }
     coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
-    found = per_unit(ways, range(options.seed, options.seed + 2 * options.runs))
+    found = per_unit(variants, range(options.seed, options.seed + 2 * options.runs))
     return [
-        MessageCost("a slot of the bare loop", found["bare"] * 1e6, "us"),
-        MessageCost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
-        MessageCost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
+        Cost("a slot of the bare loop", found["bare"] * 1e6, "us"),
+        Cost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
+        Cost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
     ]
 
 
 # Recording.
 
 
-def talk(count: int) -> Scenario:
+def many_messages(count: int) -> Scenario:
     """Return a scenario in which about `count` messages are sent."""
     heartbeat, team = 0.01, 40
     return Scenario(
-        name="talk",
+        name="many_messages",
         horizon=count * heartbeat / (team * (team - 1)),
         team=Team(count=team, box=(0.0, 1_000.0)),
         evader=Evader(box=(400.0, 600.0)),
@@ -215,25 +212,25 @@ def streamed(scenario: Scenario, seed: int) -> int:
 
 def peak_of_stream(count: int, seed: int) -> float:
     """Return the peak memory of a run that streams `count` messages to disk, B."""
-    streamed(talk(count), seed)
+    streamed(many_messages(count), seed)
     return memory("VmHWM")
 
 
-def recording(options: Options) -> list[MessageCost]:
+def recording(options: Options) -> list[Cost]:
     """Measure the cost of recording all messages, in memory and on disk."""
-    scenario = talk(STREAMED[0])
-    ways: dict[str, Callable[[int], int]] = {
+    scenario = many_messages(STREAMED[0])
+    variants: dict[str, Callable[[int], int]] = {
         "off": lambda seed: sent(run(scenario, seed)),
         "kept": partial(kept, scenario),
         "streamed": partial(streamed, scenario),
     }
-    found = per_unit(ways, range(options.seed, options.seed + options.runs))
+    found = per_unit(variants, range(options.seed, options.seed + options.runs))
     few, many = (apart(peak_of_stream, count, options.seed) for count in STREAMED)
     return [
-        MessageCost("a message, none recorded", found["off"] * 1e6, "us"),
-        MessageCost("all kept / none", found["kept"] / found["off"], "", 1.3),
-        MessageCost("all on disk / none", found["streamed"] / found["off"], ""),
-        MessageCost(
+        Cost("a message, none recorded", found["off"] * 1e6, "us"),
+        Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
+        Cost("all on disk / none", found["streamed"] / found["off"], ""),
+        Cost(
             f"peak memory of {STREAMED[1]:,} on disk less that of {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0
         ),
     ]
@@ -242,7 +239,7 @@ def recording(options: Options) -> list[MessageCost]:
 # The start.
 
 
-def start(_: Options) -> list[MessageCost]:
+def start(_: Options) -> list[Cost]:
     """Measure the start-up time of commands, and of Python and numpy alone for comparison."""
     commands: dict[str, tuple[tuple[str, ...], float | None]] = {
         "python -c pass": (("-c", "pass"), None),
@@ -250,12 +247,19 @@ def start(_: Options) -> list[MessageCost]:
         "desim --help": (("-m", "desim", "--help"), 0.15),
         "desim run relay.toml": (("-m", "desim", "run", str(SCENARIOS / "relay.toml")), 1.0),
     }
-    laps = [{name: command(*words) for name, (words, _) in commands.items()} for _ in range(STARTS)]
-    return [MessageCost(name, median(lap[name] for lap in laps), "s", most) for name, (_, most) in commands.items()]
+    laps = [{name: command(*arguments) for name, (arguments, _) in commands.items()} for _ in range(STARTS)]
+    return [Cost(name, median(lap[name] for lap in laps), "s", limit) for name, (_, limit) in commands.items()]
 
 
-PARTS: Mapping[str, Callable[[Options], list[MessageCost]]] = MappingProxyType(
-    {"flat": flat, "complete": complete, "table1": table_1, "loop": loop, "recording": recording, "start": start}
+PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
+    {
+        "disk_graphs": disk_graphs,
+        "complete": complete,
+        "table1": table_1,
+        "loop": loop,
+        "recording": recording,
+        "start": start,
+    }
 )
 
 

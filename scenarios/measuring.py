@@ -19,24 +19,24 @@ Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
-class MessageCost:
+class Cost:
     """A measured cost and its limit."""
 
     what: str
     measured: float
     unit: str
-    most: float | None = None
+    limit: float | None = None
 
 
-def table(found: Mapping[str, Sequence[MessageCost]]) -> str:
+def table(found: Mapping[str, Sequence[Cost]]) -> str:
     """Return all costs as text, one section per part; costs beyond their limit are marked."""
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():
         rows.append((part, "", "", "", ""))
         for each in costs:
-            most = "" if each.most is None else f"{each.most:g}"
-            missed = "MISSED" if each.most is not None and not each.measured <= each.most else ""
-            rows.append((f"  {each.what}", number(each.measured), most, each.unit, missed))
+            limit = "" if each.limit is None else f"{each.limit:g}"
+            missed = "MISSED" if each.limit is not None and not each.measured <= each.limit else ""
+            rows.append((f"  {each.what}", number(each.measured), limit, each.unit, missed))
     return aligned(rows)
 
 
@@ -55,23 +55,23 @@ def memory(what: str) -> float:
     return 1024.0 * int(line.split()[1])
 
 
-def per_unit(ways: Mapping[str, Callable[[int], int]], seeds: Sequence[int]) -> dict[str, float]:
-    """Return the median CPU time per unit of each way, s.
+def per_unit(variants: Mapping[str, Callable[[int], int]], seeds: Sequence[int]) -> dict[str, float]:
+    """Return the median CPU time per unit of each variant, s.
 
-    A way runs with a seed and returns its number of units. The ways alternate, one lap of each per seed.
+    A variant runs with a seed and returns its number of units. The variants alternate, one lap of each per seed.
     """
-    laps: dict[str, list[float]] = {name: [] for name in ways}
+    laps: dict[str, list[float]] = {name: [] for name in variants}
     for seed in seeds:
-        for name, way in ways.items():
+        for name, variant in variants.items():
             gc.collect()
             begin = time.process_time()
-            units = way(seed)
+            units = variant(seed)
             laps[name].append((time.process_time() - begin) / units)
     return {name: median(found) for name, found in laps.items()}
 
 
-def command(*words: str) -> float:
+def command(*arguments: str) -> float:
     """Return the time that Python takes to run with these arguments, s."""
     begin = time.perf_counter()
-    subprocess.run([sys.executable, *words], check=True, capture_output=True)
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
     return time.perf_counter() - begin

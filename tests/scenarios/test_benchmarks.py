@@ -210,9 +210,9 @@ def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
     assert (path > 0.3).any()  # some node has been thrown back
 
 
-def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
-    assert costs.end(run(costs.crowd(30, 0.5), 0)) == 0.5
-    scenario = costs.talk(20_000)
+def test_a_large_team_is_not_captured_and_many_messages_are_as_many_as_asked():
+    assert costs.end(run(costs.large_team(30, 0.5), 0)) == 0.5
+    scenario = costs.many_messages(20_000)
     count = costs.sent(run(scenario, 0))
     assert count == pytest.approx(20_000, rel=0.05)
     assert costs.kept(scenario, 0) == costs.streamed(scenario, 0) == count
@@ -221,9 +221,9 @@ def test_a_crowd_is_not_captured_and_a_talk_has_so_many_messages():
 def test_excessive_costs_are_marked():
     found = {
         "part": [
-            measuring.MessageCost("much", 2.5, "s", 2.0),
-            measuring.MessageCost("little", 1.5, "s", 2.0),
-            measuring.MessageCost("any", 9, ""),
+            measuring.Cost("much", 2.5, "s", 2.0),
+            measuring.Cost("little", 1.5, "s", 2.0),
+            measuring.Cost("any", 9, ""),
         ]
     }
     much, little, anything = measuring.table(found).splitlines()[2:]
@@ -235,14 +235,14 @@ def test_excessive_costs_are_marked():
 @pytest.mark.slow
 def test_the_study_measures_other_costs(few, monkeypatch):
     monkeypatch.setattr(costs, "SIZES", (20, 30, 50))
-    monkeypatch.setattr(costs, "CROWD", 20)
+    monkeypatch.setattr(costs, "LARGE_TEAM", 20)
     monkeypatch.setattr(costs, "HORIZON", 0.2)
     monkeypatch.setattr(costs, "STREAMED", (2_000, 20_000))
     monkeypatch.setattr(costs, "apart", lambda function, *given: function(*given))
-    found = few("--parts", "flat,complete,recording")["costs"]
+    found = few("--parts", "disk_graphs,complete,recording")["costs"]
     measured = {part: {each["what"]: each["measured"] for each in each_part} for part, each_part in found.items()}
-    flat = measured["flat"]
-    assert flat["N = 50 / N = 30"] == pytest.approx(flat["a delivery, N = 50"] / flat["a delivery, N = 30"])
+    disks = measured["disk_graphs"]
+    assert disks["N = 50 / N = 30"] == pytest.approx(disks["a delivery, N = 50"] / disks["a delivery, N = 30"])
     assert measured["complete"]["peak memory"] == pytest.approx(measuring.memory("VmHWM") / 1e6, rel=0.5)
     assert 0.5 < measured["recording"]["all kept / none"] < 10.0
 
