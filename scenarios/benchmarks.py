@@ -7,8 +7,8 @@ delivery; simpy-drawn-at-once does, too, but draws all latencies of a broadcast 
 per node and a process per message. All of these must end with the same tables of received numbers. The other simulators
 are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian packages that are unpacked, not
 installed; no root needed), Mesa, GrADyS-SIM and mango. They must make the same number of deliveries. The ways run in
-rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The other costs follow, each
-with its limit.
+rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The other costs follow, some
+with a limit.
 """
 
 from collections.abc import Mapping, Sequence

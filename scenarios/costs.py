@@ -1,4 +1,4 @@
-"""Other costs in time and memory, each with its limit: large teams, whole runs, recording, starting.
+"""Costs of large teams, whole runs, recording and starting, in time and memory; some have a limit.
 
 Peak memory is measured in a separate process.
 """
@@ -19,6 +19,7 @@ import simpy
 from numpy.typing import NDArray
 
 from desim import Result, Scenario, run
+from desim.analysis.metrics import end_time
 from desim.analysis.trace_index import messages
 from desim.config.arrays import Floats
 from desim.kernel.clock import SECOND, Clock, Instant, Phase, seconds
@@ -28,7 +29,6 @@ from desim.kernel.network import Network
 from desim.kernel.positions import PositionSource
 from desim.kernel.trace_file import TraceFile
 from desim.pursuit.announcements import Announcements
-from desim.pursuit.events import Ended
 from desim.scenario.scenario import Evader, Motion, Recording, Team
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import SharedSeed
@@ -84,7 +84,7 @@ class Drifting(PositionSource):
 def disk(size: int, seed: int) -> tuple[float, float]:
     """Simulate nodes on a disk graph that broadcast once a second.
 
-    Return the CPU time per delivery, s, and the memory per node, B.
+    Return the CPU time per message sent, s (one message per receiver), and the memory per node, B.
     """
     before, env = memory("VmRSS"), Clock()
     places = Drifting(env, size, sqrt(pi * size / DEGREE), seed)
@@ -106,7 +106,7 @@ def disk(size: int, seed: int) -> tuple[float, float]:
 
 
 def disk_graphs(options: Options) -> list[Cost]:
-    """Measure the time per delivery and the memory per node on disk graphs of equal density and different size."""
+    """Measure the time per message and the memory per node on disk graphs of equal density and different size."""
     found = {}
     for size in SIZES:
         laps = [apart(disk, size, options.seed) for _ in range(options.runs if size < max(SIZES) else 1)]
@@ -114,7 +114,7 @@ def disk_graphs(options: Options) -> list[Cost]:
     base, largest = SIZES[1], SIZES[-1]
     ratio = found[largest][0] / found[base][0]
     return [
-        *(Cost(f"a delivery, N = {size:,}", per_delivery * 1e6, "us") for size, (per_delivery, _) in found.items()),
+        *(Cost(f"a message, N = {size:,}", per_message * 1e6, "us") for size, (per_message, _) in found.items()),
         Cost(f"N = {largest:,} / N = {base:,}", ratio, "", 2.0),
         Cost(f"memory of a node, N = {largest:,}", found[largest][1] / 1e3, "kB", 4.0),
     ]
@@ -136,7 +136,7 @@ def large_team_cost(count: int, horizon: float, seed: int) -> tuple[float, float
     begin = time.perf_counter()
     result = run(large_team(count, horizon), seed)
     took = time.perf_counter() - begin
-    assert end(result) == horizon
+    assert end_time(result) == horizon
     return took, memory("VmHWM")
 
 
@@ -167,17 +167,17 @@ def table_1(_: Options) -> list[Cost]:
 def loop(options: Options) -> list[Cost]:
     """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages."""
     fine = decentralised(configuration(40), SLOT)
+    coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
     variants: dict[str, Callable[[int], int]] = {
-        "h = delta": lambda seed: round(end(run(fine, seed)) / SLOT),
-        "h = 10 delta": lambda seed: round(end(run(coarse, seed)) / SLOT),
+        "h = delta": lambda seed: round(end_time(run(fine, seed)) / SLOT),
+        "h = 10 delta": lambda seed: round(end_time(run(coarse, seed)) / SLOT),
         "bare": lambda seed: bare_loop(fine, seed, SLOT),
     }
-    coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
     found = per_unit(variants, range(options.seed, options.seed + 2 * options.runs))
     return [
         Cost("a slot of the bare loop", found["bare"] * 1e6, "us"),
         Cost("h = delta / bare loop", found["h = delta"] / found["bare"], "", 1.0),
-        Cost("h = 10 delta / bare loop with h = delta", found["h = 10 delta"] / found["bare"], "", 0.1),
+        Cost("h = 10 delta / the same bare loop", found["h = 10 delta"] / found["bare"], "", 0.1),
     ]
 
 
@@ -230,9 +230,7 @@ def recording(options: Options) -> list[Cost]:
         Cost("a message, none recorded", found["off"] * 1e6, "us"),
         Cost("all kept / none", found["kept"] / found["off"], "", 1.3),
         Cost("all on disk / none", found["streamed"] / found["off"], ""),
-        Cost(
-            f"peak memory of {STREAMED[1]:,} on disk less that of {STREAMED[0]:,}", (many - few) / MEGABYTE, "MB", 10.0
-        ),
+        Cost(f"rise of peak memory, {STREAMED[0]:,} to {STREAMED[1]:,} on disk", (many - few) / MEGABYTE, "MB", 10.0),
     ]
 
 
@@ -264,12 +262,6 @@ PARTS: Mapping[str, Callable[[Options], list[Cost]]] = MappingProxyType(
 
 
 # Measurements of a result.
-
-
-def end(result: Result) -> float:
-    """Return the time at which a run ended, s."""
-    (ended,) = result.trace.of(Ended)
-    return seconds(ended.t)
 
 
 def sent(result: Result) -> int:

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from desim import run
+from desim.analysis.metrics import end_time
 from desim.kernel.clock import SECOND, Clock
 from desim.kernel.latency import Constant
 from desim.kernel.seeds import stream
@@ -189,7 +190,7 @@ def test_programs_of_other_simulators_stand_alone():
 def test_the_bare_loop_is_the_pursuit():
     """Capture comes in about the same slot, whatever the draws: within 3 % for each of 20 seeds."""
     scenario = decentralised(configuration(40), 0.001)
-    assert bare_loop(scenario, 0, 0.001) == pytest.approx(costs.end(run(scenario, 0)) / 0.001, rel=0.05)
+    assert bare_loop(scenario, 0, 0.001) == pytest.approx(end_time(run(scenario, 0)) / 0.001, rel=0.05)
 
 
 def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
@@ -211,7 +212,7 @@ def test_nodes_drift_in_their_square_no_faster_than_their_stated_speed():
 
 
 def test_a_large_team_is_not_captured_and_many_messages_are_as_many_as_asked():
-    assert costs.end(run(costs.large_team(30, 0.5), 0)) == 0.5
+    assert end_time(run(costs.large_team(30, 0.5), 0)) == 0.5
     scenario = costs.many_messages(20_000)
     count = costs.sent(run(scenario, 0))
     assert count == pytest.approx(20_000, rel=0.05)
@@ -242,7 +243,7 @@ def test_the_study_measures_other_costs(few, monkeypatch):
     found = few("--parts", "disk_graphs,complete,recording")["costs"]
     measured = {part: {each["what"]: each["measured"] for each in each_part} for part, each_part in found.items()}
     disks = measured["disk_graphs"]
-    assert disks["N = 50 / N = 30"] == pytest.approx(disks["a delivery, N = 50"] / disks["a delivery, N = 30"])
+    assert disks["N = 50 / N = 30"] == pytest.approx(disks["a message, N = 50"] / disks["a message, N = 30"])
     assert measured["complete"]["peak memory"] == pytest.approx(measuring.memory("VmHWM") / 1e6, rel=0.5)
     assert 0.5 < measured["recording"]["all kept / none"] < 10.0
 
