@@ -65,7 +65,7 @@ class ActiveTimeWatcher:
         self._since: list[int] = []
         """(N,) start of the present action, ns."""
         self.end = 0
-        self._notices: dict[type, Callable[[Any], None]] = {
+        self._handlers: dict[type, Callable[[Any], None]] = {
             Started: self._start,
             Decided: lambda event: self._change(event, event.pursuer, event.active),
             BrokeDown: lambda event: self._change(event, event.pursuer, 0),
@@ -75,9 +75,9 @@ class ActiveTimeWatcher:
 
     def __call__(self, event: Event) -> None:
         """Process an event."""
-        notice = self._notices.get(type(event))
-        if notice is not None:
-            notice(event)
+        handler = self._handlers.get(type(event))
+        if handler is not None:
+            handler(event)
 
     def until(self, t: int) -> NDArray[np.int64]:
         """Return the (N,) active times of the pursuers up to time t, ns; t is not before the last event."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from simpy.core import SimTime
 
-RARELY = 100_000, 50, 100
+GC_THRESHOLDS = 100_000, 50, 100
 """The thresholds of the garbage collector during a run; see `gc.set_threshold`."""
 SECOND = 1_000_000_000
 """Nanoseconds in a second."""
@@ -76,7 +76,7 @@ class Clock(simpy.Environment):
             BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
         """
         usual = gc.get_threshold()
-        gc.set_threshold(*RARELY)
+        gc.set_threshold(*GC_THRESHOLDS)
         try:
             return super().run(until)
         except BaseException as error:

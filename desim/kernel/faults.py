@@ -29,7 +29,7 @@ class _Window(Value):
 
     @field_validator("end")
     @classmethod
-    def _after_it_begins(cls, end: float, info: ValidationInfo) -> float:
+    def _ends_after_start(cls, end: float, info: ValidationInfo) -> float:
         if end <= info.data.get("start", 0.0):
             raise ValueError(f"should be later than start (got {end:g} and {info.data['start']:g})")
         return end

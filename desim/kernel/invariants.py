@@ -47,7 +47,7 @@ class Conservation:
         """The latest arrival (ns) on each link (sender, receiver)."""
         self._faults: list[Fault] = []
         self._max_unchecked = MIN_BATCH
-        self._notices: dict[type, Callable[[Any], None]] = {
+        self._handlers: dict[type, Callable[[Any], None]] = {
             Broadcast: self._depart,
             Sent: self._depart,
             Queued: self._queue,
@@ -61,9 +61,9 @@ class Conservation:
         """Check an event."""
         _require(event.t >= self._now, "time does not run backwards", event)
         self._now = event.t
-        notice = self._notices.get(type(event))
-        if notice is not None:
-            notice(event)
+        handler = self._handlers.get(type(event))
+        if handler is not None:
+            handler(event)
 
     def _depart(self, event: Broadcast | Sent) -> None:
         fates = dict(event.fates())
@@ -77,22 +77,22 @@ class Conservation:
             across = any(self._cut(event.src, dst) for dst, arrival in fates.items() if arrival != LOST)
             _require(not across, "no message is transmitted across an active partition", event)
         if self._fifo:
-            self._follow(event, fates)
+            self._check_order(event, fates)
         self._sent += len(fates)
         if event.transmission in self._waiting:
             waiting = self._waiting[event.transmission]
             self._sent -= len(waiting & fates.keys())
             waiting.difference_update(fates)
         if event.transmission in self._flying:
-            left, flying = self._flying[event.transmission]
-            _require(left.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
+            departure, flying = self._flying[event.transmission]
+            _require(departure.t == event.t and flying.keys().isdisjoint(fates), "a message is transmitted once", event)
             fates = flying | fates
         self._flying[event.transmission] = event, fates
         if len(self._flying) > self._max_unchecked:
             self._settle(event.t)
             self._max_unchecked = MIN_BATCH + 2 * len(self._flying)
 
-    def _follow(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
+    def _check_order(self, event: Broadcast | Sent, fates: dict[int, int]) -> None:
         for dst, arrival in fates.items():
             if arrival != LOST:
                 _require(arrival >= self._latest.get((event.src, dst), 0), "no message overtakes another", event)
@@ -109,9 +109,9 @@ class Conservation:
         if event.dst in waiting:
             waiting.remove(event.dst)
         else:
-            left, flying = self._flying.get(event.transmission, (event, {}))
+            departure, flying = self._flying.get(event.transmission, (event, {}))
             arrival = flying.pop(event.dst, None)
-            due = left.t if arrival == LOST else arrival
+            due = departure.t if arrival == LOST else arrival
             _require(due is not None and due >= event.t, "only a message in flight is lost, and only once", event)
             _require(due == event.t, "a message is lost at transmission or on arrival", event)
 
@@ -191,9 +191,9 @@ class OneToken:
             hop = event.src, event.dst, event.body.epoch, event.body.hop
             if hop not in self._passed and (self._group is None or event.src in self._group):
                 self._passed.add(hop)
-                self._follow(event, event.body.epoch, event.body.hop)
+                self._check_hop(event, event.body.epoch, event.body.hop)
 
-    def _follow(self, event: Sent, epoch: Any, hop: int) -> None:
+    def _check_hop(self, event: Sent, epoch: Any, hop: int) -> None:
         _require(hop > self._hops.get(epoch, -1), "an epoch has one token", event)
         if epoch in self._hops and epoch != self._epoch:
             self.spoilt = event.t

@@ -236,8 +236,8 @@ class LinkLayer:
                 return "jamming"
         if self._checks_arrival and not self._topology.reaches(transmission.src, node, transmission.number):
             return "out_of_range"
-        left = self._env.now - self._sampler.processing
-        transmitting = self._transmitter is not None and self._transmitter.transmitted(node, left, end - begin)
+        received = self._env.now - self._sampler.processing
+        transmitting = self._transmitter is not None and self._transmitter.transmitted(node, received, end - begin)
         return "half_duplex" if transmitting else None
 
     def _lose(self, transmission: Transmission, nodes: list[int], cause: Cause) -> None:

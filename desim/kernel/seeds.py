@@ -38,8 +38,8 @@ def pair_uniform(
     other = np.asarray(dst)
     first, second = (np.minimum(src, other), np.maximum(src, other)) if symmetric else (np.full_like(other, src), other)
     pair = (first.astype(np.uint64) << np.uint64(32)) | second.astype(np.uint64)
-    turn = np.uint64(0x9E3779B97F4A7C15 * (number + 1) % 2**64)
-    mixed = _mix(_mix(pair + _key(seed, name)) + turn)
+    increment = np.uint64(0x9E3779B97F4A7C15 * (number + 1) % 2**64)
+    mixed = _mix(_mix(pair + _key(seed, name)) + increment)
     # With 53 bits the largest draw would be rounded to 1, where most quantiles are infinite.
     return ((mixed >> np.uint64(12)).astype(np.float64) + 0.5) * 2.0**-52
 

@@ -15,7 +15,7 @@ from desim.kernel.positions import Nodes, PositionSource
 
 VERLET_SKIN = 0.25
 """Distance by which two nodes may approach each other before all nodes are hashed again, divided by the radius."""
-FINEST = MAX_COORDINATE / 2**40
+MIN_SIDE = MAX_COORDINATE / 2**40
 """Minimum side of a cell, m. The rounding error of a coordinate is less than a thousandth of it."""
 ROUNDING = 1.001
 """Factor by which the side of a cell is enlarged, to allow for rounding errors."""
@@ -36,7 +36,7 @@ class CellList:
     def __init__(self, positions: PositionSource, radius: float, now: Callable[[], float] | None = None):
         self._positions = positions
         self._now, self._max_speed = (now, positions.max_speed) if now is not None else (lambda: 0.0, inf)
-        self._side = max(ROUNDING * (1.0 + VERLET_SKIN) * radius, FINEST)
+        self._side = max(ROUNDING * (1.0 + VERLET_SKIN) * radius, MIN_SIDE)
         self._skin = self._side / ROUNDING - radius
         self._members: dict[CellIndex, list[int]] = {}
         self._blocks: dict[CellIndex, Nodes] = {}

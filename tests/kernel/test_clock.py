@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import simpy
 
-from desim.kernel.clock import RARELY, SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
+from desim.kernel.clock import GC_THRESHOLDS, SECOND, Clock, Instant, NodeClock, Phase, nanoseconds, seconds
 
 SOURCE = Path(__file__).parents[2] / "desim"
 
@@ -91,8 +91,8 @@ def test_the_garbage_collector_looks_rarely_during_a_run_and_as_before_after_it(
     clock.process(process())
     with pytest.raises(ArithmeticError) if fails else nullcontext():
         clock.run()
-    assert seen == [RARELY]
-    assert gc.get_threshold() == usual != RARELY
+    assert seen == [GC_THRESHOLDS]
+    assert gc.get_threshold() == usual != GC_THRESHOLDS
 
 
 def test_an_exception_of_a_process_is_raised_unchanged():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.positions import PositionSource, as_position_source
-from desim.kernel.spatial_hash import FINEST, VERLET_SKIN, CellList
+from desim.kernel.spatial_hash import MIN_SIDE, VERLET_SKIN, CellList
 
 
 def near(at, node, radius):
@@ -114,7 +114,7 @@ def test_the_smallest_of_cells_is_large_enough_for_the_farthest_of_coordinates()
     cells = CellList(as_position_source(lambda: at), 1e-12)
     assert set(cells.around(0).tolist()) >= {0, 1}
     assert 3 not in cells.around(0)
-    assert FINEST < 1e-3
+    assert MIN_SIDE < 1e-3
 
 
 RADII = st.sampled_from([0.0, 5e-324, 1e-9, 1e-3, 1.0, 7.3, 1e6, 1e9, 1e300, 1.7e308])
@@ -123,7 +123,7 @@ RADII = st.sampled_from([0.0, 5e-324, 1e-9, 1e-3, 1.0, 7.3, 1e6, 1e9, 1e300, 1.7
 @st.composite
 def crowds(draw, size, radius):
     """Return (size, 2) coordinates: anywhere, on the borders of cells, a radius apart, at one place."""
-    unit = draw(st.sampled_from([radius, 1.001 * (1.0 + VERLET_SKIN) * radius, FINEST, 1.0, 1e8]))
+    unit = draw(st.sampled_from([radius, 1.001 * (1.0 + VERLET_SKIN) * radius, MIN_SIDE, 1.0, 1e8]))
     unit = unit if unit <= 1e8 else 1.0
     random_heading = st.one_of(
         st.integers(-9, 9).map(lambda k: k * unit),
