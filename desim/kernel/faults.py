@@ -18,6 +18,9 @@ from desim.kernel.events import Nanoseconds
 from desim.kernel.graphs import Node
 from desim.kernel.seeds import stream
 
+MIN_DRIFT = -0.99
+"""Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
+
 
 class _Window(Value):
     """The fields of all faults: their start and end time."""
@@ -83,8 +86,8 @@ class ClockSkew(Value):
     standard deviations."""
     offset: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)] = 0.0
     """s"""
-    drift: Annotated[float, Field(gt=-1, le=1e3, strict=True)] = 0.0
-    """Seconds gained per second."""
+    drift: Annotated[float, Field(ge=MIN_DRIFT, le=1e3, strict=True)] = 0.0
+    """Seconds gained per second; a drawn drift or a sum of drifts below -0.99 is raised to -0.99."""
 
 
 Fault = Crash | Partition | Jamming
@@ -197,10 +200,6 @@ def clock_errors(given: Iterable[object], size: int, seed: int) -> list[tuple[fl
             errors[skew.node] += skew.offset, skew.drift
     errors[:, 1] = np.maximum(errors[:, 1], MIN_DRIFT)
     return [(offset, drift) for offset, drift in errors.tolist()]
-
-
-MIN_DRIFT = -0.99
-"""Lower bound of the drift of a clock, so that no clock stands still or runs backwards."""
 
 
 def draw_faults(given: Sequence[Fault | FaultPlan | ClockSkew], size: int, horizon: float, seed: int) -> list[Fault]:

@@ -15,6 +15,8 @@ from desim.kernel.events import Trace
 from desim.kernel.fault_injection import inject
 from desim.kernel.fault_state import FaultState
 from desim.kernel.faults import (
+    MIN_DRIFT,
+    ClockSkew,
     Crash,
     FaultEnded,
     FaultStarted,
@@ -22,6 +24,7 @@ from desim.kernel.faults import (
     Partition,
     RandomCrashes,
     RandomFaults,
+    clock_errors,
     draw_faults,
 )
 from desim.kernel.network import Network
@@ -409,3 +412,11 @@ def test_a_plan_that_cannot_be_called_is_refused():
 
     with pytest.raises(ValidationError, match="fault"):
         Scenario(fault=(Old(),))
+
+
+def test_no_clock_is_slower_than_the_bound_of_a_drift():
+    with pytest.raises(ValidationError, match=r"drift\n.* greater than or equal to -0\.99"):
+        ClockSkew(node=0, drift=-0.995)
+    skew = ClockSkew(node=0, drift=MIN_DRIFT)
+    assert clock_errors([skew, skew], 2, 0) == [(0.0, MIN_DRIFT), (0.0, 0.0)]
+    assert min(drift for _, drift in clock_errors([ClockSkew(drift=2.0)], 50, 0)) == MIN_DRIFT
