@@ -36,7 +36,7 @@ class Assuming(Traits):
 
 
 class ProtocolTraits(Assuming):
-    """The optional attributes of a protocol, besides its call."""
+    """The optional attributes of a protocol, in addition to `__call__`."""
 
     announces: Literal[True, False, "unseen"] = True
     """Whether pursuers announce their actions; "unseen": only where positions are not sensed."""
@@ -61,27 +61,28 @@ class ProtocolTraits(Assuming):
 
 
 class ScheduleTraits(Assuming):
-    """The optional attributes of a schedule, besides its call and `mean_slot`."""
+    """The optional attributes of a schedule, in addition to `__call__` and `mean_slot`."""
 
     at_once: Flag = False
     """Whether several pursuers may revise at the same instant."""
     spreads_to: Literal["all", "neighbours"] | None = None
     """The pursuers to which its own messages repeatedly carry actions, so that announcements are not needed there."""
     without_serial_decisions: Callable[[], dict[str, Any]] | None = None
-    """`without_serial_decisions()` returns the table of a schedule without waiting, for `desim explain`."""
+    """`without_serial_decisions()` returns the table of a schedule in which pursuers do not wait for each other, for
+    `desim explain`."""
     warnings: Callable[[float], Iterator[tuple[str, str]]] | None = None
     """`warnings(step)` yields (key, reason) for each parameter that is unwise with this motion step, s."""
 
 
 class UtilityTraits(Assuming):
-    """The optional attributes of a utility, besides its call and `scope`."""
+    """The optional attributes of a utility, in addition to `__call__` and `scope`."""
 
     expected: Callable[[float, Sequence[float], Sequence[float], float], float] | None = None
     """`expected(own, others, chances, reward)` returns the mean gain if the others are active at random, s."""
 
 
 class DisseminationTraits(Assuming):
-    """The optional attributes of a dissemination, besides its call and `broadcast`."""
+    """The optional attributes of a dissemination, in addition to `__call__` and `broadcast`."""
 
     hops: float = inf
     """Largest number of hops that an announcement travels."""
@@ -93,7 +94,7 @@ class DisseminationTraits(Assuming):
 
 
 class StrategyTraits(Traits):
-    """The optional attributes of an evader's strategy, besides its call."""
+    """The optional attributes of an evader's strategy, in addition to `__call__`."""
 
     listens: Flag = False
     """Whether it overhears the pursuers' radio, so that `state.handover` is set."""

@@ -27,6 +27,8 @@ FORMAT = 2
 """The format of a run.json; another number means that a key has changed."""
 RUN = "run"
 """The value of `what` in documents that `desim run` writes and can repeat."""
+OTHER_COMMANDS = ("sweep", "explain", "merge")
+"""The values of `what` in documents that the other commands write; any other value is the name of a study."""
 SHAPE: Mapping[str, tuple[type, ...]] = {
     "format": (int,),
     "what": (str,),
@@ -69,7 +71,7 @@ def document(
     """Return the provenance of results as a JSON document.
 
     Args:
-        what: the command ("run", "sweep", "explain", "merge") or the name of a study.
+        what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
         scenario: the scenario of the runs, if there is only one.
         seed: seed of the first run; the recorded scenario has it, too.
         runs: number of runs, with seeds s, s + 1, ...
@@ -128,8 +130,8 @@ def read(path: Path) -> Document:
         raise ProvenanceError(f"{path}: {other_format(made.get('format'), FORMAT)}")
     if missing := [key for key in SHAPE if key not in made]:
         raise ProvenanceError(f"{path}: is not a {FILE}: missing keys {', '.join(missing)}")
-    if faults := list(_faults(made)):
-        raise ProvenanceError("\n".join(f"{path}: {each}" for each in faults))
+    if errors := list(_errors(made)):
+        raise ProvenanceError("\n".join(f"{path}: {each}" for each in errors))
     return made
 
 
@@ -160,9 +162,13 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     from desim.scenario.overrides import Source
 
     if made["what"] != RUN or made["scenario"] is None:
-        done = "a sweep" if made["what"] == "sweep" else f"the study {made['what']!r}"
+        what = made["what"]
+        if what in OTHER_COMMANDS:
+            origin = f"was written by desim {what}"
+        else:
+            origin = "records a run without its scenario" if what == RUN else f"records the study {what!r}"
         by = shlex.join(map(str, made["argv"]))
-        raise ProvenanceError(f"{path}: records {done}, which desim run cannot repeat; it was made by: {by}")
+        raise ProvenanceError(f"{path}: {origin}, which desim run cannot repeat; it was made by: {by}")
     folder = home(path, made) if allow_import else path.parent
     recorded = Source(str(path), _given(made["scenario"]), folder=folder, allow_import=allow_import)
     for override in overrides:
@@ -189,7 +195,7 @@ def _commit(made: Document) -> str:
     return f"{made['commit'] or 'of no commit'}{' with changes' if made['dirty'] else ''}, {made['code']}"
 
 
-def _faults(made: Document) -> Iterator[str]:
+def _errors(made: Document) -> Iterator[str]:
     """Yield the errors in the values of a document that has all keys."""
     for key, kinds in SHAPE.items():
         if type(made[key]) not in kinds:
@@ -198,7 +204,7 @@ def _faults(made: Document) -> Iterator[str]:
     if type(runs) is int and runs < 1:
         yield f"runs: should be at least 1 (got {runs})"
     if type(seed) is int and isinstance(scenario, dict) and scenario.get("seed", seed) != seed:
-        yield f"seed: should be that of the scenario: {json.dumps(scenario['seed'])} (got {seed})"
+        yield f"seed: should equal the seed of the scenario, {json.dumps(scenario['seed'])} (got {seed})"
 
 
 def _given(scenario: Document) -> Document:

@@ -48,7 +48,7 @@ def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
     try:
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also for a number too long, or tables nested too deeply
-        raise ScenarioError(_syntax_fault(file, str(error), text)) from error
+        raise ScenarioError(_syntax_error(file, str(error), text)) from error
     source = Source(str(file), tables, key_lines(text), allow_import=allow_import)
     for override in overrides:
         source.override(override)
@@ -61,8 +61,8 @@ def validate(source: Source) -> Scenario:
     try:
         return Scenario.model_validate(source.tables, context={"folder": folder, "allow_import": source.allow_import})
     except ValidationError as error:
-        faults = [fault for each in error.errors() for fault in _explain(each, source, Scenario, ())]
-        raise ScenarioError("\n".join(text for _, text in sorted(faults))) from error
+        problems = [problem for each in error.errors() for problem in _explain(each, source, Scenario, ())]
+        raise ScenarioError("\n".join(text for _, text in sorted(problems))) from error
 
 
 def dump(scenario: Scenario) -> str:
@@ -79,7 +79,7 @@ def _read_text(file: Path) -> str:
         raise ScenarioError(f"{file}:{line}: not TOML: not UTF-8 text ({error.reason})") from error
 
 
-def _syntax_fault(file: str | Path, message: str, text: str) -> str:
+def _syntax_error(file: str | Path, message: str, text: str) -> str:
     """Return the error message for a text that is not TOML, with file and line."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
@@ -175,7 +175,7 @@ def _reason(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info:
     if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
         return f'should be a table with a kind, {{ kind = "{kinds[0]}" }} for instance; allowed: {", ".join(kinds)}'
     if kind == "import_refused":
-        return f"{error['msg']}; allowed without: {', '.join(kinds)}"
+        return f"{error['msg']}; allowed without --allow-import: {', '.join(kinds)}"
     if kind == "literal_error":
         return f"should be {context['expected']}"
     if kind == "missing":

@@ -22,7 +22,7 @@ Settings = Mapping[str, Any]
 """The value of each key of a grid."""
 METRICS_UNSWEPT = "every run has the same metrics"
 """Why `record.metrics` cannot be swept."""
-MAX_FAULTS = 20
+MAX_ERRORS = 20
 """The largest number of validation errors of a grid that an error message lists."""
 MAX_CONFIGURATIONS = 100_000
 """The largest number of configurations of a grid; validating one takes about 1 ms."""
@@ -75,18 +75,18 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
         most = f"{MAX_CONFIGURATIONS:,} configurations"
         raise ScenarioError(f"{where}: sweep.grid: should have at most {most}, has {size:,}")
     found: list[Configuration] = []
-    faults: dict[str, list[Settings]] = {}
+    errors: dict[str, list[Settings]] = {}
     for values in product(*grid.values()):
         settings = dict(zip(grid, values, strict=True))
         try:
             found.append(Configuration(settings, _scenario_with(source, settings)))
         except ScenarioError as error:
             for line in str(error).splitlines():
-                faults.setdefault(line, []).append(settings)
-    if faults:
-        lines = sorted((_with_cause(line, among, grid) for line, among in faults.items()), key=_line_number)
-        more = [f"... and {len(lines) - MAX_FAULTS} more"] if len(lines) > MAX_FAULTS else []
-        raise ScenarioError("\n".join([*lines[:MAX_FAULTS], *more]))
+                errors.setdefault(line, []).append(settings)
+    if errors:
+        lines = sorted((_with_cause(line, among, grid) for line, among in errors.items()), key=_line_number)
+        more = [f"... and {len(lines) - MAX_ERRORS} more"] if len(lines) > MAX_ERRORS else []
+        raise ScenarioError("\n".join([*lines[:MAX_ERRORS], *more]))
     _check_distinct(found, source, grid)
     return found
 
@@ -140,22 +140,22 @@ def _scenario_with(source: Source, settings: Settings) -> Scenario:
     """Return the scenario of a source with some keys set to other values and without its sweep."""
     changed = source.copy()
     changed.tables.pop("sweep", None)
-    faults: list[str] = []
+    errors: list[str] = []
     for key, value in settings.items():
         where = _where(source, key)
         if why := UNSWEPT.get(key.partition(".")[0]) or (METRICS_UNSWEPT if key.startswith("record.metrics") else None):
-            faults.append(f"{where}: cannot be swept; {why}")
+            errors.append(f"{where}: cannot be swept; {why}")
             continue
         try:
             changed.set(key, value, where.removesuffix(f": {key}"))
         except ScenarioError as error:
-            faults.append(f"{where}: {str(error).removeprefix(f'{key}: ')}")
+            errors.append(f"{where}: {str(error).removeprefix(f'{key}: ')}")
     try:
         scenario = validate(changed)
     except ScenarioError as error:
-        faults += str(error).splitlines()
-    if faults:
-        raise ScenarioError("\n".join(faults))
+        errors += str(error).splitlines()
+    if errors:
+        raise ScenarioError("\n".join(errors))
     return without_metrics(scenario)
 
 
@@ -182,8 +182,8 @@ def _is_needed(values: Sequence[Any], all_values: Sequence[Any]) -> bool:
     return any(each not in values for each in all_values)
 
 
-def _line_number(fault: str) -> int:
-    found = re.match(r".*?:(\d+): ", fault)
+def _line_number(error: str) -> int:
+    found = re.match(r".*?:(\d+): ", error)
     return int(found[1]) if found else 0
 
 

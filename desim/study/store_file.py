@@ -121,15 +121,15 @@ class StoreFile:
 
     def _create(self, path: Path | None) -> None:
         """Create the tables, with a write-ahead log if the file system supports it, else with a rollback journal."""
-        fault = _use_write_ahead_log(self.database)
-        if fault:
+        reason = _use_write_ahead_log(self.database)
+        if reason:
             self.database.close()
             _use_rollback_journal(path)
             self.database = _connected(path)
         self.database.executescript(f"BEGIN IMMEDIATE; {TABLES} {view_of(())}; COMMIT")
-        if fault:
+        if reason:
             warnings.warn(
-                f"{path}: this file system allows no write-ahead log ({fault}), so the store has a rollback journal:"
+                f"{path}: this file system allows no write-ahead log ({reason}), so the store has a rollback journal:"
                 " let only one sweep at a time use it",
                 stacklevel=2,
             )
@@ -180,10 +180,10 @@ class StoreFile:
         try:
             return adapter.validate_python(row if column is None else row[column], strict=True)
         except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            number, *inner = fault["loc"] if column is None else (column, *fault["loc"])
+            first = error.errors(include_url=False)[0]
+            number, *inner = first["loc"] if column is None else (column, *first["loc"])
             place = ".".join(map(str, (self._columns(table)[int(number)], *inner)))
-            raise self.error(table, row, f"{place}: {fault['msg']}") from error
+            raise self.error(table, row, f"{place}: {first['msg']}") from error
 
     @naming_the_file
     def check(self) -> str:

@@ -191,7 +191,7 @@ def kept(tmp_path):
     return keep
 
 
-def faults(path: Path) -> list[str]:
+def errors(path: Path) -> list[str]:
     with pytest.raises(ProvenanceError) as refused:
         read(path)
     return str(refused.value).splitlines()
@@ -199,34 +199,34 @@ def faults(path: Path) -> list[str]:
 
 def test_invalid_json_is_refused_with_its_line(kept):
     path = kept(b'{\n  "what":\n}')
-    (said,) = faults(path)
+    (said,) = errors(path)
     assert said.startswith(f"{path}:3: not JSON: ")
 
 
 @pytest.mark.parametrize("content", [b"\xff", b"[" * 200_000, b'{"seed": ' + b"1" * 5000 + b"}", b""])
 def test_binary_too_deep_or_too_long_files_are_no_json(kept, content):
-    (said,) = faults(kept(content))
+    (said,) = errors(kept(content))
     assert ": not JSON: " in said
 
 
 @pytest.mark.parametrize("content", [3, [], "run", None])
 def test_json_that_is_no_table_is_refused(kept, content):
     path = kept(content)
-    assert faults(path) == [f"{path}: is not a run.json: should be a table"]
+    assert errors(path) == [f"{path}: is not a run.json: should be a table"]
 
 
 @pytest.mark.parametrize(("number", "found"), [(None, "no format number"), (1, "format 1"), ("2", "format '2'")])
 def test_a_document_of_another_format_is_refused_with_what_to_do(kept, number, found):
     made = document("run", SCENARIO, seed=5) | {"format": number}
     path = kept({key: value for key, value in made.items() if value is not None})
-    (fault,) = faults(path)
-    assert fault.startswith(f"{path}: has {found}, and this version of desim reads format 2: use the version")
+    (error,) = errors(path)
+    assert error.startswith(f"{path}: has {found}, and this version of desim reads format 2: use the version")
 
 
 def test_json_that_is_something_else_is_refused_with_all_that_is_missing(kept):
     path = kept({"scenario": {}})
     missing = ", ".join(key for key in KEYS if key != "scenario")
-    assert faults(path) == [f"{path}: is not a run.json: missing keys {missing}"]
+    assert errors(path) == [f"{path}: is not a run.json: missing keys {missing}"]
 
 
 WRONG = {
@@ -247,19 +247,19 @@ WRONG = {
 
 def test_all_values_of_the_wrong_type_are_reported_at_once_with_their_keys(kept, made):
     path = kept(made | {key: value for key, (value, _) in WRONG.items()})
-    assert faults(path) == [
+    assert errors(path) == [
         f"{path}: {key}: should be {allowed} (got {json.dumps(value)})" for key, (value, allowed) in WRONG.items()
     ]
 
 
 def test_less_than_one_run_is_refused(kept, made):
     path = kept(made | {"runs": 0})
-    assert faults(path) == [f"{path}: runs: should be at least 1 (got 0)"]
+    assert errors(path) == [f"{path}: runs: should be at least 1 (got 0)"]
 
 
 def test_a_seed_that_is_not_that_of_the_scenario_is_refused(kept, made):
     path = kept(made | {"seed": 6})
-    assert faults(path) == [f"{path}: seed: should be that of the scenario: 5 (got 6)"]
+    assert errors(path) == [f"{path}: seed: should equal the seed of the scenario, 5 (got 6)"]
 
 
 def test_a_file_that_is_not_there_is_an_os_error(tmp_path):
@@ -375,17 +375,23 @@ def test_a_model_of_a_script_may_be_replaced(kept, made):
     assert recorded(kept(made), "protocol={ kind = 'argmin' }").protocol.kind == "argmin"
 
 
-@pytest.mark.parametrize(("what", "words"), [("sweep", "a sweep"), ("table1", "the study 'table1'")])
-def test_a_record_that_is_not_of_runs_is_refused_with_its_command(kept, made, what, words):
+@pytest.mark.parametrize(
+    ("what", "origin"),
+    [
+        *((each, f"was written by desim {each}") for each in ("sweep", "explain", "merge")),
+        ("table1", "records the study 'table1'"),
+    ],
+)
+def test_a_record_that_is_not_of_runs_is_refused_with_its_command(kept, made, what, origin):
     path = kept(made | {"what": what, "argv": ["desim", what, "a b.toml"]})
     with pytest.raises(ProvenanceError) as refused:
         recorded(path)
     done = f"which desim run cannot repeat; it was made by: desim {what} 'a b.toml'"
-    assert str(refused.value) == f"{path}: records {words}, {done}"
+    assert str(refused.value) == f"{path}: {origin}, {done}"
 
 
 def test_a_run_without_a_scenario_is_refused(kept, made):
-    with pytest.raises(ProvenanceError, match="cannot repeat"):
+    with pytest.raises(ProvenanceError, match="records a run without its scenario, which desim run cannot repeat"):
         recorded(kept(made | {"scenario": None}))
 
 
