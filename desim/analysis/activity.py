@@ -82,8 +82,8 @@ def chases(event: Change) -> bool:
     return bool(action(event))
 
 
-def moves(result: Result) -> Iterator[tuple[Change, int]]:
-    """Yield each change of action, and the action before it."""
+def changes_with_previous(result: Result) -> Iterator[tuple[Change, int]]:
+    """Yield each change of action, and the previous action of its pursuer."""
     actions = list(started(result).active)
     for change in changes(result):
         yield change, actions[change.pursuer]
@@ -97,7 +97,7 @@ def evader_pursuits(result: Result) -> list[EvaderPursuit]:
     ends = dict.fromkeys(range(1, len(start.evaders) + 1), ended(result).t)
     ends |= {capture.evader: capture.t for capture in captures(result)}
     found = [EvaderPursuit(tuple(each == evader for each in start.active), [], end) for evader, end in ends.items()]
-    for change, before in moves(result):
+    for change, before in changes_with_previous(result):
         if before:
             found[before - 1].steps.append((change.t, change.pursuer, -1))
         if chases(change):
@@ -108,7 +108,7 @@ def evader_pursuits(result: Result) -> list[EvaderPursuit]:
 @remembered
 def activity(result: Result) -> Steps:
     """Return n(t), the number of active pursuers."""
-    steps = ((change.t, chases(change) - bool(before)) for change, before in moves(result))
+    steps = ((change.t, chases(change) - bool(before)) for change, before in changes_with_previous(result))
     return _step_function(sum(map(bool, started(result).active)), steps, ended(result).t)
 
 
@@ -165,7 +165,7 @@ def energy(result: Result) -> float:
     """
     end = ended(result).t
     own = [end * bool(active) for active in started(result).active]  # ns, whole numbers
-    for change, before in moves(result):
+    for change, before in changes_with_previous(result):
         own[change.pursuer] += (end - change.t) * (chases(change) - bool(before))
     return float(sum(speed**2 * time for speed, time in zip(started(result).speeds, own, strict=True)) / SECOND)
 

@@ -35,8 +35,8 @@ def replay(source: Path, out: Path | None, seed: int | None, overrides: tuple[st
             echo(f"warning: {each}", err=True)
         page = page_of(result).encode()
     write(page, path)
-    size, tally = len(started(result).active), messages(result)
-    echo(f"{path}: {size} pursuers, {seconds(tally.t):.2f} s, {tally.sent:,} messages, {len(page) / 1000:,.0f} kB")
+    size, counts = len(started(result).active), messages(result)
+    echo(f"{path}: {size} pursuers, {seconds(counts.t):.2f} s, {counts.sent:,} messages, {len(page) / 1000:,.0f} kB")
 
 
 @click.command()

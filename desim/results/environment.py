@@ -14,11 +14,11 @@ NUMERICS = ("numpy", "scipy", "simpy", "networkx", "pydantic")
 """The installed distributions that results depend on."""
 COMPUTING = ("analysis", "config", "kernel", "pursuit", "scenario", "simulation")
 """The packages in desim whose code affects the result of a run."""
-METRICS = "analysis/metrics.py"
+METRICS_MODULE = "analysis/metrics.py"
 """The module that lists the metrics, not hashed: a new metric changes no run, and a store hashes each metric."""
 GIT_TIMEOUT = 2.0
 """Time limit of a git command, s."""
-ELSEWHERE = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
+GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR", "GIT_OBJECT_DIRECTORY"}
 """Environment variables by which git uses another repository than the one of its folder; git sets them in hooks."""
 
 
@@ -32,8 +32,8 @@ def environment() -> dict[str, Any]:
 def code() -> str:
     """Return a hash of the source code that a run depends on: the packages of `COMPUTING` and protocols.
 
-    Code that only lists metrics, stores or shows results (`METRICS`, `desim/cli`, `desim/results`, `desim/study`,
-    `desim/view`) is left out.
+    Code that only lists metrics, stores or shows results is left out: `METRICS_MODULE`, `desim/cli`, `desim/results`,
+    `desim/study` and `desim/view`.
     """
     here = Path(__file__).parents[1]
     files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
@@ -41,7 +41,7 @@ def code() -> str:
     folders = protocols.submodule_search_locations if protocols is not None else None
     files += [file for folder in folders or () for file in Path(folder).glob("*.py")]
     digest = hashlib.sha256()
-    for file in sorted(set(files) - {here / METRICS}, key=lambda file: (file.parent.name, file.name)):
+    for file in sorted(set(files) - {here / METRICS_MODULE}, key=lambda file: (file.parent.name, file.name)):
         digest.update(f"{file.parent.name}/{file.name}\n".encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -96,7 +96,7 @@ def _checkout() -> tuple[str | None, bool | None]:
 
 def _git(folder: Path, *words: str) -> str | None:
     """Return the output of a git command in a folder; None if it fails: no git, no repository, or a time-out."""
-    found = {key: each for key, each in os.environ.items() if key not in ELSEWHERE}
+    found = {key: each for key, each in os.environ.items() if key not in GIT_VARIABLES}
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *words],

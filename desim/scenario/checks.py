@@ -22,16 +22,16 @@ ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """Yield the key and the text of each warning about a scenario that is valid but probably unintended."""
     fastest = max(scenario.team.all_speeds())
-    flights = [evader.speed for evader in scenario.evaders]
-    if fastest <= max(flights):
-        yield "team.speeds", _all_too_slow(fastest, flights, scenario.prune != "none")
+    evader_speeds = [evader.speed for evader in scenario.evaders]
+    if fastest <= max(evader_speeds):
+        yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
     yield from violations(scenario)
     if (warn := scenario.schedule_traits.warnings) is not None:
         yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
     yield from _time_warnings(scenario)
-    stride = scenario.motion.step * max(fastest, *flights)
+    stride = scenario.motion.step * max(fastest, *evader_speeds)
     if scenario.capture.test == "sample" and stride > 2 * scenario.capture.radius:
         yield (
             "motion.step",
@@ -40,19 +40,19 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         )
 
 
-def _all_too_slow(fastest: float, flights: Sequence[float], pruned: bool) -> str:
+def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) -> str:
     """Return the warning that no pursuer is faster than some evaders.
 
     Args:
         fastest: greatest speed of the pursuers, m/s.
-        flights: speeds of the evaders, m/s.
+        evader_speeds: speeds of the evaders, m/s.
         pruned: whether pursuers may not chase an evader that they cannot capture.
     """
-    quick = [flight for flight in flights if flight >= fastest]
+    quick = [speed for speed in evader_speeds if speed >= fastest]
     which, they, whose, whom = (
         ("the evader", "the evader", "", "")
-        if len(flights) == 1
-        else (f"{len(quick)} of the {len(flights)} evaders", "the slowest of these", " of theirs", " them")
+        if len(evader_speeds) == 1
+        else (f"{len(quick)} of the {len(evader_speeds)} evaders", "the slowest of these", " of theirs", " them")
     )
     return (
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"

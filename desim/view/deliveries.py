@@ -9,7 +9,7 @@ space-time diagram see `desim.view.spacetime`.
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from desim.analysis.activity import action, moves, relays
+from desim.analysis.activity import action, changes_with_previous, relays
 from desim.analysis.trace_index import ended, require_messages, started
 from desim.kernel.events import Broadcast, Cause, Lost, Queued, Sent
 from desim.kernel.faults import Fault, FaultEnded, FaultStarted
@@ -91,7 +91,7 @@ def chasing(result: Result) -> list[list[Chase]]:
     actions, end = list(started(result).active), ended(result).t
     since = [0] * len(actions)
     found: list[list[Chase]] = [[] for _ in actions]
-    for change, before in moves(result):
+    for change, before in changes_with_previous(result):
         if before:
             found[change.pursuer].append(Chase(since[change.pursuer], change.t, before))
         actions[change.pursuer], since[change.pursuer] = action(change), change.t

@@ -16,7 +16,7 @@ from math import inf, nextafter
 from pathlib import Path
 from typing import Any
 
-from desim.analysis.activity import action, changes, chases, decisions, moves
+from desim.analysis.activity import action, changes, changes_with_previous, chases, decisions
 from desim.analysis.trace_index import ended, messages_recorded, started
 from desim.config.json_numbers import field_names, has_plain, to_json
 from desim.config.trust import without_symlink
@@ -120,7 +120,7 @@ def _counts(result: Result) -> Iterator[Entry]:
             yield _entry("C", f"pursuers on {evader}", TEAM, t, args={"number": on[evader]})
 
     yield from counts(0, on)
-    for change, before in moves(result):
+    for change, before in changes_with_previous(result):
         turns = [(evader, by) for evader, by in ((before, -1), (action(change), 1)) if evader]
         for evader, by in turns:
             on[evader] += by

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from desim.analysis.activity import Change, Released, action, moves
+from desim.analysis.activity import Change, Released, action, changes_with_previous
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import (
     captures,
@@ -272,7 +272,7 @@ def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
 def _acts(result: Result) -> Iterator[Change]:
     """Yield the events that set an action, in order, whether or not they change it."""
     released: defaultdict[int, list[Change]] = defaultdict(list)
-    for change, before in moves(result):
+    for change, before in changes_with_previous(result):
         if isinstance(change, Released):
             released[before].append(change)
     for event in result.trace:

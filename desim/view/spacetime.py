@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from desim.analysis.activity import changes, chases, decisions, moves
+from desim.analysis.activity import changes, changes_with_previous, chases, decisions
 from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
@@ -264,7 +264,7 @@ def _draw_decisions(axes: Axes, result: Result, rows: dict[int, int], window: In
     """Mark the decisions: a tick if the action is kept, a triangle or a diamond if it changes."""
     inside = [each for each in decisions(result) if window.begin <= each.t <= window.end and each.pursuer in rows]
     changed = {id(each) for each in changes(result)}
-    turns = {id(each) for each, before in moves(result) if before and chases(each)}
+    turns = {id(each) for each, before in changes_with_previous(result) if before and chases(each)}
     looks: list[tuple[str, dict[str, Any], list[Any]]] = [
         ("keeps action", {"marker": "|", "color": "black", "ms": 5}, [x for x in inside if id(x) not in changed]),
         (

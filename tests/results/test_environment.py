@@ -183,7 +183,7 @@ def test_the_repository_of_a_hook_that_runs_us_is_not_meant(repository, monkeypa
     subprocess.run(["git", "init", "-q", str(tmp_path / "other")], check=True)
     monkeypatch.setenv(variable, str(tmp_path / "other" / place))
     assert environment._checkout() == (commit, False)
-    monkeypatch.setattr(environment, "ELSEWHERE", set())
+    monkeypatch.setattr(environment, "GIT_VARIABLES", set())
     assert environment._checkout() != (commit, False)
 
 
