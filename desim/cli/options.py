@@ -11,7 +11,7 @@ import click
 
 from desim.config.file_names import files
 from desim.config.trust import escaped, without_symlink
-from desim.simulation.watchdog import checked
+from desim.simulation.watchdog import checked_limit
 
 if TYPE_CHECKING:
     from desim.scenario.overrides import Source
@@ -78,7 +78,7 @@ def is_import_allowed() -> bool:
 
 def _limit(_ctx: click.Context, _param: click.Parameter, limit: float | None) -> float | None:
     try:
-        return limit if limit is None else checked(limit)
+        return limit if limit is None else checked_limit(limit)
     except ValueError as error:
         raise click.BadParameter(str(error)) from error
 

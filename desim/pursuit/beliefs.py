@@ -94,13 +94,13 @@ class Beliefs:
             own, *times = self._view.capture_times_of([self._id, *chasing], evader)
             return own, chasing, times
         (own,) = self._view.capture_times_of([self._id], evader)
-        return own, chasing, [self._time(matching[j][1], evader) for j in chasing]
+        return own, chasing, [self._capture_time(matching[j][1], evader) for j in chasing]
 
-    def all(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
+    def about_teammates(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
         """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
         now = self._clock.stamp
         return {
-            j: Belief(record.body.active, self._time(record, evader, orders), (now - record.stamp) / SECOND)
+            j: Belief(record.body.active, self._capture_time(record, evader, orders), (now - record.stamp) / SECOND)
             for j, record in self.trusted(period).items()
         }
 
@@ -116,7 +116,7 @@ class Beliefs:
         ids = sorted({*records, self._id})
         places = [self._position(records[j]) if j in records else state.position(j) for j in ids]
         phi = [
-            self._time(records[j], evader)
+            self._capture_time(records[j], evader)
             if j in records and isinstance(records[j].body, TimedAssignment)
             else view.capture_time_from(j, place, evader)
             for j, place in zip(ids, places, strict=True)
@@ -141,7 +141,7 @@ class Beliefs:
             limit = 3.0 * period + 2.0 * delay if period < inf else inf
         return inf if limit > MAX_TIME else self._clock.span(limit)  # no run lasts longer than MAX_TIME
 
-    def _time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
+    def _capture_time(self, record: Record, evader: int, orders: Orders = UNORDERED) -> float:
         """Return the capture time of a teammate for an evader, computed from its record, s; nan if unknown."""
         body = record.body
         if isinstance(body, TimedAssignment):

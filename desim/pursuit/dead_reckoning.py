@@ -79,7 +79,7 @@ class EvaderTrack:
         return place
 
 
-def nearer(position: complex, evader: complex, length: float) -> complex:
+def moved_towards(position: complex, evader: complex, length: float) -> complex:
     """Return the position after moving a length (m) straight towards the evader, at most up to the evader, m."""
     gap = evader - position
     return evader - max(abs(gap) - length, 0.0) * gap / max(abs(gap), SMALLEST)

@@ -106,7 +106,7 @@ class DelayedState:
         return State(state.stamp, pursuers, state.evader, seen[0].active)
 
 
-SINGLY = 16
+MAX_SCALAR_SIZE = 16
 """Up to this number of pursuers, scalar computations are faster than array operations over the team."""
 
 
@@ -152,7 +152,7 @@ class EvaderBody:
         self._chasers: NDArray[np.bool_] = np.zeros(self._size, dtype=bool)
         self._safe_until = -1  # no capture is possible up to this time, ns
         self._state: State | None = None
-        self._read: Points | None = None  # the positions from which _state was computed
+        self._state_positions: Points | None = None  # the positions from which _state was computed
         self._times: tuple[float, ...] | None = None
 
     @property
@@ -163,14 +163,14 @@ class EvaderBody:
     def set_chasers(self, chasers: NDArray[np.bool_]) -> None:
         """Set the (N,) mask of the pursuers that chase it from now on."""
         chasers.setflags(write=False)
-        self._chasers, self._read = chasers, None
+        self._chasers, self._state_positions = chasers, None
 
     def state(self, now: int) -> State:
         """Return the state of the pursuit of this evader at `now` (ns)."""
         places = self._players.positions()
-        if self._state is None or places is not self._read:
+        if self._state is None or places is not self._state_positions:
             self._state = State(now, places[: self._size], places.item(self.player), self._chasers)
-            self._read, self._times = places, None
+            self._state_positions, self._times = places, None
         return self._state
 
     def capture_times(self, now: int) -> tuple[float, ...]:
@@ -184,7 +184,7 @@ class EvaderBody:
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
         """Return the capture times of some pursuers at `now` (ns), s; inf once it has been captured."""
-        if len(pursuers) > SINGLY or self.captured is not None:
+        if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
         if self._players.are_known:

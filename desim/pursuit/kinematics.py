@@ -29,34 +29,34 @@ class Kinematics:
         self._env, self._static = env, static
         self.velocities: Points = np.zeros_like(start)
         self._origins, self._since = start, env.now
-        self._positions, self._read = start, env.now
+        self._positions, self._cached_at = start, env.now
         start.setflags(write=False)
 
     @property
     def are_known(self) -> bool:
         """Whether all positions of this instant are cached."""
-        return self._read == self._env.now or self._static
+        return self._cached_at == self._env.now or self._static
 
     def positions(self) -> Points:
         """Return the (K,) positions now, m; read-only."""
         now = self._env.now
-        if self._read != now and not self._static:
+        if self._cached_at != now and not self._static:
             self._positions = self._origins + self.velocities * ((now - self._since) / SECOND)
             self._positions.setflags(write=False)
-            self._read = now
+            self._cached_at = now
         return self._positions
 
     def position(self, player: int) -> complex:
         """Return the position of one player now, m."""
         now = self._env.now
-        if self._read == now or self._static:
+        if self._cached_at == now or self._static:
             return self._positions.item(player)
         return self._origins.item(player) + self.velocities.item(player) * ((now - self._since) / SECOND)
 
     def distances(self, player: int, others: Iterable[int]) -> list[float]:
         """Return the present distances of other players from one player, m."""
         now, start, velocity = self._env.now, self._origins.item, self.velocities.item
-        if self._read == now or self._static:
+        if self._cached_at == now or self._static:
             place = self._positions.item
             here = place(player)
             return [abs(here - place(other)) for other in others]
@@ -66,11 +66,11 @@ class Kinematics:
 
     def positions_of(self, players: Sequence[int] | NDArray[np.intp]) -> Points:
         """Return the (k,) positions of some players now, m."""
-        if self._read == self._env.now or self._static:
+        if self._cached_at == self._env.now or self._static:
             return self._positions[players]
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
-    def go(self, velocities: Points) -> None:
+    def set_velocities(self, velocities: Points) -> None:
         """Begin new straight pieces at the present positions and instant, with (K,) velocities, m/s."""
         self._origins, self._since = self.positions(), self._env.now
         self.velocities = velocities

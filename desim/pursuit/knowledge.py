@@ -122,7 +122,7 @@ class Knowledge:
             orders: orders sent to teammates. Announced positions are extrapolated along these orders instead of the
                 announced action.
         """
-        return self._beliefs.all(period, evader, orders)
+        return self._beliefs.about_teammates(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
         """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from desim.config.arrays import Points
 from desim.kernel.clock import seconds
-from desim.pursuit.evader import SINGLY, EvaderBody
+from desim.pursuit.evader import MAX_SCALAR_SIZE, EvaderBody
 from desim.pursuit.guidance import Guidance, guided_velocities, guided_velocity
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.world_state import Actions, WorldState
@@ -31,7 +31,7 @@ class Steering:
         self._actions, self._paces = actions, self._speeds * (actions > 0)
         moving = actions.nonzero()[0]
         self._chases: list[tuple[int, EvaderBody]] | None = None  # (pursuer, evader); None if many chase
-        if len(moving) <= SINGLY:
+        if len(moving) <= MAX_SCALAR_SIZE:
             self._chases = [(pursuer, self._targets[actions.item(pursuer) - 1]) for pursuer in moving.tolist()]
 
     def step(self, now: int, until: int, *, handover: bool) -> None:
@@ -61,9 +61,9 @@ class Steering:
                 velocities[pursuer] = guided_velocity(law, place - here, aim - here, evader_velocity, speed[pursuer])
         for pursuer in self._sensor.blind(self._actions) if self._sensor is not None else ():
             velocities[pursuer] = self._blind_velocity(pursuer, duration)
-        players.go(velocities)
+        players.set_velocities(velocities)
 
-    def turn(self, pursuer: int, now: int, until: int) -> None:
+    def redirect(self, pursuer: int, now: int, until: int) -> None:
         """Set the velocity of a pursuer whose action changes within a step.
 
         Args:
@@ -80,7 +80,7 @@ class Steering:
             here, segment = self._players.position(pursuer), self._targets[evader - 1].path.last
             gap, speed = segment.at(now) - here, self._speed[pursuer]
             velocities[pursuer] = guided_velocity(self._law, gap, segment.aim - here, segment.velocity, speed)
-        self._players.go(velocities)
+        self._players.set_velocities(velocities)
 
     def _all_velocities(self) -> Points:
         """Return the (N,) velocities of the pursuers at the start of a step as if all evaders were in range, m/s."""

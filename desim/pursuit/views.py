@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from desim.kernel.clock import seconds
-from desim.pursuit.dead_reckoning import nearer
+from desim.pursuit.dead_reckoning import moved_towards
 from desim.pursuit.state import lengths
 from desim.pursuit.world_state import WorldState
 
@@ -141,7 +141,7 @@ class View:
         if exact and self.unlimited:
             return body.path.position(position, speed, now - age, end)
         there = body.position if captured is not None else self.evader(evader)
-        return position if isnan(there) else nearer(position, there, speed * seconds(end - now + age))
+        return position if isnan(there) else moved_towards(position, there, speed * seconds(end - now + age))
 
 
 class GlobalState(View):

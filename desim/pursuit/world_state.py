@@ -114,4 +114,4 @@ class WorldState:
         velocities[body.player] = 0.0
         velocities[: self.size][chasing] = 0.0
         self.set_actions(np.where(chasing, 0, self.actions))
-        self.players.go(velocities)
+        self.players.set_velocities(velocities)

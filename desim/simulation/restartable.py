@@ -27,7 +27,7 @@ class RestartableProcess(simpy.Process):
             TypeError: if the behaviour yields something else.
         """
         awaited: simpy.Event = agent.at(agent.now, phase)
-        missed: simpy.Event | None = None  # the awaited event, if it happened during the crash
+        missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down
         while True:
             try:
                 value = yield awaited

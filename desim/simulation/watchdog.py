@@ -24,7 +24,7 @@ class TimedOut(BaseException):
     """A time limit was exceeded. It is not an `Exception`, so that `except Exception` does not catch it."""
 
 
-def checked(limit: float) -> float:
+def checked_limit(limit: float) -> float:
     """Return a time limit, s; raise ValueError if it is not a valid one."""
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"should be a time > 0 s (got {limit:g})")
@@ -44,7 +44,7 @@ def within(limit: float) -> Iterator[None]:
     Raises:
         ValueError: if the limit is not a valid time, s.
     """
-    checked(limit)
+    checked_limit(limit)
     set_exception, over, thread = ctypes.pythonapi.PyThreadState_SetAsyncExc, Event(), ctypes.c_ulong(get_ident())
     on_its_way: WeakSet[TimedOut] = WeakSet()
     is_late = False
@@ -97,7 +97,7 @@ def short(file: str) -> str:
     return "/".join(Path(file).parts[-2:])
 
 
-MOST = 100
+MAX_LISTED = 100
 """Maximum number of processes that are listed."""
 
 
@@ -114,8 +114,8 @@ def stuck(env: "Clock", error: TimedOut, processes: Mapping[int, Sequence["Resta
     due = env.scheduled()
     alive = [(pursuer, each) for pursuer, several in processes.items() for each in several if each.is_alive]
     head = f"at {seconds(env.now):.9g} s of simulated time, in {place_of(error)}; {len(alive):,} processes wait"
-    lines = [f"pursuer {pursuer}: {_line(each)}{_until(each, due)}" for pursuer, each in alive[:MOST]]
-    more = [f"... and {len(alive) - MOST:,} more"] if len(alive) > MOST else []
+    lines = [f"pursuer {pursuer}: {_line(each)}{_until(each, due)}" for pursuer, each in alive[:MAX_LISTED]]
+    more = [f"... and {len(alive) - MAX_LISTED:,} more"] if len(alive) > MAX_LISTED else []
     return TimedOut("\n  ".join([head, *lines, *more]))
 
 

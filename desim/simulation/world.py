@@ -129,7 +129,7 @@ class World:
         self._set_actions(actions)
         now = self._env.now
         if now < state.step_end:  # within a step; at its end all players get new velocities
-            self._steering.turn(pursuer, now, state.step_end)
+            self._steering.redirect(pursuer, now, state.step_end)
             self._forecast.update()
 
     def _set_actions(self, actions: Actions) -> None:

@@ -104,7 +104,7 @@ def test_a_trace_with_missing_or_wrong_events_is_detected(kind, words):
         ("desim.analysis.invariants.active_time", lambda right: lambda result: right(result) + 1e-6, "active time"),
         ("desim.analysis.invariants.energy", lambda right: lambda result: right(result) * 1.001, "energy"),
         ("desim.kernel.network.Network.message_counts", lambda right: lambda net: right(net)._replace(sent=0), "sent"),
-        ("desim.simulation.world.Steering.turn", lambda right: lambda *order: None, "no player exceeds its speed"),
+        ("desim.simulation.world.Steering.redirect", lambda right: lambda *order: None, "no player exceeds its speed"),
     ],
 )
 def test_a_watched_run_is_checked_against_all_invariants(name, wrong, words, monkeypatch):
@@ -195,9 +195,9 @@ def hurried(choose_velocity):
     return lambda self, state, *, handover: 1.001 * choose_velocity(self, state, handover=handover)
 
 
-def leaping(go):
+def leaping(set_velocities):
     def leap(self, velocities):
-        go(self, velocities)
+        set_velocities(self, velocities)
         self._origins = self._origins + 1e-6
 
     return leap
@@ -220,8 +220,8 @@ def inert(_):
     ("owner", "method", "break_it"),
     [
         (EvaderBody, "choose_velocity", hurried),
-        (Kinematics, "go", leaping),
-        (Steering, "turn", deaf),
+        (Kinematics, "set_velocities", leaping),
+        (Steering, "redirect", deaf),
         (World, "crash", inert),
     ],
 )

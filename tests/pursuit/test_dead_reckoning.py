@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from desim.kernel.clock import SECOND, nanoseconds, seconds
-from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, TrackSegment, nearer
+from desim.pursuit.dead_reckoning import MAX_RETRACINGS, EvaderTrack, TrackSegment, moved_towards
 from desim.pursuit.geometry import toward
 from desim.pursuit.guidance import ConstantBearing, PurePursuit
 
@@ -217,7 +217,7 @@ def test_the_cache_of_paths_is_bounded_and_evicts_the_least_recently_used():
 
 def test_straight_line_reckoning_ends_at_the_evader():
     """From (3, 4) to the evader at (0, 0) it is 5 m: 2 m lead to (1.8, 2.4), 5 or 7 there; at the evader it stays."""
-    assert nearer(3.0 + 4.0j, 0j, 2.0) == pytest.approx(1.8 + 2.4j)
-    assert nearer(3.0 + 4.0j, 0j, 0.0) == pytest.approx(3.0 + 4.0j)
-    assert nearer(3.0 + 4.0j, 0j, 5.0) == nearer(3.0 + 4.0j, 0j, 7.0) == 0j
-    assert nearer(1.0 + 1.0j, 1.0 + 1.0j, 3.0) == 1.0 + 1.0j
+    assert moved_towards(3.0 + 4.0j, 0j, 2.0) == pytest.approx(1.8 + 2.4j)
+    assert moved_towards(3.0 + 4.0j, 0j, 0.0) == pytest.approx(3.0 + 4.0j)
+    assert moved_towards(3.0 + 4.0j, 0j, 5.0) == moved_towards(3.0 + 4.0j, 0j, 7.0) == 0j
+    assert moved_towards(1.0 + 1.0j, 1.0 + 1.0j, 3.0) == 1.0 + 1.0j

@@ -50,18 +50,18 @@ def test_one_some_and_all_are_at_the_same_places(start, moments, data):
         assert players.distances(3, [1, 0]) == [abs(expected[3] - expected[k]) for k in (1, 0)]
         assert [players.position(k) for k in range(4)] == players.positions_of(range(4)).tolist() == expected.tolist()
         if heading is not None:
-            players.go(heading)
+            players.set_velocities(heading)
             places, since, velocities = expected, now, heading
 
 
 def test_players_of_a_static_game_stay_and_positions_are_read_only():
     env, places = Clock(), np.array([1j, 2j])
     players = Kinematics(env, places, static=True)
-    players.go(np.array([1.0 + 0j, 1.0 + 0j]))
+    players.set_velocities(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=SECOND)
     assert players.positions().tolist() == [players.position(0), players.position(1)] == [1j, 2j]
     moving = Kinematics(env, np.array([1j, 2j]))
-    moving.go(np.array([1.0 + 0j, 1.0 + 0j]))
+    moving.set_velocities(np.array([1.0 + 0j, 1.0 + 0j]))
     env.run(until=2 * SECOND)
     for read_only in (players.positions(), moving.positions()):
         with pytest.raises(ValueError, match="read-only"):
@@ -69,7 +69,7 @@ def test_players_of_a_static_game_stay_and_positions_are_read_only():
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["state known", "state unknown"])
-@pytest.mark.parametrize("count", [1, evader.SINGLY, evader.SINGLY + 1])
+@pytest.mark.parametrize("count", [1, evader.MAX_SCALAR_SIZE, evader.MAX_SCALAR_SIZE + 1])
 def test_times_of_capture_of_some_are_those_of_all(known, count):
     """One of the pursuers is too slow; the evader runs, so that no position is unchanged."""
     speeds = tuple([0.5] + [1.0 + k / 10 for k in range(19)])
@@ -97,8 +97,8 @@ def test_pursuers_led_one_by_one_run_as_a_team_led_at_once(monkeypatch, law, eva
     play = partial(run, base.model_copy(update={"protocol": SpatialAdaptivePlay(schedule=schedule)}))
     traces = []
     for few in (0, 5, 99):
-        monkeypatch.setattr(steering, "SINGLY", few)
-        monkeypatch.setattr(evader, "SINGLY", few)
+        monkeypatch.setattr(steering, "MAX_SCALAR_SIZE", few)
+        monkeypatch.setattr(evader, "MAX_SCALAR_SIZE", few)
         traces.append(list(play().trace))
     assert traces[0] == traces[1] == traces[2]
     assert len(traces[0]) > 600
