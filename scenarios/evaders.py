@@ -67,7 +67,7 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
             + "\n".join(claims(cells)),
             f"Sum of active times, s: {what}\n"
             + _grid(cells, lambda each: f"{each.active_time:.1f} +- {each.active_half_width:.1f}"),
-            f"Share of runs with capture, and hand-overs per run: {what}\n"
+            f"Share of runs with capture, and handovers per run: {what}\n"
             + _grid(cells, lambda each: f"{each.captured:.0%} {each.handovers:.1f}"),
             _sight_table(sight, latency, MORE * runs),
         ]

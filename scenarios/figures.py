@@ -214,7 +214,7 @@ def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
 
 def table(found: dict[tuple[int, str], list[RunMetrics]]) -> str:
     """Return the means over the runs as text, a line per panel."""
-    rows: list[Sequence[str]] = [("N", "panel", "active time, s", "ends, s", "captured", "alone from, s", "hand-overs")]
+    rows: list[Sequence[str]] = [("N", "panel", "active time, s", "ends, s", "captured", "alone from, s", "handovers")]
     for (count, name), runs in found.items():
         starts = [each.alone_from for each in runs if each.alone_from is not None]
         rows.append(

@@ -38,7 +38,7 @@ def _tables(world: str, cells: Sequence[Cell], runs: int) -> list[str]:
         active.append((name, *(f"{each.active_time:.1f} +- {each.half_width:.1f}" for each in line)))
         if name != REFERENCE:
             paired.append((name, *(f"{each.difference:+.1f} +- {each.difference_half_width:.1f}" for each in line)))
-    heads = ["captured", "relayed", "after", "misassigned", "regret", "hand-overs", "sent/s", "kB/s"]
+    heads = ["captured", "relayed", "after", "misassigned", "regret", "handovers", "sent/s", "kB/s"]
     rest = [("", *heads, "saved/sent", "saved/kB")]
     for name in names:
         at = here[name, SHOWN]

@@ -231,7 +231,7 @@ class Summary(Mapping[str, Any]):
     )
     """Number of decisions."""
     switches: int = entry(switches)
-    handovers: int = entry(handovers, note=lambda run: f"{run['ping_pongs']:,} of them ping-pong", label="hand-overs")
+    handovers: int = entry(handovers, note=lambda run: f"{run['ping_pongs']:,} of them ping-pong", label="handovers")
     ping_pongs: int = entry(ping_pongs)
     messages_sent: int = entry(lambda result: messages(result).sent, note="each receiver of a broadcast counts as one")
     """Number of messages; each receiver of a broadcast counts as one."""

@@ -76,7 +76,7 @@ def test_the_line_of_every_pursuer_is_its_utility_while_it_is_active(results):
 
 
 def test_the_utilities_of_a_run_are_computed_once(monkeypatch):
-    """Also if its beginning is drawn enlarged, and hand-overs are labelled."""
+    """Also if its beginning is drawn enlarged, and handovers are labelled."""
     computed, utilities = [], figures.individual_utilities
     monkeypatch.setattr(figures, "individual_utilities", lambda result: computed.append(result) or utilities(result))
     monkeypatch.setattr(figures, "SHORT", 1.0)
