@@ -4,10 +4,10 @@ A bid is -phi, so the pursuer with the least capture time bids highest; ties go 
 one evader at a time: among the evaders for which it outbids all others, the one that it would capture first. Its
 announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
-(`current`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement that carries
-it. An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active pursuers
-differ by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both stay
-active.
+(`bid_updater`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement that
+carries it. An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active
+pursuers differ by less than the age of the bids, each therefore outbids the bid that it knows of the other, and both
+stay active.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -93,7 +93,7 @@ def bids_of(claim: Any) -> list[Bid]:
     return [Bid(winner, amount)] if isinstance(winner, int) else list(map(Bid, winner, amount))
 
 
-def current(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
+def bid_updater(me: Agent, evader: int = 1) -> Callable[[Bid], Bid]:
     """Return the function that updates a bid for an evader to the -phi of its bidder as sensed at this instant.
 
     The update needs no message from the bidder. It never adds or withdraws a bid: only the bidder's own claims do.

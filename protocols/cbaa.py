@@ -25,7 +25,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, Auction, Bid, bids_of, chosen, claim_fields, current, unread
+from protocols.auction import NO_BID, Auction, Bid, bid_updater, bids_of, chosen, claim_fields, unread
 from protocols.rule import Rule
 
 
@@ -55,9 +55,9 @@ class CBAA(Auction):
         while True:
             claims = {each.src: bids_of(each.body) for each in unread(me, read, Claim)}
             for k, best in enumerate(bids):
-                up_to_date = current(me, k + 1)
-                claimed = {j: up_to_date(claim[k]) for j, claim in claims.items()}
-                bids[k] = greatest(up_to_date(best), claimed | {me.id: NO_BID})
+                update = bid_updater(me, k + 1)
+                claimed = {j: update(claim[k]) for j, claim in claims.items()}
+                bids[k] = greatest(update(best), claimed | {me.id: NO_BID})
             action, bids = chosen(me, one_each(bids))
             me.set_payload(Claim(*claim_fields(action, bids)))
             yield action

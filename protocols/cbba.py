@@ -22,7 +22,7 @@ from typing import ClassVar, Literal, NamedTuple
 from desim.config.model import Timeout
 from desim.kernel.message_size import NUMBER
 from desim.pursuit.agent import Agent
-from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bids_of, chosen, claim_fields, current, unread
+from protocols.auction import NO_BID, NO_WINNER, Auction, Bid, bid_updater, bids_of, chosen, claim_fields, unread
 
 Verdict = Literal["update", "reset", "leave"]
 """The actions of Table I: adopt the sender's winner and bid; clear winner and bid; change nothing."""
@@ -62,12 +62,12 @@ class CBBA(Auction):
         bids, read = [NO_BID] * me.evader_count, dict[int, int]()
         stamps, since = [-inf] * me.team_size, [me.now] * me.team_size  # since: local time at which a stamp last grew
         while True:
-            up_to_date = [current(me, k + 1) for k in range(me.evader_count)]
-            bids = [update(bid) for update, bid in zip(up_to_date, bids, strict=True)]
+            updaters = [bid_updater(me, k + 1) for k in range(me.evader_count)]
+            bids = [updater(bid) for updater, bid in zip(updaters, bids, strict=True)]
             for record in unread(me, read, StampedClaim):
                 k, theirs = record.src, record.body.stamps
                 for task, (mine, bid) in enumerate(zip(bids, bids_of(record.body), strict=True)):
-                    bid = up_to_date[task](bid)
+                    bid = updaters[task](bid)
                     verdict = decision(me.id, k, *mine, stamps, *bid, theirs)
                     bids[task] = {"update": bid, "reset": NO_BID, "leave": mine}[verdict]
                 heard = [*theirs[:k], record.sent, *theirs[k + 1 :]]

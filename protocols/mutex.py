@@ -75,7 +75,7 @@ class LocalMutex(Value):
         neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
-        return max(1.0 / self.rate + 2.0 * latency + on_air(me, degree), (degree + 1) * latency) / me.team_size
+        return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
 
     def without_serial_decisions(self) -> dict[str, Any]:
         """Return the schedule without mutual exclusion."""
@@ -93,7 +93,7 @@ class LocalMutex(Value):
             section.leave()
 
 
-def on_air(me: Agent, neighbours: float) -> float:
+def request_airtime(me: Agent, neighbours: float) -> float:
     """Return the airtime of requests to a number of neighbours and of their replies on one channel, s."""
     stamp, record = (0, 0), Record(me.id, 0, 0, me.announcement())
     return neighbours * (me.airtime(Request(stamp)) + me.airtime(Reply(stamp, (record,))))
@@ -108,7 +108,7 @@ class CriticalSection:
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
         self._me, self._attempts = me, attempts
-        self._time_out = RetransmissionTimer(me, on_air(me, len(me.neighbours())), min_timeout)
+        self._time_out = RetransmissionTimer(me, request_airtime(me, len(me.neighbours())), min_timeout)
         self._highest = 0  # highest Lamport time of the requests so far
         self._own_request: Stamp | None = None  # stamp of its own request
         self._missing: dict[int, int] = {}  # by neighbour without a reply: number of unanswered requests
@@ -116,7 +116,7 @@ class CriticalSection:
         self._silent: set[int] = set()  # neighbours that did not answer in time
 
     def idle(self, until: float) -> Process:
-        """Answer requests, without sending any, until a time on the pursuer's clock, s."""
+        """Answer requests, without sending any, until a time on the local clock, s."""
         while not (yield from self._wait(until)):
             pass
 

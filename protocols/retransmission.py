@@ -23,21 +23,21 @@ class RetransmissionTimer:
 
     Args:
         me: the sender of the requests.
-        on_air: airtime of a request, its answer, and the messages that may be queued in front of them, s.
+        airtime: airtime of a request, its answer, and the messages that may be queued in front of them, s.
         min_timeout: the least time-out, s.
     """
 
-    def __init__(self, me: Agent, on_air: float, min_timeout: float):
-        self._on_air = 1.25 * on_air
-        self._first = max(2.5 * me.latency + self._on_air, min_timeout)
+    def __init__(self, me: Agent, airtime: float, min_timeout: float):
+        self._airtime = 1.25 * airtime
+        self._first = max(2.5 * me.latency + self._airtime, min_timeout)
 
     def __call__(self, attempt: int = 0) -> float:
         """Return the time-out of a transmission after a number of attempts without an answer, s."""
-        return self._first + self._on_air * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
+        return self._first + self._airtime * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
 def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for a message at a port, or until a time on the pursuer's clock, s; return whether the time is up."""
+    """Wait for a message at a port, or until a time on the local clock, s; return whether the time is up."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

@@ -157,7 +157,7 @@ class Periodic(Value):
 
 
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:
-    """Yield the instants phase + k * period, k = first, first + 1, ..., on the pursuer's clock, s.
+    """Yield the instants phase + k * period, k = first, first + 1, ..., on the local clock, s.
 
     Past instants are skipped, such as those during a crash.
     """

@@ -197,14 +197,14 @@ class TokenNode:
         crashed = me.now > until + self._holding_time
         if crashed:  # this pursuer was down: others may have regenerated the token
             self.token = None
-            self._reassured()
+            self._reset_deadline()
         for message in me.mail(PORT):
-            self._hear(message.src, message.body)
+            self._process(message.src, message.body)
         return due and not crashed
 
     # Messages.
 
-    def _hear(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
+    def _process(self, src: int, body: Token | TokenReceipt | TokenNotice) -> None:
         """Process a message; a newer epoch discards the token held here."""
         age = (body.epoch, body.hop)
         newer = age > self._newest
@@ -214,7 +214,7 @@ class TokenNode:
             self._answer(src, self._newest)
             return
         if newer:
-            self._notice(age)
+            self._record_age(age)
         if isinstance(body, Token):
             self._receive(src, body)
         elif isinstance(body, TokenReceipt):
@@ -225,13 +225,13 @@ class TokenNode:
             if newer:
                 self._forward_notice(src, body._replace(asks=False))
 
-    def _notice(self, age: Age) -> None:
+    def _record_age(self, age: Age) -> None:
         """Record the age of a newer message about the token."""
         if age[0] > self._newest[0]:
             self.token = None
             self._answered.clear()
         self._newest = age
-        self._reassured()
+        self._reset_deadline()
 
     def _receive(self, src: int, token: Token) -> None:
         """Confirm the receipt of a token and, unless it is a duplicate, hold it."""
@@ -247,7 +247,7 @@ class TokenNode:
         self._answered.add(src)
         if self.token is not None and (src, age) == (self._next, self._taken):
             self.token = None
-            self._reassured()
+            self._reset_deadline()
 
     def _answer(self, dst: int, age: Age) -> None:
         self._me.send(dst, TokenReceipt(*age), PORT)
@@ -259,7 +259,8 @@ class TokenNode:
             if j not in reached:
                 self._me.send(j, notice, PORT)
 
-    def _reassured(self) -> None:
+    def _reset_deadline(self) -> None:
+        """Wait a whole `loss_timeout` from now on before the token is regenerated."""
         self._deadline = self._me.now + self.loss_timeout
 
     # The token.

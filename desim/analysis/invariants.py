@@ -218,6 +218,6 @@ class PotentialWatcher:
         self._pending.clear()
 
 
-def _require_same(name: str, metric: float, own: float) -> None:
-    if not abs(metric - own) <= ROUNDING * (1.0 + abs(own)):
-        raise AssertionError(f"the {name} is the integral of the trace: {metric} is not {own}")
+def _require_same(name: str, metric: float, stopwatches: float) -> None:
+    if not abs(metric - stopwatches) <= ROUNDING * (1.0 + abs(stopwatches)):
+        raise AssertionError(f"the {name} of the metric, {metric}, differs from that of the stopwatches, {stopwatches}")

@@ -27,7 +27,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Started
 from desim.pursuit.game import relay_profile
 from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Evader, Motion, Recording, Team
-from protocols.auction import NO_BID, Bid, bids_of, chosen, claim_fields, current, offer, unread
+from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, claim_fields, offer, unread
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
@@ -619,12 +619,12 @@ def test_each_bid_is_updated_from_the_sensed_position_of_its_bidder():
     me = SimpleNamespace(senses_others=True, evaders=lambda: [1, 2], trusted=dict)
     me.team_estimate = lambda evader: SimpleNamespace(capture_times=phi[evader])
     old = [Bid(0, -9.0), Bid(1, -9.0), Bid(2, -9.0), NO_BID]
-    assert [current(me)(bid) for bid in old] == [Bid(0, -2.0), Bid(1, -1.0), Bid(2, -inf), NO_BID]
-    assert [current(me, 2)(bid) for bid in old] == [Bid(0, -3.0), Bid(1, -4.0), Bid(2, -5.0), NO_BID]
-    assert [current(me, 3)(bid) for bid in old] == [NO_BID] * 4
+    assert [bid_updater(me)(bid) for bid in old] == [Bid(0, -2.0), Bid(1, -1.0), Bid(2, -inf), NO_BID]
+    assert [bid_updater(me, 2)(bid) for bid in old] == [Bid(0, -3.0), Bid(1, -4.0), Bid(2, -5.0), NO_BID]
+    assert [bid_updater(me, 3)(bid) for bid in old] == [NO_BID] * 4
     me.senses_others = False
-    assert [current(me)(bid) for bid in old] == old
-    assert [current(me, 3)(bid) for bid in old] == [NO_BID] * 4
+    assert [bid_updater(me)(bid) for bid in old] == old
+    assert [bid_updater(me, 3)(bid) for bid in old] == [NO_BID] * 4
 
 
 @pytest.mark.parametrize("auction", AUCTIONS)

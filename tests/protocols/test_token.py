@@ -478,7 +478,7 @@ def test_the_watcher_detects_a_token_that_is_never_replaced(monkeypatch):
 @pytest.mark.slow
 def test_the_watcher_detects_tokens_whose_epoch_is_ignored(monkeypatch):
     """A negative control: if old tokens are taken and are not given up for new ones, there are two of one epoch."""
-    accept = TokenNode._hear
+    accept = TokenNode._process
 
     def receive(self, src, body):
         if isinstance(body, Token) and self.token is None and body.epoch < self._newest[0]:
@@ -489,10 +489,10 @@ def test_the_watcher_detects_tokens_whose_epoch_is_ignored(monkeypatch):
 
     def notice(self, age):
         self._newest = age
-        self._reassured()
+        self._reset_deadline()
 
-    monkeypatch.setattr(TokenNode, "_hear", receive)
-    monkeypatch.setattr(TokenNode, "_notice", notice)
+    monkeypatch.setattr(TokenNode, "_process", receive)
+    monkeypatch.setattr(TokenNode, "_record_age", notice)
     with pytest.raises(AssertionError, match="an epoch has one token"):
         list(map(faults_after, range(40)))
 
