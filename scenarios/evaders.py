@@ -12,21 +12,14 @@ extrapolated with its last velocity; or the worst case, the farthest position it
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+import click
 import numpy as np
 
 from desim.analysis.tables import aligned
-from scenarios.rivals_runs import N
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-from dataclasses import asdict
-
-import click
-
 from desim.config.json_numbers import json_number
 from scenarios.evaders_runs import (
     CHASERS,
@@ -47,7 +40,12 @@ from scenarios.evaders_runs import (
     measure_chases,
     measure_sight,
 )
+from scenarios.rivals_runs import N
 from scenarios.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:

@@ -8,17 +8,12 @@ measured.
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from desim.analysis.tables import aligned
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-from dataclasses import asdict
-
 from scenarios.many_runs import (
     BUDGET,
     BUDGETS,
@@ -36,6 +31,10 @@ from scenarios.many_runs import (
     run_static_games,
 )
 from scenarios.study import Options, study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def table(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary], runs: int) -> str:

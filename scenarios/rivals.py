@@ -10,17 +10,16 @@ alone; the cost of delay is the difference to the same protocol with the same se
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from desim.analysis.tables import aligned
+from scenarios.rivals_runs import LATENCIES, REFERENCE, SHOWN, WORLDS, Cell, N, measure
+from scenarios.study import Options, study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-from dataclasses import asdict
-
-from scenarios.rivals_runs import LATENCIES, REFERENCE, SHOWN, WORLDS, Cell, N, measure
-from scenarios.study import Options, study
 
 
 def table(cells: Sequence[Cell], runs: int) -> str:

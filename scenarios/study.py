@@ -97,8 +97,8 @@ def study(
             "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Output folder."
         )
         @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
-        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **own: Any) -> None:
-            run(Options(name, runs, jobs, seed, out, as_json, own))
+        def main(runs: int, jobs: int, seed: int, out: Path, as_json: bool, **given: Any) -> None:
+            run(Options(name, runs, jobs, seed, out, as_json, given))
 
         main.params.extend(own)
         return main

@@ -24,7 +24,7 @@ VALUES = (0.001, 0.003, 0.01, 0.03, 0.1)
 
 
 @dataclass(frozen=True)
-class SpeedCell:
+class Cell:
     """The mean over the runs of the sum of active times, s, at one slot and one step."""
 
     slot: float
@@ -33,7 +33,7 @@ class SpeedCell:
     standard_error: float
 
 
-def measure(options: Options) -> list[SpeedCell]:
+def measure(options: Options) -> list[Cell]:
     """Run the grid; capture is tested along the whole step, so h does not set the resolution of capture."""
     base = configuration(20).model_copy(update={"capture": Capture(test="segment")})
     grid = [(slot, step) for slot in VALUES for step in VALUES]
@@ -41,11 +41,11 @@ def measure(options: Options) -> list[SpeedCell]:
     cells = []
     for (slot, step), times in zip(grid, options.measure(scenarios, "two clocks", active_time), strict=True):
         found = estimate(times)
-        cells.append(SpeedCell(slot, step, found.mean, found.standard_error))
+        cells.append(Cell(slot, step, found.mean, found.standard_error))
     return cells
 
 
-def spread(cells: list[SpeedCell], along: str) -> float:
+def spread(cells: list[Cell], along: str) -> float:
     """Return the greatest ratio of active times between cells that differ in `along` ("slot" or "step") alone."""
     ratios = []
     for fixed in VALUES:
@@ -54,7 +54,7 @@ def spread(cells: list[SpeedCell], along: str) -> float:
     return max(ratios)
 
 
-def table(cells: list[SpeedCell], runs: int) -> str:
+def table(cells: list[Cell], runs: int) -> str:
     """Return the grid as text, and the conclusion from it."""
     found = {(cell.slot, cell.step): cell for cell in cells}
     rows = [("delta | h", *(f"{step:g} s" for step in VALUES))]
@@ -70,7 +70,7 @@ def table(cells: list[SpeedCell], runs: int) -> str:
     )
 
 
-def picture(cells: list[SpeedCell]) -> "Figure":
+def picture(cells: list[Cell]) -> "Figure":
     """Draw the active time over delta and over h, one line per value of the other; the paper has delta = h."""
     from desim.analysis import plots
 

@@ -143,13 +143,13 @@ class _EvaderArtists:
 
     def __init__(self, axes: Axes, evader: int, count: int):
         look, lone = EvaderStyle.of(evader, count), count == 1
-        pale = look.beside if lone else to_hex(tuple(_shade(look.beside, PALE).tolist()))
+        pale = look.together if lone else to_hex(tuple(_shade(look.together, PALE).tolist()))
         name = "evader" if lone else f"evader {evader}"
         mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
         (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
         (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
         (self.path,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
-        (self.beside,) = axes.plot([], [], "o", mfc=pale, mec=look.alone, ms=6, label="active with others")
+        (self.together,) = axes.plot([], [], "o", mfc=pale, mec=look.alone, ms=6, label="active with others")
         (self.alone,) = axes.plot([], [], "o", mfc=look.alone, mec=look.alone, ms=9, label="active alone")
         (self.evader,) = axes.plot([], [], look.mark, color=VERMILION, label=name, **mark)
         (self.star,) = axes.plot([], [], "*", color="black", ms=14, mew=0)
@@ -188,8 +188,8 @@ class _Scene:
         """Return the legend entries of active pursuers, in grey if their colours depend on their evaders."""
         first = self._evaders[0]
         if len(self._evaders) == 1:
-            return [first.beside, first.alone]
-        greys = {first.beside: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
+            return [first.together, first.alone]
+        greys = {first.together: to_hex(tuple(_shade(GREY, PALE).tolist())), first.alone: GREY}
         return [
             Line2D([], [], marker="o", ls="", mfc=grey, mec=GREY, ms=each.get_markersize(), label=str(each.get_label()))
             for each, grey in greys.items()
@@ -198,7 +198,7 @@ class _Scene:
     def _in_order(self) -> list[Artist]:
         """Return the moving artists in drawing order."""
         below = [(each.trails, each.relay, each.path) for each in self._evaders]
-        chasers = [(each.beside, each.alone) for each in self._evaders]
+        chasers = [(each.together, each.alone) for each in self._evaders]
         above = [(each.evader, each.star, each.number) for each in self._evaders]
         found = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
         return [*found, self._dots, self._crosses, *_by_layer(above), self._caption]
@@ -249,7 +249,7 @@ class _Scene:
             line.set_data(_joined(own))
         past = self._paths.of_evader(evader, 0, t)
         artists.path.set_data(past.T)
-        artists.beside.set_data(chasers.T if len(chasers) > 1 else ([], []))
+        artists.together.set_data(chasers.T if len(chasers) > 1 else ([], []))
         artists.alone.set_data(chasers.T if len(chasers) == 1 else ([], []))
         artists.evader.set_data(past[-1:].T)
         artists.star.set_data(past[-1:].T if self._is_captured(evader, t) else ([], []))

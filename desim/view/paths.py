@@ -33,7 +33,7 @@ class EvaderStyle(NamedTuple):
     """The fill colour of the evader's marker."""
     alone: str
     """The colour of a pursuer that chases it alone."""
-    beside: str
+    together: str
     """The colour of a pursuer that chases it together with others."""
 
     @classmethod
@@ -166,7 +166,7 @@ def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[i
         labels = {}
     for period in active_periods(result):
         path, look = paths.of(period.pursuer, period.begin, period.end), looks[period.evader]
-        colour = look.alone if period.alone else look.beside
+        colour = look.alone if period.alone else look.together
         label = labels.pop(period.alone, None)
         axes.plot(*path.T, color=colour, **wide[period.alone], label=label, solid_capstyle="butt")
 

@@ -162,7 +162,7 @@ def test_two_clocks_reports_that_table_1_depends_on_the_slot(study, monkeypatch)
 def test_the_spread_is_the_greatest_ratio_along_one_clock():
     """Active time 1 / slot on the grid, but for one cell that is doubled along the step."""
     cells = [
-        two_clocks.SpeedCell(slot, step, (2.0 if (slot, step) == (0.01, 0.1) else 1.0) / slot, 0.0)
+        two_clocks.Cell(slot, step, (2.0 if (slot, step) == (0.01, 0.1) else 1.0) / slot, 0.0)
         for slot in two_clocks.VALUES
         for step in two_clocks.VALUES
     ]
