@@ -208,6 +208,12 @@ def test_a_replay_under_another_name_is_refused_before_anything_runs(file, monke
     assert said == "--out x.gif: should end in .html, or have no suffix, got .gif"
 
 
+def test_a_replay_is_reported_in_one_line(file, tmp_path):
+    path = tmp_path / "x.html"
+    said = accepted("replay", file(BROADCASTS), "-o", path, "--set", "record.messages=true").stdout
+    assert said == f"{path}: 3 pursuers, 1.00 s, 18 messages, {path.stat().st_size / 1000:,.0f} kB\n"
+
+
 # check, schema, protocols, help
 
 

@@ -248,6 +248,20 @@ def test_a_pursuer_leaves_the_chase_to_a_faster_one_over_a_one_way_link(utility)
     assert last == {0: True, 1: False}
 
 
+def test_the_position_of_an_agent_is_that_of_its_pursuer_now():
+    """Pursuer 1 chases at speed 1 from 1 s on, straight towards the evader at the origin."""
+    seen = {}
+
+    def protocol(me):
+        yield me.at(1.0)
+        me.assign(me.id == 1)
+        yield me.at(1.5)
+        seen[me.id] = me.position()
+
+    play(protocol)
+    assert seen == pytest.approx({0: 1.0, 1: 1.5, 2: 4.0})
+
+
 class Claim(NamedTuple):
     active: bool
     news: int = 0

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from desim.config.model import Value
+from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.results import environment, provenance
 from desim.results.provenance import ProvenanceError, differences, document, of_one, read, source, write
 from desim.scenario.overrides import ScenarioError
 from desim.scenario.scenario import Evader, Scenario, Team
+from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import dump, load, validate
+from desim.study.configurations import configurations
 from tests.command import accepted, refused, strict_json
 
 ROOT = Path(__file__).parents[2]
@@ -250,6 +253,15 @@ def test_all_values_of_the_wrong_type_are_reported_at_once_with_their_keys(kept,
     assert errors(path) == [
         f"{path}: {key}: should be {allowed} (got {json.dumps(value)})" for key, (value, allowed) in WRONG.items()
     ]
+
+
+def test_a_grid_of_models_is_recorded_as_tables(tmp_path):
+    scenario = SCENARIO.model_copy(update={"sweep": Sweep(grid={"network.latency": [Constant(value=0.1), 0.2]})})
+    write(tmp_path, document("run", scenario, seed=5))
+    grid = read(tmp_path / "run.json")["scenario"]["sweep"]["grid"]
+    assert grid == {"network.latency": [{"kind": "constant", "value": 0.1}, 0.2]}
+    again = configurations(source(tmp_path / "run.json", read(tmp_path / "run.json")))
+    assert [each.scenario.network.latency for each in again] == [Constant(value=0.1), Constant(value=0.2)]
 
 
 def test_less_than_one_run_is_refused(kept, made):

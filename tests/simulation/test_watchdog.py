@@ -2,7 +2,7 @@
 
 import re
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from queue import SimpleQueue
 from threading import Event
 from typing import Any
@@ -15,6 +15,7 @@ from pydantic_core import PydanticSerializationError
 from desim.cli import main
 from desim.results import run_folder
 from desim.scenario.scenario import Motion, Scenario, Team
+from desim.simulation import watchdog
 from desim.simulation.run import run
 from desim.simulation.watchdog import TimedOut, within
 from desim.study.sweep import sweep
@@ -216,6 +217,18 @@ def test_the_command_ends_with_1_and_reports_the_time_out(tmp_path, monkeypatch)
     assert "\n--timeout: took longer than 1 s: at " in made.stderr
     assert re.search(r"\n  pursuer [01]: ", made.stderr), made.stderr  # the other one may be at its turn
     assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(("options", "limits"), [([], [9.0]), (["-n", "1"], [9.0]), (["-n", "2"], [])])
+def test_the_time_limit_of_one_run_covers_the_whole_command(tmp_path, monkeypatch, options, limits):
+    """Also with -n 1; each of several runs has its own limit."""
+    found = []
+    monkeypatch.setattr(watchdog, "within", lambda limit: nullcontext(found.append(limit)))
+    file = tmp_path / "short.toml"
+    file.write_text("horizon = 0.01\nteam.count = 2\n")
+    made = CliRunner().invoke(main, ["run", str(file), "--timeout", "9", "-j", "1", *options])
+    assert made.exit_code == 0, made.output
+    assert found == limits
 
 
 @pytest.mark.parametrize("text", ["0", "nan", "soon"])

@@ -19,7 +19,7 @@ from desim.analysis.statistics import estimate, paired, runs_needed
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
 from desim.scenario.overrides import ScenarioError
-from desim.scenario.scenario import Scenario, Team
+from desim.scenario.scenario import Recording, Scenario, Team
 from desim.scenario.sweep_table import Sweep
 from desim.scenario.toml import read
 from desim.study import sweep as module
@@ -28,6 +28,7 @@ from desim.study.result import SweepResult
 from desim.study.store import Store
 from desim.study.store_file import StoreError
 from desim.study.sweep import MAX_RUNS, RunError, SweepPlan, sweep
+from desim.study.workers import workers_for
 from protocols.rule import Rule
 
 # Chance in positions, slots and decisions; about 3 ms each.
@@ -161,6 +162,24 @@ def test_truths_are_as_precise_as_wilsons_interval():
 def test_at_most_as_many_runs_as_are_asked_for_are_done():
     found = sweep(BASE, {"capture.radius": [0.2]}, 33, until=("active_time", 1e-9))
     assert [len(group.rows) for group in found.groups] == [33]
+
+
+def test_a_sweep_of_several_rounds_calls_on_start_once(monkeypatch):
+    """The first round has 30 runs, the second three more."""
+    rounds, calls, perform = [], [], module._run
+
+    def performed(jobs, *args):
+        rounds.append(len(jobs))
+        return perform(jobs, *args)
+
+    monkeypatch.setattr(module, "_run", performed)
+    short = BASE.model_copy(update={"horizon": 0.1, "record": Recording(trajectory=0.0)})
+    plan = SweepPlan.of(short, {"capture.radius": [0.2]}, 33)
+    with Store() as store, workers_for(1) as workers:
+        plan.register(store)
+        target = ("active_time", 1e-9)
+        module.carry_out(plan, store, workers, until=target, on_start=lambda: calls.append(len(rounds)))
+    assert (rounds, calls) == ([30, 3], [0])
 
 
 @pytest.mark.slow
