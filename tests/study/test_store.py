@@ -530,7 +530,7 @@ def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(
     """Bits, bytes, a digit, a page or the end are others: what is wrong with them is reported, or they mean nothing."""
     file, folder, table = good
     whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
-    for each in range(1000, 1040) if seed is None else [seed]:
+    for each in range(1000, 1016) if seed is None else [seed]:
         damage, out, merged = damaged(random.Random(each), whole), tmp_path / "out", tmp_path / "merged"
         for words in (
             ("export", out, tmp_path / "a.csv"),

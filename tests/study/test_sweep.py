@@ -124,10 +124,10 @@ def test_independent_runs_are_no_pairs():
 def test_common_seeds_make_differences_precise():
     """Of active time, between latencies of 0 and 0.02 s: var + var' of unpaired runs over the variance of pairs.
 
-    44 with these 150 pairs; of six other sets of 100 pairs at least 24 and at most 2150, for few seeds make most of the
-    difference. The control, run k paired with run k + 1, has 1 up to chance: 0.85 to 1.23.
+    2150 with these 100 pairs, and at least 24 with five other sets, for few seeds make most of the difference. The
+    control, run k paired with run k + 1, has 1 up to chance: 0.85 to 1.23.
     """
-    found = sweep(BASE.model_copy(update={"horizon": 2.0}), {"network.latency.value": [0.0, 0.02]}, 150, seed=0)
+    found = sweep(BASE.model_copy(update={"horizon": 2.0}), {"network.latency.value": [0.0, 0.02]}, 100, seed=0)
     one, other = (np.array(group.values("active_time")) for group in found.groups)
     unpaired = one.var(ddof=1) + other.var(ddof=1)
     assert unpaired / (other - one).var(ddof=1) > 10.0

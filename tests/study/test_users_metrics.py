@@ -462,7 +462,7 @@ def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
 
     def said(*words):
-        command = [sys.executable, "-m", "desim", *words]
+        command = [sys.executable, "-m", "desim", *words, *(["-j", "1"] if words[0] == "sweep" else [])]
         made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)})
         assert made.returncode == 0, made.stderr
         return made.stdout
