@@ -223,7 +223,7 @@ def quick(kind):
     return KINDS[kind](**settings | ({"slot": 0.2} if "slot" in KINDS[kind].model_fields else {}))
 
 
-@pytest.mark.parametrize("network", MANY)
+@pytest.mark.parametrize("network", ["ideal", pytest.param("lossy", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_protocol_has_three_evaders_captured_and_does_the_same_again(kind, network):
     """Six that are four times as fast, in a box of 4 m: in less than 5 s each evader has been captured once."""

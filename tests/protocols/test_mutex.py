@@ -124,7 +124,7 @@ def test_a_decision_takes_a_round_trip(latency):
     assert min(waits) == round(2 * latency * SECOND)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [0.0, 0.02, 1.0])
 def test_the_mean_slot_is_the_time_between_two_decisions_of_the_team(latency):
     """Up to what contention adds: less than a third, from idle to saturated sections."""

@@ -734,7 +734,7 @@ class Hot:
         return 0.0
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sap", "binary_log_linear", "selective_sap"])
 @pytest.mark.parametrize(("prune", "share"), [("none", 0.5), ("inf", 0.0), ("infeasible", 0.0)])
 def test_at_infinite_temperature_an_unpruned_slow_pursuer_chases_at_every_second_turn(kind, prune, share):

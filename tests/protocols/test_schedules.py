@@ -49,7 +49,7 @@ def test_shared_seed_decides_once_at_the_end_of_each_slot():
     assert times == [k * 10_000_000 for k in range(1, 200)]
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [SharedSeed(slot=0.001), Poisson(rate=250.0)])
 def test_owners_are_drawn_uniformly(schedule):
     """10,000 decisions of 4 pursuers: chi-squared with 3 degrees of freedom is below 16.3 with probability 0.999.

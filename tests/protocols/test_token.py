@@ -198,7 +198,7 @@ class Scale:
         return next(self._steps)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("absent", [(), (3,)])
 @pytest.mark.parametrize("graph", [nx.star_graph(5), nx.path_graph(6), nx.complete_graph(6), nx.wheel_graph(6)])
 def test_the_uniform_law_is_stationary_under_the_walk(graph, absent):
@@ -383,7 +383,7 @@ def test_absent_pursuers_are_probed_no_more_often_than_they_could_answer():
     assert np.diff(times) == pytest.approx(0.25 * SECOND)
 
 
-@pytest.mark.slow_but_one
+@pytest.mark.slow
 @pytest.mark.parametrize("schedule", [TokenRing(), TokenWalk()])
 def test_a_partition_has_two_tokens_and_one_after_it_heals(schedule):
     groups = [{0, 2, 4}, {1, 3, 5}]
