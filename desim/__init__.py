@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from desim.pursuit.guidance import ConstantBearing as ConstantBearing
     from desim.pursuit.guidance import PurePursuit as PurePursuit
     from desim.pursuit.sensing import Sensing as Sensing
+    from desim.scenario.examples import examples as examples
     from desim.scenario.scenario import Capture as Capture
     from desim.scenario.scenario import Evader as Evader
     from desim.scenario.scenario import Motion as Motion
@@ -107,6 +108,7 @@ _NAMES = {
     ),
     "desim.pursuit.guidance": ("ConstantBearing", "PurePursuit"),
     "desim.pursuit.sensing": ("Sensing",),
+    "desim.scenario.examples": ("examples",),
     "desim.scenario.scenario": ("Capture", "Evader", "Motion", "Recording", "Scenario", "Team"),
     "desim.scenario.toml": ("load",),
     "desim.simulation.run": ("Result", "run"),

@@ -144,7 +144,10 @@ def main(draws: int, most: int, seed: int, teams: tuple[int, ...]) -> None:
 def as_file(chosen: Scenario, command: str) -> str:
     """Return a configuration as the text of a scenario file, one point per line."""
     text = tomli_w.dumps(chosen.model_dump(exclude_defaults=True))
-    return f"# Found by: {command}\n" + re.sub(r"\[\s+([\d.]+),\s+([\d.]+),\s+\]", r"[\1, \2]", text)
+    head = (
+        f"# The configuration of Table I of Lee & Bakolas with {chosen.team.count} pursuers.\n# Found by: {command}\n"
+    )
+    return head + re.sub(r"\[\s+([\d.]+),\s+([\d.]+),\s+\]", r"[\1, \2]", text)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Handling of untrusted input: terminal escaping, symbolic links, pipes, import safety."""
+"""Handling of untrusted input: terminal escaping, symbolic links, pipes, files that exist, import safety."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from errno import EINVAL, EISDIR
+from errno import EEXIST, EINVAL, EISDIR
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,22 @@ def without_symlink(path: Path) -> Path:
     if path.is_symlink():
         path.unlink()
     return path
+
+
+def write_new(files: Mapping[Path, bytes]) -> None:
+    """Write files, and create missing folders.
+
+    Raises:
+        FileExistsError: if one of the files exists already; then nothing is written.
+        OSError: if a file cannot be written.
+    """
+    for path in files:
+        if path.exists() or path.is_symlink():
+            raise FileExistsError(EEXIST, "exists already and is not overwritten", str(path))
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            file.write(content)
 
 
 def regular_or_missing(path: Path) -> Path:

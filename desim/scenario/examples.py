@@ -1,0 +1,74 @@
+"""The example scenario files of the installed package `scenarios`."""
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from desim.config.packages import folder_of
+from desim.config.trust import write_new
+
+
+def examples() -> Mapping[str, Path]:
+    """Return the path of each example scenario file by its name, sorted: `load(examples()["relay"])`."""
+    return {path.stem: path for path in sorted(folder_of("scenarios").glob("*.toml"))}
+
+
+def example(name: str) -> Path:
+    """Return the path of the example of a name, with or without the suffix .toml.
+
+    Raises:
+        ValueError: if there is no such example.
+    """
+    known = examples()
+    stem = name.removesuffix(".toml")
+    if stem not in known:
+        close = get_close_matches(stem, known, n=1)
+        hint = f", did you mean {close[0]!r}?" if close else ""
+        raise ValueError(f"there is no example {name!r}{hint}; allowed: {', '.join(known)}")
+    return known[stem]
+
+
+def first_sentence(path: Path) -> str:
+    """Return the first sentence of the comment at the head of a scenario file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comment = " ".join(
+        line.lstrip("# ") for line in lines[: next(k for k, line in enumerate(lines) if line[:1] != "#")]
+    )
+    return re.split(r"(?<=[.?!])\s", comment, maxsplit=1)[0]
+
+
+def copy_example(name: str, target: Path = Path()) -> list[Path]:
+    """Copy an example and the data files that it names; return the paths of the copies, the scenario file first.
+
+    Args:
+        name: the name of the example.
+        target: a path that ends in .toml is the scenario file, any other the folder to put it in. Missing folders are
+            created.
+
+    Raises:
+        ValueError: if there is no such example.
+        FileExistsError: if a copy exists already; then nothing is written.
+        OSError: if a file cannot be written.
+    """
+    source = example(name)
+    file = target if target.suffix == ".toml" and not target.is_dir() else target / source.name
+    copies = {file: source} | {file.parent / each.name: each for each in _named_files(source)}
+    write_new({path: each.read_bytes() for path, each in copies.items()})
+    return list(copies)
+
+
+def _named_files(path: Path) -> list[Path]:
+    """Return the files beside a scenario file that its values name."""
+    beside = (path.parent / each for each in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
+    return sorted({each for each in beside if each.is_file()})
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield every text nested in a value."""
+    if isinstance(value, str):
+        yield value
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _texts(each)
