@@ -15,6 +15,7 @@ from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.pages import replay, report
 from desim.cli.program import Program
+from desim.cli.start import examples, new
 from desim.config.trust import no_cwd_import
 
 
@@ -31,5 +32,8 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-for command in (run, replay, draw, sweep, explain, report, merge, export, check, keys, metrics, protocols, schema):
+for command in (
+    *(examples, new, check, run, sweep, explain, merge, export),
+    *(replay, draw, report, keys, metrics, protocols, schema),
+):
     main.add_command(command)
