@@ -43,6 +43,10 @@ def import_name(definition: Any) -> str:
     return f"{definition.__module__}:{definition.__qualname__}"
 
 
+IMPORTED = "^[^:]+:[^:]+$"
+"""Matches a kind "module:name"."""
+
+
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
@@ -108,7 +112,9 @@ class OneOf:
         return core_schema.with_info_plain_validator_function(self._accept, serialization=writes)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}]
+        named = {"type": "string", "pattern": IMPORTED}
+        own = {"type": "object", "properties": {"kind": named}, "required": ["kind"]}
+        bare: list[JsonSchemaValue] = [{"type": "string", "enum": list(self.choices())}, named, own]
         if self.number is not None:
             bare.append({"type": "number"})
         return {"anyOf": [handler(_union(self.choices())), *bare]}

@@ -274,7 +274,9 @@ def test_a_model_is_not_built_before_it_is_used():
 def test_the_schema_lists_the_kinds_of_a_choice():
     found = TypeAdapter(Annotated[Any, OneOf(Circle, Square, number=("square", "side"))]).json_schema()
     tables, *bare = found["anyOf"]
-    assert bare == [{"type": "string", "enum": ["circle", "square"]}, {"type": "number"}]
+    own = {"type": "string", "pattern": "^[^:]+:[^:]+$"}
+    own_table = {"type": "object", "properties": {"kind": own}, "required": ["kind"]}
+    assert bare == [{"type": "string", "enum": ["circle", "square"]}, own, own_table, {"type": "number"}]
     assert tables["discriminator"]["mapping"] == {"circle": "#/$defs/Circle", "square": "#/$defs/Square"}
     assert found["$defs"]["Square"]["properties"]["side"]["description"] == "Length of a side, m."
     assert "description" not in found["$defs"]["Square"]["properties"]["kind"]
