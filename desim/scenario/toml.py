@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import fields_of, markers_of
 from desim.config.trust import regular_or_missing
+from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml_lines import DEEP_KEY, KeyPath, key_lines, unreadable
@@ -113,8 +114,7 @@ def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPa
         return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] != "import_refused" else ""
-    name = str(place[-1]) if place else ""
-    yield _problem(source, place, f"{_reason(error, name, owner, info)}{note}{_input_text(error)}")
+    yield _problem(source, place, f"{_reason(error, place, owner, info)}{note}{_input_text(error)}")
 
 
 def _problem(source: Source, place: KeyPath, what: str) -> Problem:
@@ -162,14 +162,14 @@ def _one_of(info: FieldInfo) -> OneOf | None:
     return next(iter(choices_of(info)), None)
 
 
-def _reason(error: ErrorDetails, name: str, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
+def _reason(error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
     """Return the text of an error, with the allowed values."""
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
     kinds = list(one_of.choices()) if one_of else []
     if kind == "extra_forbidden":
         allowed = context.get("allowed") or (sorted(owner.model_fields) if owner else [])
-        return f"unknown key{_suggestion(name.split('.')[-1], allowed)}; allowed: {', '.join(allowed)}"
+        return f"unknown key{_other_key(place, allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
     if kind == "union_tag_not_found" or (kind in NOT_A_TABLE and kinds):
@@ -232,8 +232,32 @@ RENAMED = {
 
 
 def _suggestion(word: str, allowed: Sequence[str]) -> str:
-    close = [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
+    close = _similar(word, allowed)
     return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _similar(word: str, allowed: Sequence[str]) -> list[str]:
+    """Return the allowed word for another one, or none."""
+    return [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
+
+
+def _other_key(place: KeyPath, allowed: Sequence[str]) -> str:
+    """Return the keys to suggest for an unknown one: of its table, or of the same name in another table or kind."""
+    word = str(place[-1]).split(".")[-1]
+    close = _similar(word, allowed)
+    homes = homes_of(word) or homes_of(RENAMED.get(word, word))
+    if close:  # then only a key of exactly this name is worth mentioning, and none if the word is an old name
+        homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
+    here = [each for each in place if isinstance(each, str)]
+    if kinds := [key.owner for key in homes if key.owner and [each for each in key.place if each != "0"] == here]:
+        return f", it is one of the kind {' or '.join(kinds)}"
+    places = dict.fromkeys(key.dotted if len(key.place) > 1 else f"{key.dotted} at the top" for key in homes)
+    found = [*map(repr, close), *list(places)[:MAX_HOMES]]
+    return f", did you mean {' or '.join(found)}?" if found else ""
+
+
+MAX_HOMES = 3
+"""The largest number of tables that an error message suggests for a key."""
 
 
 def _input_text(error: ErrorDetails) -> str:
