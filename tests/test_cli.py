@@ -109,6 +109,58 @@ def test_all_errors_of_a_file_are_reported_at_once_in_order_of_lines(file):
     assert [each.split(": ")[:2] for each in said] == [f"{path}:{place}".split(": ") for place in places]
 
 
+def test_an_override_in_two_words_is_refused_before_they_count_as_arguments(file):
+    path = file("seed = 1\n")
+    for name in ("run", "check", "sweep", "explain", "replay"):
+        (said,) = refused(name, path, "--set", "network.range", "5")
+        assert said.startswith("--set network.range: should be KEY=VALUE in one word, for instance ")
+
+
+@pytest.mark.parametrize(
+    ("text", "suggestion"),
+    [
+        ("latency = 0.1", "latency: unknown key, did you mean network.latency?; "),
+        ("latncy = 0.1", "latncy: unknown key, did you mean network.latency?; "),
+        ("radius = 0.1", "radius: unknown key, did you mean sensing.radius or capture.radius?; "),
+        ("lost_after = 0.1", "lost_after: unknown key, did you mean sensing.track_timeout?; "),
+        ("speed = 0.1", "speed: unknown key, did you mean 'seed' or evader.speed?; "),
+        ("start = 0.1", "start: unknown key, did you mean fault.0.start?; "),
+        ("network.seed = 1", "network.seed: unknown key, did you mean seed at the top?; "),
+        (
+            "network.latency = { kind = 'constant', low = 1.0 }",
+            "network.latency.low: unknown key, it is one of the kind uni",
+        ),
+        ("protocol = { kind = 'voronoi', tau = 1.0 }", "protocol.tau: unknown key, it is one of the kind bi"),
+        ("zzz = 1", "zzz: unknown key; "),
+    ],
+)
+def test_an_unknown_key_is_reported_with_the_tables_that_have_it(file, text, suggestion):
+    path = file(f"{text}\n")
+    (said,) = refused("check", path)
+    assert said.startswith(f"{path}:1: {suggestion}")
+
+
+def test_the_key_that_is_suggested_for_an_override_can_be_set(file):
+    path = file("[network.latency]\nkind = 'gamma'\n")
+    (said,) = refused("check", path, "--set", "latency=0.1")
+    assert said.startswith("--set latency=0.1: latency: unknown key, did you mean network.latency?; ")
+    accepted("check", path, "--set", "network.latency=0.1")
+
+
+def test_a_page_of_the_other_command_is_suggested_for_a_folder(file, tmp_path):
+    path, run, runs, sweep = file(DUEL), tmp_path / "a run", tmp_path / "runs", tmp_path / "sweep"
+    accepted("run", path, "-o", run)
+    accepted("run", path, "-n", 2, "-o", runs)
+    accepted("sweep", path, "-n", 1, "-o", sweep, "--set", "sweep.grid={ 'evader.speed' = [1.0] }")
+    play = "make a page that plays a run: desim replay"
+    assert refused("report", run) == [f"{run}: is the folder of a single run, not of a sweep; {play} '{run}'"]
+    assert refused("report", runs) == [f"{runs}: is the folder of single runs, not of a sweep; {play} {runs}/seed-7"]
+    for words in (["replay"], ["draw", "gif"]):
+        (said,) = refused(*words, sweep)
+        assert said.startswith(f"{sweep}: is the folder of a sweep or an explanation, which keeps metrics only; ")
+        assert f"desim report {sweep};" in said
+
+
 def test_errors_of_overrides_are_reported_with_those_of_the_file_and_labelled(file):
     path = file("horizn = 1.0\n[evader]\nspeed = 'x'\n")
     said = refused("check", path, "--set", "capture.radius=0", "--set", "evader.sped=1")
@@ -306,6 +358,15 @@ def test_the_schema_lists_the_protocols_and_describes_every_key(schema):
         assert model["description"]
     for key in ("name", "seed", "horizon", "protocol"):
         assert schema["properties"][key]["description"]
+
+
+def test_the_schema_accepts_code_of_a_user_as_a_kind(schema):
+    choices = schema["properties"]["protocol"]["anyOf"]
+    bare, table = (each for each in choices if "pattern" in str(each))
+    assert table == {"type": "object", "properties": {"kind": bare}, "required": ["kind"]}
+    assert bare["type"] == "string"
+    for kind, is_accepted in [("my_rules:Stubborn", True), ("a.b:C.d", True), ("sap", False), ("sop", False)]:
+        assert bool(re.search(bare["pattern"], kind)) == is_accepted
 
 
 def test_protocols_lists_each_protocol_with_each_of_its_parameters():

@@ -29,8 +29,23 @@ OUT_OF_TIME = 1
 """Exit code if a run exceeds its time limit."""
 
 FILE = click.argument("file", type=click.Path(path_type=Path))
+
+
+def _one_word_each(_ctx: click.Context, _param: click.Parameter, overrides: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the overrides; end the program if one has no "=", before its value counts as another argument."""
+    for each in overrides:
+        if "=" not in each:
+            fail(f"--set {each}: should be KEY=VALUE in one word, for instance network.latency.value=0.05")
+    return overrides
+
+
 SET = click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key, e.g. network.latency.value=0.05."
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    callback=_one_word_each,
+    help="Override a key, e.g. network.latency.value=0.05.",
 )
 SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")

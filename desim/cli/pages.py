@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making, page_at, storing, write
-from desim.cli.recorded import SOURCE, result_of
-from desim.config.file_names import STORE
+from desim.cli.recorded import SOURCE, check_has, result_of
+from desim.config.file_names import STORE, STORE_PARTS
 
 
 @click.command()
@@ -49,6 +49,7 @@ def report(folder: Path, out: Path | None) -> None:
 
     path = page_at(out, folder / "report.html")
     _check_merged(folder)
+    check_has(folder, STORE)
     with making("report"):
         with storing(folder):
             study = Study.read(folder)
@@ -60,7 +61,7 @@ def report(folder: Path, out: Path | None) -> None:
 
 def _check_merged(folder: Path) -> None:
     """End the program if a folder has stores of the shards of a sweep but no merged store."""
-    parts = sorted(each.name for each in folder.glob("sweep.*-of-*.sqlite"))
+    parts = sorted(each.name for each in folder.glob(STORE_PARTS))
     if parts and not (folder / STORE).exists():
         names = f"{', '.join(parts[:3])}{' ...' if len(parts) > 3 else ''}"
         where = shlex.quote(str(folder))

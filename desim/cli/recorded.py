@@ -1,12 +1,13 @@
 """The run that a command shows: read from a folder, or simulated for the command."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from desim.cli.options import fail, is_import_allowed, source_of
-from desim.config.file_names import TRACE
+from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
@@ -20,9 +21,31 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
     """Return the run in a folder or of a scenario file; end the program if it cannot be read."""
     if not source.is_dir():
         return _simulated(source, seed, overrides)
+    check_has(source, TRACE)
     if seed is not None or overrides:
         raise click.UsageError("--seed and --set apply to a scenario FILE only: the run in a DIR is already recorded")
     return _recorded(source)
+
+
+def check_has(folder: Path, name: str) -> None:
+    """End the program if a folder has no file of a name, but the results of another command.
+
+    Args:
+        folder: the folder.
+        name: the file that the command reads: TRACE or STORE.
+    """
+    if (folder / name).exists():
+        return
+    traces = [each for each in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if each.exists()]
+    if name == STORE and traces:
+        number = "a single run" if traces[0].parent == folder else "single runs"
+        page = f"desim replay {shlex.quote(str(traces[0].parent))}"
+        fail(f"{folder}: is the folder of {number}, not of a sweep; make a page that plays a run: {page}")
+    if name == TRACE and ((folder / STORE).exists() or any(folder.glob(STORE_PARTS))):
+        fail(
+            f"{folder}: is the folder of a sweep or an explanation, which keeps metrics only; make a page about it:"
+            f" desim report {shlex.quote(str(folder))}; to see a run of it, repeat the run: desim replay FILE -s SEED"
+        )
 
 
 def _recorded(folder: Path) -> "Result":

@@ -8,6 +8,8 @@ TRACE = "trace.jsonl"
 """The events of a run."""
 STORE = "sweep.sqlite"
 """The runs of a sweep."""
+STORE_PARTS = "sweep.*-of-*.sqlite"
+"""Matches the stores of the shards of a sweep."""
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 """Suffixes of diagrams; by default, files with the first two are written."""
 RUN_FILES = (
