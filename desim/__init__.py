@@ -14,6 +14,8 @@ schedules are in the package `protocols`.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from desim.config.packages import explain_hidden_packages
+
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary as summary
     from desim.config.data_files import open_data as open_data
@@ -74,6 +76,7 @@ if TYPE_CHECKING:
     from desim.study.explain import explain as explain
     from desim.study.sweep import sweep as sweep
 
+explain_hidden_packages()
 _NAMES = {
     "desim.analysis.metrics": ("summary",),
     "desim.config.data_files": ("open_data",),

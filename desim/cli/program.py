@@ -10,6 +10,7 @@ import click
 import click.utils
 
 from desim.cli.options import OUT_OF_TIME, echo, fail
+from desim.config.packages import HiddenPackageError
 from desim.simulation.interrupts import exit_code, raising
 from desim.simulation.watchdog import TimedOut
 
@@ -35,6 +36,8 @@ class Program(click.Command):
         except TimedOut as error:
             echo(f"--timeout: {error}", err=True)
             ctx.exit(OUT_OF_TIME)
+        except HiddenPackageError as error:
+            fail(str(error))
 
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command with the arguments of the program."""

@@ -24,6 +24,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaValidator, core_schema
 
 from desim.config.model import markers_of
+from desim.config.packages import check_visible
 from desim.config.traits import Traits, attributes
 from desim.config.trust import ALLOW_HINT, is_trusted
 
@@ -218,8 +219,14 @@ def is_unlisted_import(kind: Any) -> bool:
 
 def _builtin_points(group: str) -> list[EntryPoint]:
     """Return the kinds of a group in `protocols.KINDS` as entry points, without installation."""
-    kinds = import_module("protocols").KINDS.get(group, {})
-    return [EntryPoint(kind, definition, group) for kind, definition in kinds.items()]
+    return [EntryPoint(kind, definition, group) for kind, definition in _builtin_kinds().get(group, {}).items()]
+
+
+def _builtin_kinds() -> Mapping[str, Mapping[str, str]]:
+    """Return `protocols.KINDS`."""
+    check_visible("protocols")
+    kinds: Mapping[str, Mapping[str, str]] = import_module("protocols").KINDS
+    return kinds
 
 
 def refusal(kind: str) -> str:
@@ -230,7 +237,7 @@ def refusal(kind: str) -> str:
 @cache
 def _named_by_entry_points() -> Mapping[str, EntryPoint]:
     """Return the entry points of the groups `desim.*` by the "module:name" of their objects."""
-    groups = {*entry_points().groups, *import_module("protocols").KINDS}
+    groups = {*entry_points().groups, *_builtin_kinds()}
     points = (
         each
         for group in groups

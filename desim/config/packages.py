@@ -1,10 +1,54 @@
-"""The packages that are installed beside `desim`: `protocols` and `scenarios`."""
+"""The packages that are installed beside `desim`, `protocols` and `scenarios`: where they are, and what hides them.
 
+A folder or module of the same name that comes first in `sys.path`, such as one beside a script, hides a package.
+"""
+
+import sys
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 _SITE = Path(__file__).parents[2]
+PACKAGES = ("protocols", "scenarios")
+
+
+class HiddenPackageError(ImportError):
+    """A package that is installed beside `desim` is hidden by another one of the same name."""
 
 
 def folder_of(package: str) -> Path:
     """Return the folder of a package that is installed beside `desim`, whatever `sys.path` has first."""
     return _SITE / package
+
+
+def check_visible(package: str) -> None:
+    """Raise HiddenPackageError if another package or module of the same name would be imported; nothing is imported."""
+    ours = folder_of(package)
+    spec = find_spec(package)
+    if spec is None or spec.origin is None or not ours.is_dir():
+        return
+    found = Path(spec.origin).resolve()
+    if found == (ours / "__init__.py").resolve():
+        return
+    raise HiddenPackageError(
+        f"{found.parent if found.name == '__init__.py' else found} hides the package {package!r} of desim, {ours}:"
+        " rename it, or start Python with -P, which keeps the folder of a script and the working directory out of"
+        " sys.path",
+        name=package,
+    )
+
+
+class _HiddenModuleFinder:
+    """Explains why a module of `PACKAGES` is not found; comes last in `sys.meta_path`, so only if none has found it."""
+
+    def find_spec(self, name: str, path: object = None, target: ModuleType | None = None, /) -> None:
+        """Raise HiddenPackageError if the module is one of a package that is hidden."""
+        package = name.partition(".")[0]
+        if package in PACKAGES and (_SITE / name.replace(".", "/")).with_suffix(".py").is_file():
+            check_visible(package)
+
+
+def explain_hidden_packages() -> None:
+    """Let the import of a module in a hidden package raise HiddenPackageError instead of "No module named"."""
+    if not any(isinstance(each, _HiddenModuleFinder) for each in sys.meta_path):
+        sys.meta_path.append(_HiddenModuleFinder())
