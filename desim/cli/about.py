@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from desim.cli import completion
 from desim.cli.options import ALLOW_IMPORT, FILE, SET, echo, fail, is_import_allowed, source_of
 
 
@@ -67,7 +68,7 @@ def metrics() -> None:
 
 
 @click.command()
-@click.argument("only", metavar="[KIND]", required=False)
+@click.argument("only", metavar="[KIND]", required=False, shell_complete=completion.protocols)
 @ALLOW_IMPORT
 def protocols(only: str | None) -> None:
     """List the installed protocols with their parameters, or only one KIND (or module:name), also with its traits."""

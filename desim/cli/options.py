@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from desim.cli import completion
 from desim.config.file_names import files
 from desim.config.trust import escaped, without_symlink
 from desim.simulation.watchdog import checked_limit
@@ -45,6 +46,7 @@ SET = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     callback=_one_word_each,
+    shell_complete=completion.keys,
     help="Override a key, e.g. network.latency.value=0.05.",
 )
 SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")

@@ -1,0 +1,38 @@
+"""What the shell completes: keys, kinds and names of examples; imports nothing that is slow to import.
+
+A shell asks on every press of Tab, so the keys are read from `keys.txt`. A test compares it with the models, and writes
+it with RENEW=1.
+"""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import click
+
+from desim.config.packages import check_visible, folder_of
+
+KEYS = Path(__file__).with_name("keys.txt")
+"""The keys of scenario files as --set takes them: KEY= and, where it has kinds, KEY.kind=KIND."""
+
+
+def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the keys, and the settings of kinds, that begin with a text."""
+    return _matching(KEYS.read_text(encoding="utf-8").split(), incomplete)
+
+
+def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the kinds of the installed protocols that begin with a text."""
+    check_visible("protocols")
+    from protocols import KINDS
+
+    group = "desim.protocols"
+    return _matching([*KINDS[group], *(point.name for point in entry_points(group=group))], incomplete)
+
+
+def examples(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    """Return the names of the example scenarios that begin with a text."""
+    return _matching([path.stem for path in folder_of("scenarios").glob("*.toml")], incomplete)
+
+
+def _matching(words: list[str], incomplete: str) -> list[str]:
+    return sorted(word for word in words if word.startswith(incomplete))

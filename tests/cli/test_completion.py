@@ -1,0 +1,72 @@
+"""What the shell completes, asked for as a shell does."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from click.shell_completion import ShellComplete
+
+from desim.cli import main
+from desim.cli.completion import KEYS
+from desim.scenario.key_index import all_keys
+from desim.scenario.scenario import PROTOCOLS
+from scenarios.study import SCENARIOS
+
+
+def completed(*words: str) -> list[str]:
+    """Return the completions of the last word."""
+    *before, incomplete = words
+    return [each.value for each in ShellComplete(main, {}, "desim", "").get_completions(before, incomplete)]
+
+
+def test_the_keys_that_are_completed_are_those_of_the_models():
+    found = {f"{key.dotted}=" for key in all_keys()}
+    found |= {f"{key.dotted}.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted != "fault"}
+    found |= {f"fault.0.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted == "fault"}
+    text = "".join(f"{line}\n" for line in sorted(found))
+    if os.environ.get("RENEW"):
+        KEYS.write_text(text)
+    assert KEYS.read_text() == text, "if it should differ: RENEW=1 pytest ... and look"
+
+
+@pytest.mark.parametrize("command", ["run", "check", "sweep", "explain", "replay"])
+def test_a_key_is_completed(command):
+    found = completed(command, "f.toml", "--set", "network.latency.")
+    assert {"network.latency.value=", "network.latency.kind=lognormal"} <= set(found)
+    assert all(each.startswith("network.latency.") for each in found)
+    assert "network.range=" in completed(command, "f.toml", "--set", "net")
+    assert completed(command, "f.toml", "--set", "horizon=3", "--set", "hori") == ["horizon="]
+    assert completed(command, "f.toml", "--set", "protocol.kind=cb") == ["protocol.kind=cbaa", "protocol.kind=cbba"]
+    assert completed(command, "f.toml", "--set", "nonsense") == []
+
+
+def test_the_kinds_of_protocols_are_completed():
+    assert completed("protocols", "s") == ["sap", "selective_sap", "server"]
+    assert completed("protocols", "") == sorted(PROTOCOLS.choices())
+
+
+def test_the_names_of_examples_and_of_starting_files_are_completed():
+    assert completed("examples", "re") == ["reckoning", "relay"]
+    assert completed("examples", "") == sorted(path.stem for path in SCENARIOS.glob("*.toml"))
+    assert completed("new", "pro") == ["protocol"]
+    assert completed("exa") == ["examples"]
+
+
+@pytest.mark.slow_but_one
+@pytest.mark.parametrize("words", ["run f.toml --set net", "protocols s", "examples r"])
+def test_the_shell_is_answered_without_a_slow_import(words):
+    program = (
+        "import sys\nfrom desim.cli import main\n"
+        "try:\n    main(prog_name='desim')\nexcept SystemExit:\n    pass\n"
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    count = len(words.split())
+    asked = {"_DESIM_COMPLETE": "bash_complete", "COMP_WORDS": f"desim {words}", "COMP_CWORD": str(count)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | asked, capture_output=True, text=True, check=True
+    )
+    assert len(done.stdout.splitlines()) > 1
+    loaded = set(done.stderr.split())
+    assert "desim.cli.completion" in loaded
+    assert not loaded & {"numpy", "scipy", "simpy", "networkx", "pydantic", "matplotlib"}
