@@ -906,6 +906,37 @@ def test_overrides_reach_the_grid_and_what_is_varied(file, tmp_path):
     assert all(each["metrics"]["end_time"]["mean"] <= 0.2 for each in made["configurations"])
 
 
+def test_the_grid_of_the_command_line_adds_to_that_of_the_file_and_replaces_its_values(file):
+    path = file("[sweep]\nreps = 1\n[sweep.grid]\nnetwork.range = [1.0, 2.0]\n'evader.speed' = [0.5]\n")
+    values = "protocol=cbba,{ kind = 'sap', tau = { kind = 'constant', value = 0.5 } }"
+    shown = accepted("sweep", path, "--dry-run", "-g", "network.range=inf, 3.0,4", "--grid", values).stdout
+    head, titles, *configurations = shown.splitlines()
+    assert head.startswith("unnamed: 6 configurations, 6 runs; ")
+    assert titles.split() == ["runs", "stored", "network.range", "evader.speed", "protocol"]
+    found = [line.split()[2:] for line in configurations]
+    assert found == [[a, "0.5", b] for a in ("inf", "3.0", "4") for b in ("cbba", "sap(tau=constant(value=0.5))")]
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("horizon", "should be KEY=V1,V2,... in one word, for instance "),
+        ("=1,2", "should be KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1"),
+        ("horizon=", "'' has an empty value"),
+        ("horizon=1,,2", "'1,,2' has an empty value"),
+        ("horizon=[1,2", "'[1,2' is not a TOML value"),
+        ("horizon=1,x", "sweep.grid: horizon: should be a number; "),
+        ("horizn=1,2", "sweep.grid: horizn: unknown key, did you mean 'horizon'?; "),
+        ("protocol=sap,sop", "sweep.grid: protocol.kind: there is no 'sop', did you mean 'sap'?; "),
+        ("protocol=a:B", "sweep.grid: protocol.kind: 'a:B' names code to be run; "),
+        ("name=a,b", "sweep.grid: name: cannot be swept; "),
+    ],
+)
+def test_a_grid_of_the_command_line_that_is_wrong_is_refused(file, text, why):
+    (said,) = refused("sweep", file("seed = 1\n"), "--dry-run", "-g", text)
+    assert said.startswith(f"--grid {text}: {why}")
+
+
 def test_a_dry_run_prints_the_plan_and_writes_nothing(file, tmp_path):
     out = tmp_path / "out"
     result = accepted("sweep", file(COINS), "-o", out, "--dry-run")

@@ -14,6 +14,7 @@ from desim.cli.options import (
     CLUSTER,
     FAILED,
     FILE,
+    GRID,
     JOBS,
     JSON,
     METRIC,
@@ -68,6 +69,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 
 @click.command()
 @FILE
+@GRID
 @click.option(
     "-n",
     "--runs",
@@ -93,6 +95,7 @@ class Precision(click.ParamType[tuple[str, float]]):
 @SET
 def sweep(
     file: Path,
+    grid: tuple[str, ...],
     runs: int | None,
     seed: int | None,
     jobs: int,
@@ -107,14 +110,17 @@ def sweep(
     timeout: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Run each configuration of the grid of a scenario (`sweep.grid`) many times; skip runs that have succeeded."""
+    """Run each configuration of the grid of a scenario (`sweep.grid`, --grid) many times.
+
+    Runs that have succeeded are skipped, so the same command continues a sweep.
+    """
     from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
     from desim.study.result import SHOWN
     from desim.study.store import Store
     from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
-    source, scenario = source_of(file, overrides, metrics)
+    source, scenario = source_of(file, overrides, metrics, grid)
     shown = shown_metrics(scenario, metrics, SHOWN)
     if until and shard:
         fail("--until needs all runs, and --shard performs a part of them only: they exclude each other")

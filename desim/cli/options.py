@@ -32,12 +32,13 @@ OUT_OF_TIME = 1
 FILE = click.argument("file", type=click.Path(path_type=Path))
 
 
-def _one_word_each(_ctx: click.Context, _param: click.Parameter, overrides: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the overrides; end the program if one has no "=", before its value counts as another argument."""
-    for each in overrides:
+def _one_word_each(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the settings; end the program if one has no "=", before its value counts as another argument."""
+    for each in given:
         if "=" not in each:
-            fail(f"--set {each}: should be KEY=VALUE in one word, for instance network.latency.value=0.05")
-    return overrides
+            form = param.make_metavar(ctx)
+            fail(f"{param.opts[-1]} {each}: should be {form} in one word, for instance network.latency.value=0.05")
+    return given
 
 
 SET = click.option(
@@ -48,6 +49,15 @@ SET = click.option(
     callback=_one_word_each,
     shell_complete=completion.keys,
     help="Override a key, e.g. network.latency.value=0.05.",
+)
+GRID = click.option(
+    "-g",
+    "--grid",
+    multiple=True,
+    metavar="KEY=V1,V2,...",
+    callback=_one_word_each,
+    shell_complete=completion.keys,
+    help="Sweep a key over values, in addition to sweep.grid or in place of its values there; can be repeated.",
 )
 SEED = click.option("-s", "--seed", type=click.IntRange(min=0), help="Seed of the first run; default: the file's.")
 JOBS = click.option("-j", "--jobs", type=click.IntRange(min=0), default=1, help="Worker processes; 0 = one per core.")
@@ -109,13 +119,20 @@ TIMEOUT = click.option(
 )
 
 
-def source_of(file: Path, overrides: tuple[str, ...], metrics: tuple[str, ...] = ()) -> "tuple[Source, Scenario]":
-    """Return the source of a scenario file, with the metrics of --metric, and its validated scenario; see `valid`."""
+def source_of(
+    file: Path, overrides: tuple[str, ...], metrics: tuple[str, ...] = (), grid: tuple[str, ...] = ()
+) -> "tuple[Source, Scenario]":
+    """Return the source of a scenario file, with the metrics of --metric and the keys of --grid, and its scenario.
+
+    Print warnings, and end the program if the scenario is invalid; see `valid`.
+    """
     from desim.scenario.overrides import ScenarioError
     from desim.scenario.toml import read
 
     try:
         source = read(file, overrides, allow_import=is_import_allowed())
+        for each in grid:
+            source.vary(each)
         add_metrics(source, metrics)
     except ScenarioError as error:
         fail(str(error))

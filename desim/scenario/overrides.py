@@ -1,6 +1,7 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import getitem
@@ -78,14 +79,27 @@ class Source:
         Raises:
             ScenarioError: if the text does not have this form, or the key does not belong to a table.
         """
-        origin = f"--set {text}"
+        self._set_as_text("--set", text, "KEY=VALUE, for instance network.latency.value=0.05", _parsed)
+
+    def vary(self, text: str) -> None:
+        """Add a key to the grid of the sweep, or replace its values: "key.key=value,value,...", each value in TOML.
+
+        Raises:
+            ScenarioError: if the text does not have this form.
+        """
+        form = "KEY=VALUE,VALUE,..., for instance network.latency.value=0.0,0.1"
+        self._set_as_text("--grid", text, form, _parsed_list, above="sweep.grid.")
+
+    def _set_as_text(self, option: str, text: str, form: str, parse: Callable[[str], Any], above: str = "") -> None:
+        """Set a key, below the tables `above`, to the value that an option gives as a text KEY=VALUE."""
+        origin = f"{option} {text}"
         name, equals, value = text.partition("=")
         if not equals or not all(name.strip().split(".")):
-            raise ScenarioError(f"{origin}: should be KEY=VALUE, for instance network.latency.value=0.05")
+            raise ScenarioError(f"{origin}: should be {form}")
         if DEEP_KEY.search(text):
             raise ScenarioError(f"{origin}: is not a TOML value that can be read: a key of more than 100 parts")
         try:
-            self.set(name.strip(), _parsed(value.strip()), origin)
+            self.set(above + name.strip(), parse(value.strip()), origin)
         except ScenarioError as error:
             raise ScenarioError(f"{origin}: {error}") from error
 
@@ -252,3 +266,27 @@ def _parsed(text: str) -> Any:
     if len(tables) > 1:
         raise ScenarioError(f"{text!r} is more than one value")
     return tables["value"]
+
+
+def _parsed_list(text: str) -> list[Any]:
+    """Return the values of a text, separated by commas; a comma within a list, a table or a string separates nothing.
+
+    Raises:
+        ScenarioError: if one of them is empty, or begins like a TOML value but is not valid.
+    """
+    values: list[Any] = []
+    begun: list[str] = []  # the parts of a value that is not complete yet
+    parts = text.split(",")
+    for k, part in enumerate(parts):
+        begun.append(part)
+        value = ",".join(begun).strip()
+        if not value:
+            raise ScenarioError(f"{text!r} has an empty value")
+        try:
+            values.append(_parsed(value))
+        except ScenarioError:
+            if k == len(parts) - 1:
+                raise
+            continue
+        begun = []
+    return values

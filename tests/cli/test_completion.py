@@ -41,6 +41,10 @@ def test_a_key_is_completed(command):
     assert completed(command, "f.toml", "--set", "nonsense") == []
 
 
+def test_a_key_of_the_grid_is_completed():
+    assert completed("sweep", "f.toml", "-g", "network.ran") == ["network.range=", "network.range_check="]
+
+
 def test_the_kinds_of_protocols_are_completed():
     assert completed("protocols", "s") == ["sap", "selective_sap", "server"]
     assert completed("protocols", "") == sorted(PROTOCOLS.choices())
