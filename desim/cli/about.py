@@ -35,8 +35,11 @@ def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     from desim.config.json_numbers import to_json
     from desim.scenario.scenario import Scenario
+    from desim.scenario.toml import BASE, BASE_DESCRIPTION
 
-    echo(json.dumps(to_json(Scenario.model_json_schema()), indent=2))
+    found = Scenario.model_json_schema()
+    found["properties"][BASE] = {"type": "string", "title": "Base", "description": BASE_DESCRIPTION}
+    echo(json.dumps(to_json(found), indent=2))
 
 
 @click.command()
@@ -45,9 +48,18 @@ def keys(key: str | None) -> None:
     """List keys of scenario files with defaults, units and kinds: all, or those of a KEY like network.latency.gamma."""
     from desim.cli.description import described, described_at
     from desim.scenario.scenario import Scenario
+    from desim.scenario.toml import BASE, BASE_DESCRIPTION
 
+    base = f"{BASE}: {BASE_DESCRIPTION}"
+    if key == BASE:
+        echo(base)
+        return
     try:
-        echo("\n".join(described(Scenario, "scenario") if key is None else described_at(key.split("."), Scenario)))
+        if key is None:
+            title, *lines = described(Scenario, "scenario")
+            echo("\n".join([title, f"    {base}", *lines]))
+        else:
+            echo("\n".join(described_at(key.split("."), Scenario)))
     except ValueError as error:
         fail(str(error))
 

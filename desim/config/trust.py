@@ -93,19 +93,23 @@ def is_trusted(info: "ValidationInfo") -> bool:
 
 
 def resolve_path(path: Any, info: "ValidationInfo") -> Path:
-    """Return a path named in a file, resolved against the folder of that file, if known.
+    """Return a path named in a file, resolved against the folder of that file, if known; see `path_in`."""
+    return path_in(Path((info.context or {}).get("folder", ".")), path, is_trusted=is_trusted(info))
+
+
+def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
+    """Return a path named in a file of a folder.
 
     Raises:
         ValueError: if the path is not a string, is not a regular file, or leads out of the folder of an untrusted file.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")
-    folder = Path((info.context or {}).get("folder", "."))
     try:
         is_within = (folder / path).resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError) as error:  # a cycle of symbolic links
+    except (OSError, RuntimeError, ValueError) as error:  # a cycle of symbolic links, a null character
         raise ValueError(f"{path} cannot be read: {error}") from error
-    if not (is_within or is_trusted(info)):
+    if not (is_within or is_trusted):
         raise ValueError(f"{path} leads out of the folder of the file that names it; {ALLOW_HINT}")
     try:
         return regular_or_missing(folder / path)

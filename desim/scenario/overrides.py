@@ -1,8 +1,8 @@
 """The source of a scenario before validation: its tables, overrides of keys, and the origin of each key."""
 
 import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -37,6 +37,8 @@ class Source:
     """The folder of the files and modules that the scenario names; None for the folder of the scenario file."""
     allow_import: bool = False
     """Whether the scenario may name code to be run, and files outside of that folder."""
+    files: dict[KeyPath, str] = field(default_factory=dict)
+    """For each key that is set in a base file only, the path of that file."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> Self:
@@ -65,13 +67,41 @@ class Source:
             return set_by[-1]
         if self.lines is None:
             return self.name
-        return f"{self.name}:{next((lines[each] for each in within if each in lines), 1)}"
+        known_place = next((each for each in within if each in lines), ())
+        return f"{self.files.get(known_place, self.name)}:{lines.get(known_place, 1)}"
 
     def copy(self) -> Self:
         """Return a copy that can be changed independently."""
-        return type(self)(
-            self.name, _copied(self.tables), self.lines, dict(self.origins), self.folder, self.allow_import
-        )
+        return replace(self, tables=_copied(self.tables), origins=dict(self.origins))
+
+    def over(self, base: Self) -> Self:
+        """Return this source with the keys that it lacks taken from a base; both are texts, without overrides.
+
+        Tables are merged key by key, any other value replaces that of the base. When the kind of a table changes, the
+        keys of the base that the new kind does not have are left out.
+        """
+        lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
+        merged = replace(self, tables=_copied(base.tables), lines=lines, files=files)
+        for place in merged._lay(self.tables, ()):
+            for known in [each for each in lines if each[: len(place)] == place]:
+                del lines[known]
+        for place, line in (self.lines or {}).items():
+            lines[place] = line
+            files.pop(place, None)
+        return merged
+
+    def _lay(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
+        """Put tables over the present ones at a place, and yield the place of every value that is replaced."""
+        present = value_at(self.tables, above)
+        if "kind" in tables and tables["kind"] != present.get("kind"):
+            self._remove_misfits(above, tables["kind"])
+            present["kind"] = tables["kind"]  # first: the models of the tables below follow from it
+        for key, value in tables.items():
+            if isinstance(value, dict) and isinstance(present.get(key), dict):
+                yield from self._lay(value, (*above, key))
+            else:
+                present[key] = _copied(value)
+                yield (*above, key)
 
     def override(self, text: str) -> None:
         """Set a key to a value: "key.key=value", the value in TOML.

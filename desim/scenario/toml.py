@@ -1,5 +1,6 @@
 """Scenario files: from TOML to a `Scenario`, or to a list of all errors in the file, each with its line."""
 
+import os
 import re
 import tomllib
 from codecs import BOM_UTF8
@@ -15,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from desim.config.choice import OneOf, choices_of
 from desim.config.model import fields_of, markers_of
-from desim.config.trust import regular_or_missing
+from desim.config.trust import path_in, regular_or_missing
 from desim.scenario.key_index import homes_of
 from desim.scenario.overrides import ScenarioError, Source, holds, model_of, value_at
 from desim.scenario.scenario import Scenario
@@ -41,8 +42,68 @@ def load(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
 
 
 def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool = False) -> Source:
-    """Return the source of a TOML file with overrides, before validation; see `load`."""
-    text = _read_text(Path(file))
+    """Return the source of a TOML file with its base and overrides, before validation; see `load`."""
+    sources = list(_with_bases(Path(file), allow_import))
+    source = sources.pop()
+    while sources:
+        source = sources.pop().over(source)
+    for override in overrides:
+        source.override(override)
+    return source
+
+
+BASE = "base"
+"""The key of a scenario file that is not one of `Scenario`."""
+BASE_DESCRIPTION = (
+    "Path of another scenario file, in the folder of this file or below, whose keys this file overrides: tables are"
+    " merged, any other value is replaced. Only in scenario files."
+)
+
+
+def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
+    """Yield the source of a file without its key `base`, that of its base, that of the base of its base, and so on.
+
+    Raises:
+        ScenarioError: if a file is not valid TOML, or a base is not allowed, cannot be read or leads to a circle.
+        OSError: if the first file cannot be read.
+    """
+    source = _parsed(file, allow_import)
+    folder, seen = file.parent, {file.resolve()}
+    while BASE in source.tables:
+        where, given = f"{source.where((BASE,))}: {BASE}", source.tables.pop(BASE)
+        yield source
+        if not isinstance(given, str):
+            raise ScenarioError(f"{where}: should be the path of a scenario file (got {given!r})")
+        try:
+            base = path_in(file.parent, given, is_trusted=allow_import)
+            source = _parsed(base, allow_import)
+        except OSError as error:
+            raise ScenarioError(f"{where}: {error.filename} cannot be read: {error.strerror}") from error
+        except ScenarioError:
+            raise
+        except ValueError as error:
+            raise ScenarioError(f"{where}: {error}") from error
+        if base.resolve() in seen:
+            raise ScenarioError(f"{where}: {file} and {base} are bases of each other, directly or through others")
+        seen.add(base.resolve())
+        if base.parent != folder:
+            _relocate(source.tables, Path(os.path.relpath(base.parent, folder)))
+        file = base
+    yield source
+
+
+def _relocate(tables: Any, folder: Path) -> None:
+    """Put a folder before the paths of data files that tables name; a user's class reads its parameters itself."""
+    inner = tables.values() if isinstance(tables, dict) else tables if isinstance(tables, list) else ()
+    for each in inner:
+        _relocate(each, folder)
+    if isinstance(tables, dict) and ":" not in str(tables.get("kind", ":")) and isinstance(tables.get("file"), str):
+        tables["file"] = str(folder / tables["file"])
+
+
+def _parsed(file: Path, allow_import: bool) -> Source:
+    """Return the source of one file."""
+    text = _read_text(file)
     if deep := DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
@@ -50,10 +111,7 @@ def read(file: str | Path, overrides: Sequence[str] = (), *, allow_import: bool 
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also for a number too long, or tables nested too deeply
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
-    source = Source(str(file), tables, key_lines(text), allow_import=allow_import)
-    for override in overrides:
-        source.override(override)
-    return source
+    return Source(str(file), tables, key_lines(text), allow_import=allow_import)
 
 
 def validate(source: Source) -> Scenario:
@@ -114,14 +172,20 @@ def _explain(error: ErrorDetails, source: Source, model: type[Any], above: KeyPa
         return
     description = " ".join((info.description or "").split()).rstrip(".") if info else ""
     note = f"; {description}" if description and error["type"] != "import_refused" else ""
-    yield _problem(source, place, f"{_reason(error, place, owner, info)}{note}{_input_text(error)}")
+    more = [BASE] if owner is Scenario and _line_in(source.where(place)) else []
+    yield _problem(source, place, f"{_reason(error, place, owner, info, more)}{note}{_input_text(error)}")
 
 
 def _problem(source: Source, place: KeyPath, what: str) -> Problem:
     where = source.where(place)
-    line = re.search(r":(\d+)$", where)
     name = ".".join(map(str, place)) or "the file"
-    return (int(line[1]) if line else 0, where), f"{where}: {name}: {what}"
+    return (_line_in(where), where), f"{where}: {name}: {what}"
+
+
+def _line_in(where: str) -> int:
+    """Return the line of a place in a file; 0 for an override."""
+    line = re.search(r":(\d+)$", where)
+    return int(line[1]) if line else 0
 
 
 def _locate(
@@ -162,13 +226,17 @@ def _one_of(info: FieldInfo) -> OneOf | None:
     return next(iter(choices_of(info)), None)
 
 
-def _reason(error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None) -> str:
-    """Return the text of an error, with the allowed values."""
+def _reason(
+    error: ErrorDetails, place: KeyPath, owner: type[BaseModel] | None, info: FieldInfo | None, more: Sequence[str]
+) -> str:
+    """Return the text of an error, with the allowed values; `more` are allowed keys that the owner does not have."""
     kind, context = error["type"], error.get("ctx", {})
     one_of = _one_of(info) if info else None
     kinds = list(one_of.choices()) if one_of else []
     if kind == "extra_forbidden":
-        allowed = context.get("allowed") or (sorted(owner.model_fields) if owner else [])
+        if place == (BASE,):
+            return "is a key of scenario files only: it cannot be set, and a recorded scenario is complete without it"
+        allowed = context.get("allowed") or (sorted([*owner.model_fields, *more]) if owner else [])
         return f"unknown key{_other_key(place, allowed)}; allowed: {', '.join(allowed)}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}{_suggestion(context['tag'], kinds)}; allowed: {', '.join(kinds)}"
