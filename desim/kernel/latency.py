@@ -7,6 +7,7 @@ else one per receiver. A model may also have the methods of `desim.kernel.traits
 from dataclasses import replace
 from math import log, log1p, sqrt
 from pathlib import Path
+from statistics import fmean
 from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
@@ -265,6 +266,30 @@ class _Pairs:
         kept = self._base.get(context.src)
         base = self._model.base_latencies(context) if kept is None else kept[context.dst]
         return base + self._model.jitter(context, rng)
+
+
+def mean_latency(model: Latency) -> float | None:
+    """Return the mean latency of a built-in model, s; None for a model of a user.
+
+    Of `Propagation`, it is the fixed part, because the distances are not known.
+    """
+    match model:
+        case Constant():
+            return model.value
+        case Uniform():
+            return (model.low + model.high) / 2
+        case ShiftedExponential() | Lognormal():
+            return model.offset + model.mean
+        case Gamma():
+            return model.offset + model.shape * model.scale
+        case Empirical():
+            return fmean(model.values)
+        case Propagation():
+            return model.fixed
+        case PerPair():
+            base, jitter = mean_latency(model.base), mean_latency(model.jitter)
+            return None if base is None or jitter is None else base + jitter
+    return None
 
 
 LATENCIES = OneOf(

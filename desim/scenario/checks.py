@@ -1,6 +1,6 @@
 """Warnings about valid but probably unintended scenarios: keys without effect, and violated assumptions."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import inf
 from typing import Any
 
@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from desim.config.model import RESOLUTION, Counted, Recurring, markers_of
 from desim.kernel.faults import Fault
+from desim.kernel.latency import mean_latency
 from desim.kernel.links import Links
 from desim.kernel.presets import PRESETS
 from desim.kernel.reception import Disk
@@ -17,6 +18,13 @@ from desim.scenario.assumptions import violations
 from desim.scenario.scenario import Scenario
 
 ROUNDS_TO_0 = "rounds to 0, because time is counted in nanoseconds"
+LONG_LATENCY = 0.1
+"""The share of the horizon above which a mean latency gives a warning.
+
+With a longer latency, at most ten one-way messages follow each other in a run, so the pursuers can hardly negotiate.
+Values in seconds are far below it: in the files of `scenarios`, at most 1.5 % of the horizon. Values in milliseconds
+are above it: even the 5 ms of a fast radio become 5 s, a sixth of the default horizon.
+"""
 
 
 def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
@@ -27,6 +35,7 @@ def warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield "team.speeds", _all_too_slow(fastest, evader_speeds, scenario.prune != "none")
     yield from _sensing_warnings(scenario)
     yield from _network_warnings(scenario)
+    yield from latency_warnings([scenario])
     yield from violations(scenario)
     if (warn := scenario.schedule_traits.warnings) is not None:
         yield from ((f"protocol.schedule.{key}", why) for key, why in warn(scenario.motion.step))
@@ -58,6 +67,39 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
         f"no pursuer is faster than {which}: the fastest moves at {fastest} m/s, {they} at {min(quick)} m/s, so every"
         f" capture time{whose} is inf{f' and no pursuer will chase{whom}' if pruned else ''}"
     )
+
+
+def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str]]:
+    """Yield the key and the text of each latency that is probably in milliseconds, in a scenario or in a sweep.
+
+    Values of a sweep in seconds may reach from short to long latencies on purpose. So a key of several scenarios gives
+    a warning only if its mean latency is long (`LONG_LATENCY`) in all scenarios in which it is positive, or reaches the
+    horizon in one.
+    """
+    found: dict[str, list[tuple[float, float]]] = {}
+    for scenario in scenarios:
+        for key, mean in _mean_latencies(scenario):
+            if mean > 0.0:
+                found.setdefault(key, []).append((mean, scenario.horizon))
+    for key, each in found.items():
+        mean, horizon = max(each, key=lambda one: one[0] / one[1])
+        share = "not less than" if mean >= horizon else "more than a tenth of"
+        if mean >= horizon or all(value > LONG_LATENCY * limit for value, limit in each):
+            yield (
+                key,
+                f"the mean latency of {mean:g} s is {share} the horizon of {horizon:g} s: times are in s, not ms",
+            )
+
+
+def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
+    """Yield the key and the mean of each latency of the network that is known, s."""
+    network = scenario.network
+    models = {"network.latency": network.latency}
+    models |= {f"network.link.{k}.latency": link.latency for k, link in enumerate(network.link) if link.latency}
+    for key, model in models.items():
+        if (mean := mean_latency(model)) is not None:
+            yield key, mean
+    yield "network.processing", network.processing.sender + network.processing.receiver
 
 
 def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:

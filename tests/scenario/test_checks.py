@@ -10,7 +10,7 @@ from desim.kernel.links import Links
 from desim.kernel.reception import QuasiUnitDisk
 from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
-from desim.scenario.checks import warnings
+from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
@@ -234,6 +234,75 @@ def test_a_period_that_nothing_has_may_be_beyond_the_horizon():
     silent = Announcements(heartbeat=99.0, trigger="change")
     assert warned(announce=silent, sensing=Sensing(period=0.1), horizon=0.5) == []
     assert [why for _, why in warned(fault=[RandomCrashes(mean_downtime=99.0)]) if "longer than" in why] == []
+
+
+LONG = [
+    ("network.latency", {"network": {"latency": 3.1}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "uniform", "low": 0.2, "high": 6.0}}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "shifted_exponential", "offset": 3.0, "mean": 0.1}}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "gamma", "offset": 0.1, "shape": 3.0, "scale": 1.0}}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "lognormal", "offset": 0.1, "mean": 3.0, "cv": 9.0}}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "empirical", "values": [0.1, 6.1]}}}, 3.1),
+    ("network.latency", {"network": {"latency": {"kind": "propagation", "fixed": 3.1}}}, 3.1),
+    (
+        "network.latency",
+        {
+            "network": {
+                "latency": {
+                    "kind": "per_pair",
+                    "base": {"kind": "constant", "value": 3.0},
+                    "jitter": {"kind": "constant", "value": 0.1},
+                }
+            }
+        },
+        3.1,
+    ),
+    ("network.link.0.latency", {"network": {"link": [{"src": 0, "dst": 1, "latency": 5.0}]}}, 5.0),
+    ("network.processing", {"network": {"processing": {"sender": 2.0, "receiver": 2.0}}}, 4.0),
+]
+
+
+@pytest.mark.parametrize(("key", "given", "mean"), LONG)
+def test_a_mean_latency_above_a_tenth_of_the_horizon_is_warned_of(key, given, mean):
+    """The default horizon is 30 s; the same latency is not warned of in a run that is ten times as long."""
+    why = f"the mean latency of {mean:g} s is more than a tenth of the horizon of 30 s: times are in s, not ms"
+    assert warned(**given) == [(key, why)]
+    assert warned(**given, horizon=300.0) == []
+
+
+def test_no_message_arrives_if_the_latency_reaches_the_horizon():
+    assert warned(network=Links(latency=Constant(value=50.0)), motion=Motion(static=True)) == [
+        (
+            "network.latency",
+            "the mean latency of 50 s is not less than the horizon of 30 s: times are in s, not ms",
+        )
+    ]
+
+
+def test_a_latency_of_a_tenth_of_the_horizon_and_one_of_a_users_model_are_not_warned_of():
+    def late(context, rng):
+        return 20.0
+
+    assert warned(network=Links(latency=Constant(value=3.0))) == []
+    assert warned(network=Links(latency=late)) == []
+
+
+@pytest.mark.parametrize(
+    ("latencies", "longest"),
+    [
+        ([0.0, 0.1, 3.1, 29.0], None),
+        ([0.1, 30.0], 30.0),
+        ([0.0, 5.0, 10.0], 10.0),
+        ([1.0, 10.0, 100.0], 100.0),
+        ([0.0, 0.0], None),
+    ],
+)
+def test_a_sweep_may_reach_to_long_latencies_unless_all_are_long_or_one_reaches_the_horizon(latencies, longest):
+    """From 0.1 to 29 s is a study in seconds; 5 and 10, or 1, 10 and 100 are probably milliseconds."""
+    found = list(latency_warnings([Scenario(network=Links(latency=Constant(value=each))) for each in latencies]))
+    assert [why.split(" s is")[0] for _, why in found] == (
+        [] if longest is None else [f"the mean latency of {longest:g}"]
+    )
 
 
 def test_each_thing_is_warned_of_in_one_go():
