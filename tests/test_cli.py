@@ -861,6 +861,32 @@ def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
     assert (folder / "out" / "sweep.txt").read_text() == result.stdout
 
 
+def test_a_sweep_over_a_key_without_effect_is_warned_of(file, tmp_path):
+    """Under local_min only the pursuer of least capture time stays active, however late the others hear of it.
+
+    Under argmin, nothing is announced, which is known before the runs.
+    """
+    path = file(COINS)
+    grid = ("--set", 'sweep.grid={ "network.latency.value" = [0.0, 0.04] }', "--set", "protocol={ kind = 'local_min' }")
+    result = accepted("sweep", path, "-o", tmp_path / "out", *grid)
+    said = result.stdout.splitlines()[-1]
+    assert said.startswith("warning: nothing shown (captured, active time, capture time, messages sent) depends on")
+    assert "network.latency.value: equal in 3 pairs of runs that differ in it only" in said
+    assert (tmp_path / "out" / "sweep.txt").read_text() == result.stdout
+    assert "warning" not in result.stderr
+    as_json = accepted("sweep", path, "-o", tmp_path / "out", *grid, "--json")
+    assert [f"warning: {each}" for each in strict_json(as_json.stdout)["warnings"]] == [said]
+    assert said in as_json.stderr.splitlines()
+    accepted("report", tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert f'<p class="bad">Warning: {said.removeprefix("warning: ")}</p>' in page
+    silent = accepted("sweep", path, *grid, "--set", "protocol.kind=argmin", "--dry-run").stderr
+    assert silent == (
+        'warning: --set sweep.grid={ "network.latency.value" = [0.0, 0.04] }: sweep.grid: network.latency.value:'
+        " it probably has no effect: argmin, which senses positions, announces nothing (`announce.payload`)\n"
+    )
+
+
 def test_a_sweep_goes_by_default_to_a_folder_of_its_name_and_goes_on_there(file, tmp_path, coins, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = file(COINS)

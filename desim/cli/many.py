@@ -128,6 +128,8 @@ def sweep(
         plan = SweepPlan.of(source, reps=(runs or MAX_RUNS) if until else runs, seed=seed)
     except ScenarioError as error:
         fail(str(error))
+    for key, why in plan.warnings():
+        echo(f"warning: {source.where(('sweep', 'grid', key))}: sweep.grid: {key}: {why}", err=True)
     if until:
         try:
             check_target(*until, plan.metrics)
@@ -168,6 +170,8 @@ def sweep(
         done = store.added
     table = found.table(shown)
     echo(json.dumps(found.document(shown), indent=2) if as_json else table)
+    for each in found.warnings(shown) if as_json else ():
+        echo(f"warning: {each}", err=True)
     took = time.perf_counter() - start
     echo(f"{done} runs in {took:.1f} s ({done / took:.1f}/s), {before} already stored; store: {path}", err=True)
     if not shard:

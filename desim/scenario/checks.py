@@ -91,6 +91,29 @@ def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str
             )
 
 
+def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scenario]) -> Iterator[tuple[str, str]]:
+    """Yield the key and the text of each warning about a sweep that `warnings` does not give for its base.
+
+    Args:
+        base: the scenario that is varied.
+        keys: the keys of the grid.
+        scenarios: the scenario of each configuration.
+    """
+    known = dict(latency_warnings([base]))
+    yield from ((key, why) for key, why in latency_warnings(scenarios) if key not in known)
+    unread = [key for key in keys if key.startswith(("network.", "announce.")) and key != "announce.payload"]
+    if unread and all(map(_senses_instead, scenarios)):
+        names = ", ".join(dict.fromkeys(scenario.protocol_name for scenario in scenarios))
+        why = f"it probably has no effect: {names}, which senses positions, announces nothing (`announce.payload`)"
+        yield from ((key, why) for key in unread)
+
+
+def _senses_instead(scenario: Scenario) -> bool:
+    """Return whether pursuers need no messages, because they sense what they would announce."""
+    needs_none = scenario.protocol_traits.announces == "unseen" and not scenario.announces
+    return needs_none and scenario.schedule_traits.spreads_to is None
+
+
 def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
     """Yield the key and the mean of each latency of the network that is known, s."""
     network = scenario.network

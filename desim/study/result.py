@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
+MESSAGING = ("network.", "announce.")
+"""The first parts of keys that have an effect only if pursuers need messages."""
 
 
 @dataclass(frozen=True)
@@ -141,14 +143,47 @@ class SweepResult:
     @property
     def _references(self) -> list[int]:
         """The position in `groups` of the default reference of each configuration; see `differences`."""
-        key, first = self._compared_by, dict[str, int]()
+        return self._first_along(self._compared_by)
+
+    def _first_along(self, key: str | None) -> list[int]:
+        """Return for each configuration the position in `groups` of the first that differs in one key at most."""
+        first = dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
         return [first.setdefault(other, k) for k, other in enumerate(others)]
+
+    def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
+        """Return a warning for each key of the grid on which neither the captures nor any of some metrics depend.
+
+        Such a key makes no difference, bit for bit, between runs with the same seed and all else equal. There is no
+        warning if seeds are independent, or if a run failed. `SweepPlan.warnings` are those before the runs.
+        """
+        metrics = [metrics] if isinstance(metrics, str) else metrics
+        if self.failed or not self.common:
+            return []
+        names = ", ".join(("captured", *map(words, metrics)))
+        pairs = {key: self._equal_pairs(key, metrics) for key in self.keys}
+        needless = "; where positions are sensed (`announce.payload`), a protocol may need no messages"
+        return [
+            f"nothing shown ({names}) depends on {key}: equal in {_counted(count, 'pair')} of runs that differ in it"
+            f" only{needless * key.startswith(MESSAGING)}"
+            for key, count in pairs.items()
+            if count
+        ]
+
+    def _equal_pairs(self, key: str, metrics: Sequence[str]) -> int:
+        """Return the number of pairs of runs that differ in a key only; 0 if one differs in a metric or a capture."""
+        firsts = zip(self.groups, self._first_along(key), strict=True)
+        pairs = [
+            pair for k, (group, first) in enumerate(firsts) if k != first for pair in _pairs(self.groups[first], group)
+        ]
+        same = all(one.value(name) == other.value(name) for one, other in pairs for name in ("captured", *metrics))
+        return len(pairs) if same else 0
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
         """Return the means with half widths, then the differences along the first key with several values, as text."""
         parts = [f"{title}\n{aligned(rows, len(self.keys))}" for title, rows in self.tables(metrics)]
-        return "\n\n".join([*parts, *self._failures()])
+        notes = [*self._failures(), *(f"warning: {each}" for each in self.warnings(metrics))]
+        return "\n\n".join([*parts, *notes])
 
     def tables(self, metrics: Sequence[str] = SHOWN) -> list[tuple[str, list[tuple[str, ...]]]]:
         """Return each table as its title and rows of text; the first row is the header."""
@@ -164,7 +199,8 @@ class SweepResult:
     def _repr_html_(self) -> str:
         """Return the tables as HTML, for notebooks."""
         parts = [html_table(title, rows) for title, rows in self.tables()]
-        return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in self._failures())])
+        notes = [*self._failures(), *(f"warning: {each}" for each in self.warnings())]
+        return "".join([*parts, *(f"<p>{html.escape(each)}</p>" for each in notes)])
 
     def _head(self, metrics: Sequence[str]) -> str:
         runs = sum(len(group.rows) for group in self.groups)
@@ -257,7 +293,8 @@ class SweepResult:
                     "difference": {metric: as_json(found[k]) for metric, found in differences.items()},
                 }
             )
-        return {"name": self.name, "grid": self.keys, "configurations": configurations}
+        about = {"name": self.name, "grid": self.keys, "warnings": self.warnings(metrics)}
+        return about | {"configurations": configurations}
 
     def to_frame(self) -> "pd.DataFrame":
         """Return a data frame with a row per run (needs the extra `frame`); see `records`.

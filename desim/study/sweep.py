@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ from desim.analysis.metrics import UsersMetrics, check_numeric, measured, users_
 from desim.analysis.statistics import runs_needed
 from desim.config.trust import escaped
 from desim.results import environment
+from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
@@ -102,6 +103,14 @@ class SweepPlan:
             "the code of desim": environment.code(),
             **sources,
         }
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield the key and the text of each warning about the grid; `SweepResult.warnings` are those after the runs.
+
+        They concern latencies that are probably in ms, and keys that probably have no effect.
+        """
+        scenarios = [configuration.scenario for configuration in self.configurations]
+        yield from sweep_warnings(self.base, tuple(self.configurations[0].settings), scenarios)
 
     def seed(self, configuration: Configuration, replication: int) -> int:
         """Return the seed of a run: `root` plus its number, or a hash if the configurations do not share seeds."""

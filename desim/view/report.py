@@ -110,6 +110,7 @@ def report(study: Study) -> str:
         "phase": phase(result, MAPPED) if len(swept_numbers(result)) > 1 and MAPPED in measured else None,
         "waterfall": waterfall(found) if found else None,
     }
+    shown = [*SHOWN, *result.units]
     template = files("desim.view").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"signs": _signs, "unit": unit_of}
@@ -118,7 +119,8 @@ def report(study: Study) -> str:
     return environment.from_string(template).render(
         study=study,
         result=result,
-        tables=result.tables([*SHOWN, *result.units]),
+        tables=result.tables(shown),
+        warnings=result.warnings(shown),
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
         failures=failures[:MAX_FAILURES],
         more_failures=len(failures) - MAX_FAILURES,

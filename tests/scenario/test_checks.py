@@ -12,6 +12,7 @@ from desim.pursuit.announcements import Announcements
 from desim.pursuit.sensing import Sensing
 from desim.scenario.checks import latency_warnings, warnings
 from desim.scenario.scenario import Capture, Evader, Motion, Recording, Team
+from desim.study.sweep import SweepPlan
 from protocols.cbba import CBBA
 from protocols.centralised import Centralised
 from protocols.dissemination import Flooding
@@ -303,6 +304,35 @@ def test_a_sweep_may_reach_to_long_latencies_unless_all_are_long_or_one_reaches_
     assert [why.split(" s is")[0] for _, why in found] == (
         [] if longest is None else [f"the mean latency of {longest:g}"]
     )
+
+
+GEOMETRIC = {"protocol.kind": ["argmin", "voronoi"], "network.latency.value": [0.0, 0.1], "announce.heartbeat": [0.2]}
+SENSED = "it probably has no effect: argmin, voronoi, which senses positions, announces nothing (`announce.payload`)"
+
+
+@pytest.mark.parametrize(
+    ("grid", "given", "warned_of"),
+    [
+        (GEOMETRIC, {}, {"network.latency.value": SENSED, "announce.heartbeat": SENSED}),
+        (GEOMETRIC, {"announce": Announcements(payload="state")}, {}),
+        (GEOMETRIC | {"announce.payload": ["action", "state"]}, {}, {}),
+        (GEOMETRIC | {"protocol.kind": ["argmin", "sap"]}, {}, {}),
+        (GEOMETRIC | {"protocol.kind": ["centralised", "server"]}, {}, {}),
+        ({"protocol.kind": ["argmin"], "horizon": [1.0, 2.0]}, {}, {}),
+        ({"network.latency.value": [0.01, 3.0]}, {}, {}),
+        (
+            {"network.latency.value": [10.0, 20.0]},
+            {},
+            {"network.latency": "the mean latency of 20 s is more than a tenth of the horizon of 30 s: times are in s"},
+        ),
+        ({"network.loss.p": [0.0, 0.5]}, {"network": Links(latency=Constant(value=20.0))}, {}),
+    ],
+)
+def test_before_a_sweep_latencies_in_ms_and_keys_without_effect_are_warned_of(grid, given, warned_of):
+    """The last of these latencies is warned of with the scenario itself, and not again."""
+    found = dict(SweepPlan.of(Scenario(**given), grid, 1).warnings())
+    assert found.keys() == warned_of.keys()
+    assert all(found[key].startswith(why) for key, why in warned_of.items())
 
 
 def test_each_thing_is_warned_of_in_one_go():

@@ -5,6 +5,7 @@ import pytest
 from desim import load, summary
 from desim.scenario.checks import warnings
 from desim.scenario.toml import dump
+from desim.study.sweep import SweepPlan
 from scenarios.study import SCENARIOS
 
 FILES = sorted(path.name for path in SCENARIOS.glob("*.toml"))
@@ -18,6 +19,12 @@ def test_a_scenario_runs_without_a_warning_and_no_message_goes_astray(name, run_
     numbers = summary(run_of(name, *SHORT))
     assert numbers.messages_sent == numbers.messages_delivered + numbers.messages_lost + numbers.messages_in_flight > 0
     assert numbers.messages_lost == sum(numbers.messages_lost_by.values())
+
+
+def test_a_sweep_of_a_scenario_gives_no_warning():
+    swept = [scenario for name in FILES if (scenario := load(SCENARIOS / name)).sweep.grid]
+    assert swept
+    assert [list(SweepPlan.of(scenario).warnings()) for scenario in swept] == [[]] * len(swept)
 
 
 @pytest.mark.slow

@@ -86,6 +86,55 @@ def test_differences_are_paired_by_seed_and_leave_out_what_one_lacks():
     assert PLAIN.differences("capture_time", reference=1)[0].mean == -1.5
 
 
+def of_grid(times, **given):
+    """Return a sweep over x and network.y with one run per active time, s: a list for each pair of values."""
+    groups = [
+        group({"x": x, "network.y": y}, *(ok(k, active_time=time) for k, time in enumerate(each)))
+        for (x, y), each in times.items()
+    ]
+    return SweepResult("grid", ("x", "network.y"), tuple(groups), **given)
+
+
+ON_X = {(0, 0): [1.0, 2.0], (0, 1): [1.0, 2.0], (1, 0): [1.5, 2.0], (1, 1): [1.5, 2.0]}
+
+
+def test_a_key_on_which_no_run_depends_is_warned_of_by_name():
+    """Of four configurations with two runs each, two pairs of configurations differ in network.y only."""
+    found = of_grid(ON_X)
+    (said,) = found.warnings()
+    assert said == (
+        "nothing shown (captured, active time, capture time, messages sent) depends on network.y: equal in 4 pairs of"
+        " runs that differ in it only; where positions are sensed (`announce.payload`), a protocol may need no messages"
+    )
+    assert found.table().endswith(f"\n\nwarning: {said}")
+    assert html.escape(said) in found._repr_html_()
+    assert found.document()["warnings"] == [said]
+    assert [each.split(":")[0] for each in found.warnings("messages_sent")] == [
+        f"nothing shown (captured, messages sent) depends on {key}" for key in ("x", "network.y")
+    ]
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        pytest.param(ON_X | {(1, 1): [1.5, 2.0000000000000004]}, id="the last bit of one run"),
+        pytest.param({(0, 0): [1.0], (1, 0): [2.0]}, id="a key with one value"),
+        pytest.param({(0, 0): [1.0], (1, 1): [1.0]}, id="no two that differ in one key only"),
+        pytest.param({(0, 0): [], (0, 1): []}, id="no runs"),
+    ],
+)
+def test_a_key_on_which_a_run_depends_or_that_is_not_varied_is_not_warned_of(times):
+    assert of_grid(times).warnings() == []
+
+
+def test_of_independent_seeds_failed_runs_and_captures_there_is_no_such_warning():
+    assert of_grid(ON_X, common=False).warnings() == []
+    for row in (failed(1), ok(1, active_time=2.0, captured=True)):
+        first, second, *others = of_grid(ON_X).groups
+        changed = replace(second, rows=(second.rows[0], row))
+        assert replace(PLAIN, keys=("x", "network.y"), groups=(first, changed, *others)).warnings() == []
+
+
 def test_runs_are_paired_by_number_not_by_place():
     """The first lacks run 1, the second run 2: only run 0 is a pair, 2 - 1."""
     found = FAILING.differences("active_time", reference=0)[1]
