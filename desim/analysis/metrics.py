@@ -14,7 +14,7 @@ from keyword import iskeyword
 from math import isnan, nan
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -137,6 +137,8 @@ class Metric(NamedTuple):
     """Whether tables leave it out if it is 0."""
     is_number: bool = True
     """Whether its mean over several runs is meaningful; the mean of truth values is a share."""
+    more_is: Literal["better", "worse"] | None = None
+    """Whether a greater value is better or worse for the pursuers; None: neither, or not known."""
 
     def __call__(self, result: Result) -> Any:
         """Return the value for a run; None if it was not recorded or is not defined."""
@@ -188,52 +190,61 @@ class Summary(Mapping[str, Any]):
 
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     """Seed of the run."""
-    captured: bool = entry(captured, in_tables=False)
-    capture_time: float | None = entry(capture_time, "s")
+    captured: bool = entry(captured, in_tables=False, more_is="better")
+    capture_time: float | None = entry(capture_time, "s", more_is="worse")
     capturer: int | None = entry(lambda result: ended(result).capturer, in_tables=False, is_number=False)
     """The pursuer that captured the evader, or the last of several."""
-    captures: int = entry(lambda result: len(captures(result)))
+    captures: int = entry(lambda result: len(captures(result)), more_is="better")
     """Number of captured evaders."""
-    mean_capture_time: float | None = entry(mean_capture_time, "s")
+    mean_capture_time: float | None = entry(mean_capture_time, "s", more_is="worse")
     capture_times: Mapping[str, float] = entry(capture_times, in_tables=False, is_number=False)
     """Time of each capture, s, by the number of the evader."""
     capturers: Mapping[str, int] = entry(capturers, in_tables=False, is_number=False)
     """Pursuer that made each capture, by the number of the evader."""
-    end_time: float = entry(end_time, "s")
-    active_time: float = entry(active_time, "s", "summed over the pursuers")
-    idle_time: float = entry(idle_time, "s", "no pursuer on an evader at large")
-    crowded_time: float = entry(crowded_time, "s", "more than one pursuer on an evader")
-    excess_time: float = entry(excess_time, "s")
+    end_time: float = entry(end_time, "s", more_is="worse")
+    active_time: float = entry(active_time, "s", "summed over the pursuers", more_is="worse")
+    idle_time: float = entry(idle_time, "s", "no pursuer on an evader at large", more_is="worse")
+    crowded_time: float = entry(crowded_time, "s", "more than one pursuer on an evader", more_is="worse")
+    excess_time: float = entry(excess_time, "s", more_is="worse")
     misassigned_time: float | None = entry(
         misassigned_time,
         "s",
         "not the relay pursuer alone on each evader",
         given=positions_known,
+        more_is="worse",
     )
     time_to_relay: float | None = entry(
         time_to_relay,
         "s",
         "start of a window with the relay pursuer alone on each evader",
         given=positions_known,
+        more_is="worse",
     )
     potential_gap: float | None = entry(
-        potential_gap, "s^2", "below the largest potential, integrated over time", given=positions_known
+        potential_gap,
+        "s^2",
+        "below the largest potential, integrated over time",
+        given=positions_known,
+        more_is="worse",
     )
     regret: float | None = entry(
         regret,
         "s",
         "against the best fixed action, averaged over pursuers",
         given=positions_known,
+        more_is="worse",
     )
-    energy: float = entry(energy, "m^2/s", "v^2 summed over active pursuers, integrated over time")
+    energy: float = entry(energy, "m^2/s", "v^2 summed over active pursuers, integrated over time", more_is="worse")
     decisions: int = entry(
         lambda result: len(decisions(result)), note=lambda run: f"{run['switches']:,} of them changed an action"
     )
     """Number of decisions."""
     switches: int = entry(switches)
     handovers: int = entry(handovers, note=lambda run: f"{run['ping_pongs']:,} of them ping-pong", label="handovers")
-    ping_pongs: int = entry(ping_pongs)
-    messages_sent: int = entry(lambda result: messages(result).sent, note="each receiver of a broadcast counts as one")
+    ping_pongs: int = entry(ping_pongs, more_is="worse")
+    messages_sent: int = entry(
+        lambda result: messages(result).sent, note="each receiver of a broadcast counts as one", more_is="worse"
+    )
     """Number of messages; each receiver of a broadcast counts as one."""
     messages_delivered: int = entry(lambda result: messages(result).delivered, note="", label="  delivered")
     """Number of messages that arrived."""
@@ -241,6 +252,7 @@ class Summary(Mapping[str, Any]):
         lambda result: messages(result).lost,
         note=lambda run: ", ".join(f"{n:,} by {words(cause)}" for cause, n in sorted(run["messages_lost_by"].items())),
         label="  lost",
+        more_is="worse",
     )
     """Number of messages that were lost."""
     messages_lost_by: Mapping[Cause, int] = entry(lambda result: messages(result).lost_by, is_number=False)
@@ -249,10 +261,12 @@ class Summary(Mapping[str, Any]):
         lambda result: messages(result).in_flight, note="at the end of the run", label="  in flight"
     )
     """Number of messages that were under way at the end of the run."""
-    transmissions: int = entry(lambda result: messages(result).transmissions)
+    transmissions: int = entry(lambda result: messages(result).transmissions, more_is="worse")
     """Number of transmissions, whatever the number of receivers."""
     bytes_sent: int = entry(
-        lambda result: messages(result).bytes_sent, note=lambda run: f"in {run['transmissions']:,} transmissions"
+        lambda result: messages(result).bytes_sent,
+        note=lambda run: f"in {run['transmissions']:,} transmissions",
+        more_is="worse",
     )
     """Number of bytes in all transmissions."""
     utilisation: float = entry(
@@ -261,13 +275,17 @@ class Summary(Mapping[str, Any]):
         silent_at_0=True,
     )
     """Share of the time in which the channels were busy."""
-    age_mean: float | None = entry(age_mean, "s", "averaged over time and pairs", given=messages_recorded)
-    age_peak: float | None = entry(age_peak, "s", "just before a newer record arrived", given=messages_recorded)
+    age_mean: float | None = entry(
+        age_mean, "s", "averaged over time and pairs", given=messages_recorded, more_is="worse"
+    )
+    age_peak: float | None = entry(
+        age_peak, "s", "just before a newer record arrived", given=messages_recorded, more_is="worse"
+    )
     age_at_decision: float | None = entry(
-        age_at_decision, "s", "at the decisions of the reader", given=messages_recorded
+        age_at_decision, "s", "at the decisions of the reader", given=messages_recorded, more_is="worse"
     )
     belief_error: float | None = entry(
-        belief_error, note="share of pairs with a wrong record of the action", given=messages_recorded
+        belief_error, note="share of pairs with a wrong record of the action", given=messages_recorded, more_is="worse"
     )
     believed_leaders: float | None = entry(
         believed_leaders,
@@ -375,6 +393,11 @@ def plain(numbers: Summary) -> dict[str, Any]:
 def _formatted(value: Any) -> str:
     """Return a value of a summary as text, fractions with six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def more_is(name: str, own: Mapping[str, Metric]) -> Literal["better", "worse"] | None:
+    """Return whether more of a metric is better or worse; `own` are the metrics that are not built in, by name."""
+    return (METRICS[name] if name in METRICS else own[name]).more_is
 
 
 def unit_of(name: str, units: Mapping[str, str]) -> str:

@@ -1,6 +1,7 @@
 """Means with their uncertainty, and the number of runs for a target precision.
 
-All intervals are 95 % intervals. A *look* checks in the course of a study whether its runs so far suffice.
+All intervals are 95 % intervals, unless a function takes another confidence. A *look* checks in the course of a study
+whether its runs so far suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are for studies that stop at the first look at
@@ -47,9 +48,14 @@ class Estimate:
     @property
     def half_width(self) -> float:
         """Half the width of the 95 % t interval; nan for a single run."""
+        return self.half_width_at(0.95)
+
+    def half_width_at(self, confidence: float) -> float:
+        """Return half the width of the t interval with a confidence in (0, 1); nan for a single run."""
         from scipy.special import stdtrit
 
-        return float(stdtrit(self.count - 1, 0.975) * self.standard_error) if self.count > 1 else float("nan")
+        quantile = 0.5 + confidence / 2
+        return float(stdtrit(self.count - 1, quantile) * self.standard_error) if self.count > 1 else float("nan")
 
 
 def estimate(values: Sequence[float]) -> Estimate:

@@ -4,6 +4,9 @@ The scenario runs as it is, without each imperfection, and without all of them, 
 imperfection is the paired difference between the scenario as it is and the scenario without it. If the costs do not add
 up to the difference that all imperfections make together, the imperfections interact. For example, if either of two is
 enough to delay a capture, removing one alone saves nothing.
+
+An interaction is declared only beyond a 99 % interval, which is corrected for the number of metrics (`INTERACTION_RISK`
+in `desim.study.explanation`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,11 +17,11 @@ from operator import index
 from pathlib import Path
 from typing import Self
 
-from desim.analysis.metrics import UsersMetrics, check_numeric, unit_of, users_metrics, words
+from desim.analysis.metrics import UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
 from desim.scenario.scenario import Scenario
 from desim.study.configurations import Configuration, without_metrics
-from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, Cost, Explanation, Saving
+from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.store import Row, Store
 from desim.study.sweep import Metrics, RunError, SweepPlan, carry_out
@@ -116,7 +119,8 @@ class Variants:
         absent = tuple(
             name for name in IMPERFECTIONS if self.configurations[name].key == self.configurations[AS_IT_IS].key
         )
-        costs = {metric: _cost(metric, plan.metrics, rows, complete, absent) for metric in shown}
+        confidence = 1.0 - INTERACTION_RISK / len(shown)
+        costs = {metric: _cost(metric, plan.metrics, rows, complete, absent, confidence) for metric in shown}
         return Explanation(plan.base.name, len(complete), plan.reps - len(complete), absent, costs)
 
 
@@ -126,8 +130,12 @@ def _cost(
     rows: Mapping[str, Mapping[int, Row]],
     complete: list[int],
     absent: tuple[str, ...],
+    confidence: float,
 ) -> Cost:
-    """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value."""
+    """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
+
+    `confidence` is that of the interval by which an interaction is judged.
+    """
     shared_seeds = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
     values = {name: [float(found[k].value(metric)) for k in shared_seeds] for name, found in rows.items()}
     as_it_is = values.pop(AS_IT_IS)
@@ -142,4 +150,6 @@ def _cost(
         {name: Saving.of(each) for name, each in parts.items()},
         Saving.of(saved[IDEAL]),
         Saving.of(interaction),
+        more_is(metric, dict(own)),
+        confidence,
     )

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
-from desim.analysis.plots import BLUE, GREEN, GREY, SERIES, VERMILION, Axes, Figure, styled
+from desim.analysis.plots import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION, Axes, Figure, styled
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
@@ -285,7 +285,7 @@ def waterfall(found: Explanation) -> Figure:
 
 
 def draw_waterfall(axes: Axes, cost: Cost) -> None:
-    """Draw the waterfall chart of one metric on given axes."""
+    """Draw the waterfall chart of one metric on given axes: red if an imperfection makes it worse, green if better."""
     steps = dict(cost.parts) | ({"interaction": cost.interaction} if len(cost.parts) > 1 else {})
     names = [IDEAL, *steps, AS_IT_IS]
     last = len(names) - 1
@@ -294,7 +294,8 @@ def draw_waterfall(axes: Axes, cost: Cost) -> None:
     level = cost.ideal.mean
     for at, (name, step) in enumerate(steps.items(), start=1):
         rest = name == "interaction"
-        colour = GREY if rest else VERMILION if step.mean.mean > 0.0 else GREEN
+        signs = {"worse": (VERMILION, GREEN), "better": (GREEN, VERMILION), None: (ORANGE, ORANGE)}
+        colour = GREY if rest else signs[cost.more_is][step.mean.mean <= 0.0]
         axes.bar(at, step.mean.mean, bottom=level, color=colour, width=0.6, hatch="//" if rest else None)
         axes.plot([at - 0.7, at + 0.3], [level, level], color=GREY, lw=0.7)
         _mark(axes, at, level, step.mean, "+.2f")
