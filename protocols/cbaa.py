@@ -4,7 +4,7 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     the evaders are the tasks. Each pursuer keeps the winning-bid list y and the winner list z. Differences: bids follow
     the capture times, so a pursuer selects an evader and bids anew at each turn; a pursuer's claim about its own bid
     overrides what others claim about that bid; where positions are sensed, all bids are updated at each turn.
-Parameters: schedule. The schedule `Rounds` gives the rounds of the paper.
+Parameters: schedule. The schedule `Rounds` gives the rounds of the paper; the default, one pursuer per slot, does not.
 Assumes: a connected graph and constant bids. Then all agree on the winner of one evader after 1 + D rounds, where D is
     the diameter in hops, and on the winners of M evaders after at most M (1 + D) rounds. The assignment is the greedy
     one, in order of phi. If bids change, a winning bid only rises while its bidder chases, because the bidder's phi
@@ -46,7 +46,7 @@ class Claim(NamedTuple):
 class CBAA(Auction):
     """Consensus on the highest bid for each evader; a pursuer that is outbid releases its claim."""
 
-    assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "connected", "no_crashes")
+    assumes: ClassVar[tuple[str, ...]] = (*Rule.assumes, "connected", "rounds", "no_crashes")
     kind: Literal["cbaa"] = "cbaa"
 
     def actions(self, me: Agent) -> Iterator[int]:

@@ -5,7 +5,7 @@ Paper: Choi, Brunet & How 2009, "Consensus-Based Decentralized Auctions for Robu
     announcement, by the clock of k, not the time at which i received it, so clocks need not agree; a winner is dropped
     after `winner_timeout` seconds without a newer announcement; a pursuer selects an evader and bids anew at each turn;
     ties go to the lower id; all bids are updated before they are compared if positions are sensed.
-Parameters: schedule (`Rounds` gives the rounds of the paper), winner_timeout.
+Parameters: schedule (`Rounds` gives the rounds of the paper, the default does not), winner_timeout.
 Assumes: a connected graph; otherwise each component has a winner. Announcements repeated by heartbeats or at each
     revision; otherwise every winner times out, and in the end each pursuer considers itself the winner and chases.
     Sensed positions (payload "action"). With "time" or "state" bids are not updated, and two pursuers whose phi differ
@@ -47,7 +47,7 @@ class StampedClaim(NamedTuple):
 class CBBA(Auction):
     """Consensus on the winner, bid and time stamps of each evader (Choi, Brunet & How 2009, Table I)."""
 
-    assumes: ClassVar[tuple[str, ...]] = ("connected", "announcements_repeated")
+    assumes: ClassVar[tuple[str, ...]] = ("connected", "rounds", "announcements_repeated")
     kind: Literal["cbba"] = "cbba"
     winner_timeout: Timeout = 2.0
     """Time after which a winner without a newer announcement is dropped, s. It should cover many heartbeats and many

@@ -18,6 +18,7 @@ AssumptionName = Literal[
     "messages_get_through",
     "announcements_repeated",
     "one_at_a_time",
+    "rounds",
     "no_crashes",
     "equal_clocks",
     "equal_speeds",

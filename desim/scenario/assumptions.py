@@ -93,6 +93,17 @@ def one_at_a_time(scenario: "Scenario") -> str | None:
     return "all pursuers decide at once" if at_once and scenario.team.count > 1 else None
 
 
+def rounds(scenario: "Scenario") -> str | None:
+    """All pursuers decide in rounds or on their own clocks: no decision waits for those of teammates."""
+    schedule = scenario.schedule_traits
+    if schedule.without_serial_decisions is None or scenario.team.count == 1:
+        return None
+    return (
+        f"under {schedule.kind or 'its schedule'} pursuers decide one at a time; the rounds of the paper are the"
+        ' schedule kind "rounds", or "synchronous"'
+    )
+
+
 def no_crashes(scenario: "Scenario") -> str | None:
     """No pursuer breaks down."""
     return "pursuers break down" if _has_fault(scenario, "crash", Crash | RandomCrashes) else None
@@ -148,6 +159,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
             messages_get_through,
             announcements_repeated,
             one_at_a_time,
+            rounds,
             no_crashes,
             equal_clocks,
             equal_speeds,

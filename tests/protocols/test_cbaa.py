@@ -31,7 +31,8 @@ from protocols.auction import NO_BID, Bid, bid_updater, bids_of, chosen, claim_f
 from protocols.cbaa import CBAA, Claim, greatest, one_each
 from protocols.cbba import CBBA, StampedClaim
 from protocols.dissemination import Flooding
-from protocols.schedules import Poisson, Rounds, SharedSeed
+from protocols.schedules import Periodic, Poisson, Rounds, SharedSeed
+from protocols.synchronous import Synchronous
 from protocols.token import TokenRing
 from scenarios import rivals_runs
 from tests.many import LOSSY, at_rest, by_evader, chased, easy
@@ -434,13 +435,38 @@ def test_cbaa_warns_of_crashes_and_both_auctions_warn_of_disconnected_graphs():
     for auction, names in [(CBAA, {"connected", "no_crashes"}), (CBBA, {"connected"})]:
         scenario = Scenario(
             team=Team(count=2),
-            protocol=auction(),
+            protocol=auction(schedule=Rounds()),
             network=Links(graph=Edges(nodes=2)),
             fault=(Crash(node=1, start=2.0),),
         )
         assert {why.split(",")[0] for _, why in violations(scenario)} == {
             f"{auction().kind} assumes {x}" for x in names
         }
+
+
+@pytest.mark.parametrize("auction", AUCTIONS)
+@pytest.mark.parametrize(
+    ("schedule", "in_turns"),
+    [
+        (SharedSeed(), True),
+        (TokenRing(), True),
+        (Rounds(), False),
+        (Rounds(participation=0.5), False),
+        (Synchronous(), False),
+        (Poisson(), False),
+        (Periodic(), False),
+    ],
+    ids=lambda each: getattr(each, "kind", ""),
+)
+def test_an_auction_in_turns_instead_of_rounds_is_warned_of(auction, schedule, in_turns):
+    """The schedules of the paper are named; a single pursuer has nobody to wait for."""
+    kind = auction().kind
+    why = (
+        f"{kind} assumes rounds, but under {schedule.kind} pursuers decide one at a time; the rounds of the paper are"
+        ' the schedule kind "rounds", or "synchronous"'
+    )
+    assert list(violations(Scenario(protocol=auction(schedule=schedule)))) == [("protocol", why)] * in_turns
+    assert list(violations(Scenario(protocol=auction(schedule=schedule), team=Team(count=1)))) == []
 
 
 def east(state, rng):

@@ -315,11 +315,12 @@ def test_on_a_ring_protocols_that_need_more_than_their_neighbours_give_a_warning
 
 @pytest.mark.parametrize("kind", sorted(PROTOCOLS.choices()))
 def test_no_protocol_breaks_anything_in_the_default_scenario(kind):
-    """But for equal speeds."""
+    """But for equal speeds, and the rounds of auctions."""
     protocol = PROTOCOLS.choices()[kind]()
-    found = [why for _, why in violations(Scenario(protocol=protocol))]
-    assert found == ["voronoi assumes equal_speeds, but speeds are 1 to 2 m/s"] * (kind == "voronoi")
-    assert not list(violations(Scenario(team=Team(speeds=2.0), protocol=protocol)))
+    in_turns = [f"{kind} assumes rounds"] * (kind in {"cbaa", "cbba"})
+    for speeds, of_speeds in ((Speeds(), ["voronoi assumes equal_speeds"] * (kind == "voronoi")), (2.0, [])):
+        found = violations(Scenario(team=Team(speeds=speeds), protocol=protocol))
+        assert [why.split(", but")[0] for _, why in found] == of_speeds + in_turns
 
 
 class Wishful(Rule):
