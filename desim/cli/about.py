@@ -66,7 +66,7 @@ def keys(key: str | None) -> None:
 
 @click.command()
 def metrics() -> None:
-    """List the built-in metrics with their units, and the installed ones."""
+    """List the built-in metrics with their units and whether more is worse, and the installed ones."""
     from desim.analysis.metrics import METRICS, Summary, with_unit
     from desim.config.model import docs_of
     from desim.scenario.named_metrics import installed_metrics
@@ -74,7 +74,9 @@ def metrics() -> None:
     docs = docs_of(Summary)
     for name, metric in METRICS.items():
         text = docs.get(name) or (metric.of.__doc__ or "").partition("\n")[0].removeprefix("Return ") or metric.note
-        echo(f"{with_unit(name, metric.unit)}: {text[:1].upper()}{text[1:]}" if isinstance(text, str) else name)
+        sign = f" More is {metric.more_is}." if metric.more_is else ""
+        text = f": {text[:1].upper()}{text[1:].removesuffix('.')}.{sign}" if isinstance(text, str) else ""
+        echo(f"{with_unit(name, metric.unit)}{text}")
     for name, point in installed_metrics().items():
         echo(f"{name}: {point.value}")
 

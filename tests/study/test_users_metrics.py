@@ -446,6 +446,9 @@ def test_the_command_lists_all_metrics(monkeypatch):
     lines = accepted("metrics").stdout.splitlines()
     assert [line.partition(":")[0].partition(",")[0] for line in lines] == list(METRICS)
     assert "active_time, s: The active time summed over the pursuers" in lines[9]
+    assert lines[9].endswith("s. More is worse.")
+    assert lines[list(METRICS).index("captures")].endswith("evaders. More is better.")
+    assert lines[0] == "seed: Seed of the run."
     assert all(": " in line for line in lines)
 
 
