@@ -60,7 +60,7 @@ def _quotient(value: float | None, unit: float, digits: int) -> str:
 
 def picture(rates: Sequence[Rate]) -> "Figure":
     """Draw a panel per workload with a bar per way, the fastest at the top."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
 
     works = list(dict.fromkeys(each.workload for each in rates))
     columns = min(2, len(works))
@@ -70,7 +70,7 @@ def picture(rates: Sequence[Rate]) -> "Figure":
     with plots.styled(figsize=(4.6 * columns, 0.6 + rows * (0.5 + 0.19 * max(map(len, here))))) as figure:
         for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, here, strict=False):
             speeds = [each.per_second for each in bars]
-            colours = [plots.SERIES[0] if each.way in OURS else plots.GREY for each in bars]
+            colours = [palette.SERIES[0] if each.way in OURS else palette.GREY for each in bars]
             drawn = axes.barh([each.way for each in bars], speeds, color=colours, height=0.7)
             axes.bar_label(drawn, [f" {speed / 1e3:,.0f}" for speed in speeds], fontsize=8)
             axes.set_xscale("log")

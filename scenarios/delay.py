@@ -58,11 +58,11 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
     """Draw the law for each schedule, and the phase diagram with the prediction of the law."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-        for colour, name in zip(plots.SERIES, SCHEDULES, strict=False):
+        for colour, name in zip(palette.SERIES, SCHEDULES, strict=False):
             line = [point for point in points if point.schedule == name]
             x = [max(point.delay, DELAYS[1] / 2) for point in line]
             left.errorbar(

@@ -134,20 +134,20 @@ def picture(cells: Sequence[Cell], sight: Sequence[Sighted]) -> "Figure":
 
 def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
     """Draw paired differences to pure evasion, a row per strategy; only Spatial Adaptive Play has intervals."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
     here = {(each.strategy, each.protocol): each for each in cells if each.strategy != REFERENCE}
     names = sorted({name for name, _ in here}, key=lambda name: here[name, IDEAL].difference)
     latency = max(each.latency for each in cells)
     rows = np.arange(len(names))
-    axes.axvline(0.0, color=plots.GREY, lw=0.6)
+    axes.axvline(0.0, color=palette.GREY, lw=0.6)
     rest = [each for each in PROTOCOLS if each not in (IDEAL, "sap", NEAREST)]
     for kinds, marker, label in (([NEAREST], "x", f"{NEAREST} (nearest)"), (rest, "|", "other protocols")):
         found = [(here[name, each].difference, row) for each in kinds for row, name in enumerate(names)]
-        axes.plot(*zip(*found, strict=True), marker, color=plots.GREY, ms=4, mew=0.8, label=label)
+        axes.plot(*zip(*found, strict=True), marker, color=palette.GREY, ms=4, mew=0.8, label=label)
     for protocol, off, colour, marker, label in (
-        (IDEAL, 0.17, plots.BLUE, "o", "SAP, ideal network"),
-        ("sap", -0.17, plots.VERMILION, "s", f"SAP, L = {latency:g} s"),
+        (IDEAL, 0.17, palette.BLUE, "o", "SAP, ideal network"),
+        ("sap", -0.17, palette.VERMILION, "s", f"SAP, L = {latency:g} s"),
     ):
         line = [here[name, protocol] for name in names]
         x, error = [each.difference for each in line], [each.difference_half_width for each in line]
@@ -160,10 +160,10 @@ def draw_strategies(axes: "Axes", cells: Sequence[Cell]) -> None:
 
 def draw_sight(shares: "Axes", times: "Axes", sight: Sequence[Sighted]) -> None:
     """Draw the share of captures and the active time over the sensing radius, a line per estimate."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
     radii = [radius for radius in RADII if radius < inf]
-    styles = zip((plots.BLUE, plots.VERMILION, plots.GREEN), "osv", ESTIMATES, strict=True)
+    styles = zip((palette.BLUE, palette.VERMILION, palette.GREEN), "osv", ESTIMATES, strict=True)
     for k, (colour, marker, made) in enumerate(styles):
         line = [each for each in sight if each.estimate == made and each.radius < inf]
         x = [each.radius * 1.08 ** (k - 1) for each in line]  # side by side

@@ -91,19 +91,19 @@ def individual_utilities(result: Result) -> IndividualUtilities:
 
 def draw_initial(result: Result) -> "Figure":
     """Draw the initial positions of all players, with the ids of the pursuers."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
     from desim.view.labels import label_points
 
     start = started(result)
     with plots.styled((plots.COLUMN, 3.6), font=7) as figure:
         axes = figure.add_subplot()
         places, fast = np.array(start.pursuers), np.array(start.speeds) > min(start.speeds)
-        axes.plot(*places[~fast].T, "o", color=plots.BLUE, ms=4, label=f"pursuer, {min(start.speeds):g} m/s")
-        axes.plot(*places[fast].T, "^", color=plots.BLUE, ms=6, label=f"pursuer, {max(start.speeds):g} m/s")
+        axes.plot(*places[~fast].T, "o", color=palette.BLUE, ms=4, label=f"pursuer, {min(start.speeds):g} m/s")
+        axes.plot(*places[fast].T, "^", color=palette.BLUE, ms=6, label=f"pursuer, {max(start.speeds):g} m/s")
         axes.plot(
             *start.evaders[0],
             "s",
-            color=plots.VERMILION,
+            color=palette.VERMILION,
             ms=4,
             label=f"evader, {result.scenario.evaders[0].speed:g} m/s",
         )
@@ -166,14 +166,14 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
 
 def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: IndividualUtilities) -> None:
     """Label the beginning of each bold line with the id of its pursuer."""
-    from desim.analysis import plots
+    from desim.analysis import palette
     from desim.view.labels import label_points
 
     begin, end = axes.get_xlim()
     rows = [int(np.searchsorted(found.times, t, side="right")) - 1 for t, _ in chain]
     places = [(seconds(t), float(found.utilities[row, pursuer])) for row, (t, pursuer) in zip(rows, chain, strict=True)]
     points = [(t + k * (end - begin) / 100, u) for t, u in places for k in range(1, 8)]
-    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=plots.BLUE)
+    label_points(axes, places, [str(pursuer) for _, pursuer in chain], avoid=points, color=palette.BLUE)
 
 
 def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> None:
@@ -187,15 +187,15 @@ def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> N
 
 def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
     """Draw the utility of each pursuer while it is active, bold if it is alone; one line stands for all inactive."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
     times, active, utilities = found
     t = np.repeat(times, 2)[1:-1] / SECOND
     is_alone = active & (active.sum(axis=1) == 1)[:, None]
-    axes.axhline(0.0, color=plots.GREY, lw=0.8, label="inactive")
+    axes.axhline(0.0, color=palette.GREY, lw=0.8, label="inactive")
     looks: list[tuple[NDArray[np.bool_], str, dict[str, Any]]] = [
-        (active & ~is_alone, "active with others", {"color": plots.SKY, "lw": 0.7}),
-        (is_alone, "active alone", {"color": plots.BLUE, "lw": 2.0}),
+        (active & ~is_alone, "active with others", {"color": palette.SKY, "lw": 0.7}),
+        (is_alone, "active alone", {"color": palette.BLUE, "lw": 2.0}),
     ]
     for shown, label, look in looks:
         for k, i in enumerate(np.flatnonzero(shown.any(axis=0))):

@@ -37,7 +37,7 @@ def active_pursuers(result: Result) -> "NDArray[np.float64]":
 
 def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
     """Draw the trajectories and the mean number of active pursuers."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
 
     result = run(load(FILE))
     with plots.styled(figsize=(8.4, 4.8)) as figure:
@@ -45,10 +45,10 @@ def picture(means: dict[float, "NDArray[np.float64]"]) -> "Figure":
         plots.draw_trajectory(left, result)
         left.set_anchor("N")  # leaves the space below for the legend
         left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7)
-        looks = zip(plots.SERIES, DASHES, strict=False)
+        looks = zip(palette.SERIES, DASHES, strict=False)
         for (colour, dash), (latency, mean) in zip(looks, means.items(), strict=False):
             right.plot(TIMES, mean, color=colour, ls=dash, lw=1.8, label=f"{latency:g} s")
-        right.axhline(1.0, color=plots.GREY, lw=0.8, ls=":")
+        right.axhline(1.0, color=palette.GREY, lw=0.8, ls=":")
         right.set(xlabel="time (s)", ylabel="active pursuers (mean)", ylim=(0, None), xlim=(0, TIMES[-1]))
         right.set_yticks(range(0, 21, 5))
         right.legend(title="one-way latency", handlelength=3, reverse=True)  # the order of the lines

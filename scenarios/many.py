@@ -117,9 +117,9 @@ def picture(games: Sequence[NegotiationSummary], moved: Sequence[PursuitSummary]
 
 def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw the share of games that end in the best assignment over the number of slots."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
-    styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), plots.SERIES, strict=False)
+    styles = zip(COOLED, "oDs^", (0.94, 0.98, 1.02, 1.06), palette.SERIES, strict=False)
     for name, marker, aside, colour in styles:
         line = [each for each in games if each.protocol == name]
         y = 100.0 * np.array([(each.best, each.best_low, each.best_high) for each in line])
@@ -138,9 +138,12 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
 
 def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     """Draw the welfare over constant temperatures, a line per protocol."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
-    kinds = {"sap": ("SAP", "o", 0.97, plots.SERIES[0]), "selective_sap": ("Selective SAP", "s", 1.03, plots.SERIES[2])}
+    kinds = {
+        "sap": ("SAP", "o", 0.97, palette.SERIES[0]),
+        "selective_sap": ("Selective SAP", "s", 1.03, palette.SERIES[2]),
+    }
     for kind, (label, marker, aside, colour) in kinds.items():
         line = [each for each in games if each.protocol == kind]
         x, y = [(each.temperature or 0.0) * aside for each in line], [each.share for each in line]
@@ -154,10 +157,10 @@ def draw_temperatures(axes: "Axes", games: Sequence[NegotiationSummary]) -> None
 
 def draw_pursuits(axes: "Axes", moved: Sequence[PursuitSummary]) -> None:
     """Draw the durations of the pursuits, a row per protocol, a mark per size."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
     rows = {name: row for row, name in enumerate(CONTENDERS)}
-    for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", plots.SERIES, strict=False)):
+    for k, ((n, m), marker, colour) in enumerate(zip(SIZES, "oDs^", palette.SERIES, strict=False)):
         line = [each for each in moved if (each.pursuers, each.evaders) == (n, m)]
         y = [rows[each.protocol] + 0.15 * (k - 1.5) for each in line]
         x, error = [each.duration for each in line], [each.half_width for each in line]

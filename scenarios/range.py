@@ -57,7 +57,7 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
 
 def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
     """Draw the active time by protocol, and below it the statistics of the games of t = 0."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 6.4)) as figure:
         grid = figure.subplots(2, len(TEAMS), sharex=True, height_ratios=(3, 2))
@@ -67,7 +67,7 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
             grid[0, column].set_title(team, fontsize=9)
         grid[0, -1].legend(fontsize=8)
         grid[0, 0].set_ylabel("sum of active times (s)")
-        grid[1, 0].set_ylabel("games of neighbours\nwithout equilibrium (%)", color=plots.SERIES[1])
+        grid[1, 0].set_ylabel("games of neighbours\nwithout equilibrium (%)", color=palette.SERIES[1])
         for axes in grid[1]:
             axes.set_xlabel("range R (m)")
     return figure
@@ -75,9 +75,9 @@ def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
 
 def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
     """Draw the active time over the range, a line per protocol."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
-    for k, (colour, name) in enumerate(zip(plots.SERIES, PROTOCOLS, strict=False)):
+    for k, (colour, name) in enumerate(zip(palette.SERIES, PROTOCOLS, strict=False)):
         line = [each for each in pursuits if each.protocol == name]
         x = [each.range * 1.03 ** (k - 2) for each in line]  # side by side
         y, error = [each.active_time for each in line], [each.half_width for each in line]
@@ -89,18 +89,18 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
 def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
     """Draw the share of games without equilibrium, the number of components and the size of the independent set."""
-    from desim.analysis import plots
+    from desim.analysis import palette
 
     share = 100.0 * np.array([(each.unsettled, each.unsettled_low, each.unsettled_high) for each in static])
-    axes.fill_between(RANGES, share[:, 1], share[:, 2], color=plots.SERIES[1], alpha=0.25, lw=0)
-    axes.plot(RANGES, share[:, 0], color=plots.SERIES[1], marker="o", ms=3, lw=1.2)
+    axes.fill_between(RANGES, share[:, 1], share[:, 2], color=palette.SERIES[1], alpha=0.25, lw=0)
+    axes.plot(RANGES, share[:, 0], color=palette.SERIES[1], marker="o", ms=3, lw=1.2)
     axes.set_ylim(0, 60)
     counts = axes.twinx()
     counts.spines["right"].set_visible(True)
     sizes = {"components": ("--", [each.components for each in static])}
     sizes["greedy independent set"] = ":", [each.independent for each in static]
     for label, (style, values) in sizes.items():
-        counts.plot(RANGES, values, style, color=plots.GREY, label=label)
+        counts.plot(RANGES, values, style, color=palette.GREY, label=label)
     counts.set(ylabel="number", ylim=(0, N))
     if static[0].team == next(iter(TEAMS)):
         counts.legend(fontsize=7, loc="upper right")

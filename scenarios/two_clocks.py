@@ -72,12 +72,12 @@ def table(cells: list[Cell], runs: int) -> str:
 
 def picture(cells: list[Cell]) -> "Figure":
     """Draw the active time over delta and over h, one line per value of the other; the paper has delta = h."""
-    from desim.analysis import plots
+    from desim.analysis import palette, plots
 
     found = {(cell.slot, cell.step): cell for cell in cells}
 
     def draw(axes: plots.Axes, x: str, other: str) -> None:
-        for colour, marker, fixed in zip(plots.SERIES, "osD^v", VALUES, strict=False):
+        for colour, marker, fixed in zip(palette.SERIES, "osD^v", VALUES, strict=False):
             line = [found[(v, fixed) if x == "slot" else (fixed, v)] for v in VALUES]
             y, error = np.array([(cell.active_time, cell.standard_error) for cell in line]).T
             axes.errorbar(VALUES, y, error, color=colour, marker=marker, ms=4, lw=1.2, label=f"{other} = {fixed:g} s")

@@ -1,5 +1,6 @@
 """Figures from results, drawn by matplotlib; files are reproducible byte by byte."""
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,28 +10,34 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
+from desim.analysis.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    EVADER,
+    EVADER_MARK,
+    INACTIVE,
+    PURSUER_MARK,
+)
 from desim.analysis.trace_index import captures, sampled
 from desim.config.file_names import PICTURE_SUFFIXES, files
 from desim.config.trust import escaped, without_symlink
 from desim.kernel.clock import seconds
 from desim.simulation.run import Result
 
-# Okabe & Ito 2008, distinguishable by the colour-blind.
-ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
-VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
-SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 __all__ = [
     "COLUMN",
-    "EVADER",
-    "GREY",
-    "SERIES",
+    "EVADER_PATH",
     "Axes",
     "Figure",
     "draw_trajectory",
     "save",
     "set_plane",
+    "size_of",
     "styled",
     "trajectory",
 ]
@@ -47,18 +54,18 @@ STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "legend.frameon": False,
 }
-EVADER: Mapping[str, Any] = {
-    **{"color": VERMILION, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
-    **{"marker": "s", "markevery": [0]},
+EVADER_PATH: Mapping[str, Any] = {
+    **{"color": EVADER, "ls": (0, (3, 1.5)), "gapcolor": "white", "zorder": 4},
+    **{"marker": EVADER_MARK, "markevery": [0]},
 }
-"""Style of an evader's path: a square at its start, and dashes that distinguish it from pursuers in greyscale, too."""
+"""Style of an evader's path: a diamond at its start, and dashes that distinguish it from pursuers in greyscale, too."""
 UNDATED: Mapping[str, Mapping[str, None]] = {".svg": {"Date": None}, ".png": {}, ".pdf": {"CreationDate": None}}
 """The metadata to omit from each format."""
 
 
 @contextmanager
 def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figure]:
-    """Yield an empty figure in the common style; its layout is computed at the end.
+    """Yield an empty figure in the common style; its layout is computed at the end, and whenever its size changes.
 
     Args:
         figsize: width and height, inches.
@@ -66,10 +73,57 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
     """
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
     with mpl.rc_context(STYLE | small | {"font.size": font}):
-        figure = Figure(figsize=figsize, layout="constrained")
+        figure = Figure(figsize=figsize, layout=_SettledLayout())
         yield figure
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # else each save would compute a slightly different layout
+        for _ in range(2):  # the first layout may change the ticks of the axes
+            figure.draw_without_rendering()
+
+
+class _SettledLayout(ConstrainedLayoutEngine):
+    """A constrained layout that is computed anew only if the size or a text of the figure has changed.
+
+    Repeated layouts of one figure differ by rounding errors, and its files would, too.
+    """
+
+    _known: object = None
+
+    def execute(self, figure: Figure) -> None:
+        if _extent(figure) != self._known:
+            super().execute(figure)
+            self._known = _extent(figure)
+
+
+def _extent(figure: Figure) -> object:
+    """Return the size of a figure, in, and its texts with their sizes, in points."""
+    texts = [each for each in figure.findobj(Text) if isinstance(each, Text)]
+    return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
+
+
+SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.\d+)?)(?P<last>cm|mm|in)?)?")
+UNITS = {"cm": 2.54, "mm": 25.4, "in": 1.0}
+"""Units of length per inch."""
+LENGTHS = 1.0, 100.0
+"""The least and the greatest width and height of a figure, in."""
+
+
+def size_of(text: str) -> tuple[float, float | None]:
+    """Return the width and the height, in, of a size such as "8.5cm", "8.5cmx6cm", "85x60mm" or "3.5in".
+
+    The height is None if only a width is given.
+
+    Raises:
+        ValueError: if the text is not a size, or the size is not from 1 in to 100 in.
+    """
+    found = SIZE.fullmatch(text.replace(" ", ""))
+    units = [found["unit"], found["last"]] if found else []
+    if found is None or not any(units):
+        raise ValueError(f"a size should be a width and perhaps a height in cm, mm or in, as 8.5cmx6cm, got {text!r}")
+    unit, last = (each or units[1 - k] for k, each in enumerate(units))
+    width = float(found["width"]) / UNITS[unit]
+    height = None if found["height"] is None else float(found["height"]) / UNITS[last]
+    if not all(LENGTHS[0] <= each <= LENGTHS[1] for each in (width, height) if each is not None):
+        raise ValueError(f"a width and a height should be from {LENGTHS[0]:g} in to {LENGTHS[1]:g} in, got {text!r}")
+    return width, height
 
 
 def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
@@ -85,6 +139,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
     """
     paths = files(path, PICTURE_SUFFIXES, PICTURE_SUFFIXES[:2])
     with mpl.rc_context(STYLE):
+        figure.draw_without_rendering()  # a layout at the resolution of the figure, not at that of a file
         for each in paths:
             kind = each.suffix.lower()
             figure.savefig(without_symlink(each), format=kind[1:], dpi=dpi, metadata=UNDATED[kind])
@@ -121,20 +176,20 @@ def draw_trajectory(axes: Axes, result: Result) -> None:
     capturers = list(dict.fromkeys(each.capturer for each in captured))
     others = [i for i in range(pursuers.shape[1]) if np.ptp(pursuers[:, i], axis=0).any() and i not in capturers]
     set_plane(axes)
-    axes.plot(*pursuers[0].T, "o", mfc="white", mec=GREY, ms=5, label="pursuer at the start")
+    axes.plot(*pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, ms=5, label="pursuer at the start")
     for i in others:
         label = "pursuer that chased for a while" if i == others[0] else None
-        axes.plot(*pursuers[:, i].T, color=SKY, lw=1.4, label=label)
+        axes.plot(*pursuers[:, i].T, color=ACTIVE_WITH_OTHERS, lw=1.4, label=label)
     several = len(evaders[0]) > 1
     for capturer in capturers:
         label = None if capturer != capturers[0] else "pursuer that captures"
         label = label if several else f"pursuer {capturer}, which captures"
-        axes.plot(*pursuers[:, capturer].T, color=BLUE, lw=2.0, label=label, zorder=3)
+        axes.plot(*pursuers[:, capturer].T, color=ACTIVE, lw=2.0, label=label, zorder=3)
     for k, path in enumerate(evaders.transpose(1, 0, 2), start=1):
-        axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER)
+        axes.plot(*path.T, lw=1.6, ms=5, label="evader" if k == 1 else None, **EVADER_PATH)
         if several:
             axes.annotate(str(k), path[0], (4, 4), textcoords="offset points", fontsize=8, zorder=6)
     for capture in captured:
         which = f"capture of {capture.evader} by {capture.capturer}" if several else "capture"
         label = f"{which}, {seconds(capture.t):.2f} s"
-        axes.plot(*evaders[-1, capture.evader - 1], "*", color="black", ms=11, zorder=5, label=label)
+        axes.plot(*evaders[-1, capture.evader - 1], CAPTURE_MARK, color="black", ms=11, zorder=5, label=label)

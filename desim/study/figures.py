@@ -15,7 +15,8 @@ from pydantic.fields import FieldInfo
 
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
-from desim.analysis.plots import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION, Axes, Figure, styled
+from desim.analysis.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
+from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in

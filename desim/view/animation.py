@@ -1,6 +1,6 @@
 """A run as a GIF for slides: a plan view of all players, the active pursuers, and the messages in flight.
 
-Messages in flight and lost messages are drawn as in the replay: see `desim.view.deliveries`.
+Colours, symbols and messages are those of the replay: see `desim.analysis.palette` and `desim.view.deliveries`.
 
 All frames share one background and one palette; equal runs give equal bytes.
 """
@@ -18,14 +18,28 @@ from matplotlib.lines import Line2D
 from PIL import Image
 from tqdm import tqdm
 
-from desim.analysis.plots import BLUE, GREY, ORANGE, SKY, VERMILION, Axes, Figure, styled
+from desim.analysis.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    DELIVERED,
+    EVADER,
+    GREY,
+    HUES,
+    IN_FLIGHT,
+    INACTIVE,
+    LOST,
+    LOST_MARK,
+    PURSUER_MARK,
+)
+from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.trace_index import captures, ended, messages_recorded, started
 from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import without_symlink
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries
-from desim.view.paths import HUES, EvaderStyle, Paths, active_periods
+from desim.view.paths import EvaderStyle, Paths, active_periods
 
 WIDTH, HEIGHT = 4.8, 5.4
 """Size of a frame, in."""
@@ -36,13 +50,13 @@ MOST = 1500
 """Maximum number of frames; each takes 0.4 MB of memory."""
 HOLD = 1500
 """Display time of the last frame, ms."""
-COLOURS = ("black", GREY, BLUE, SKY, VERMILION, ORANGE)
+COLOURS = ("black", INACTIVE, ACTIVE, ACTIVE_WITH_OTHERS, EVADER, IN_FLIGHT, DELIVERED, LOST)
 PALE = 0.4
 """Weight of an evader's hue, blended with white, for pursuers that chase it together, if there are several evaders."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
 SHORT = 0.02
-"""Distance between the cross of a lost message and its receiver, in widths of the picture."""
+"""Distance between the mark of an arrival or a loss and the receiver, in widths of the picture."""
 SHADES = 10
 """Number of shades of each colour, towards white."""
 
@@ -148,13 +162,13 @@ class _EvaderArtists:
         mark: dict[str, Any] = {"ms": 6} if lone else {"ms": 8, "mfc": look.inner, "mew": 1.6}
         (self.trails,) = axes.plot([], [], color=pale, lw=1.0, solid_capstyle="butt")
         (self.relay,) = axes.plot([], [], color=look.alone, lw=2.5, solid_capstyle="butt")
-        (self.path,) = axes.plot([], [], color=VERMILION, lw=1.3, ls=(0, (3, 1)))
-        (self.together,) = axes.plot([], [], "o", mfc=pale, mec=look.alone, ms=6, label="active with others")
-        (self.alone,) = axes.plot([], [], "o", mfc=look.alone, mec=look.alone, ms=9, label="active alone")
-        (self.evader,) = axes.plot([], [], look.mark, color=VERMILION, label=name, **mark)
-        (self.star,) = axes.plot([], [], "*", color="black", ms=14, mew=0)
+        (self.path,) = axes.plot([], [], color=EVADER, lw=1.3, ls=(0, (3, 1)))
+        (self.together,) = axes.plot([], [], PURSUER_MARK, mfc=pale, mec=look.alone, ms=6, label="active with others")
+        (self.alone,) = axes.plot([], [], PURSUER_MARK, mfc=look.alone, mec=look.alone, ms=9, label="active alone")
+        (self.evader,) = axes.plot([], [], look.mark, color=EVADER, label=name, **mark)
+        (self.star,) = axes.plot([], [], CAPTURE_MARK, color="black", ms=14, mew=0)
         offset: dict[str, Any] = {"xytext": (6, 4), "textcoords": "offset points"}
-        self.number = axes.annotate("" if lone else str(evader), (0, 0), color=VERMILION, weight="bold", **offset)
+        self.number = axes.annotate("" if lone else str(evader), (0, 0), color=EVADER, weight="bold", **offset)
 
 
 def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
@@ -174,12 +188,13 @@ class _Scene:
         self._messages = _message_dots(result, self._paths, SHORT * (right - left))
         count = self._paths.count
         self._evaders = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
-        (self._dots,) = axes.plot([], [], "o", color=ORANGE, ms=2.5, mew=0, label="message")
-        (self._crosses,) = axes.plot([], [], "x", color="black", ms=5, mew=1.0, label="lost")
-        (self._inactive,) = axes.plot([], [], "o", mfc="white", mec=GREY, ms=6, label="inactive")
+        (self._dots,) = axes.plot([], [], "o", color=IN_FLIGHT, ms=2.5, mew=0, label="message in flight")
+        (self._arrived,) = axes.plot([], [], "o", color=DELIVERED, ms=3.5, mew=0, label="delivered")
+        (self._crosses,) = axes.plot([], [], LOST_MARK, color=LOST, ms=5, mew=1.2, label="lost")
+        (self._inactive,) = axes.plot([], [], PURSUER_MARK, mfc="white", mec=INACTIVE, ms=6, label="inactive")
         self._caption = figure.suptitle("0.00 s", x=0.1, ha="left", fontsize=10)
         shown = [self._inactive, *self._chasers(), *(each.evader for each in self._evaders[:MAX_NAMED])]
-        shown += [self._dots] if len(self._messages.left) else []
+        shown += [self._dots, self._arrived] if len(self._messages.left) else []
         shown += [self._crosses] if self._messages.lost.any() else []
         figure.legend(handles=shown, loc="outside lower center", ncols=3, fontsize=8)
         self.moving = self._in_order()
@@ -201,7 +216,7 @@ class _Scene:
         chasers = [(each.together, each.alone) for each in self._evaders]
         above = [(each.evader, each.star, each.number) for each in self._evaders]
         found = [*_by_layer(below), self._inactive, *_by_layer(chasers)]
-        return [*found, self._dots, self._crosses, *_by_layer(above), self._caption]
+        return [*found, self._dots, self._arrived, self._crosses, *_by_layer(above), self._caption]
 
     def _set(self, axes: Axes) -> None:
         everywhere = np.concatenate([self._paths.evaders.reshape(-1, 2), self._paths.pursuers.reshape(-1, 2)])
@@ -215,7 +230,8 @@ class _Scene:
 
         Args:
             t: the time of the frame, ns.
-            before: the time of the previous frame, ns; messages lost since then are drawn as crosses.
+            before: the time of the previous frame, ns; messages that arrived or were lost since then are drawn beside
+                their receivers.
         """
         chases = self._chases(t)
         size = self._paths.pursuers.shape[1]
@@ -224,7 +240,8 @@ class _Scene:
             self._set_evader(evader, artists, t, places[[i for i in range(size) if chases.get(i) == evader]])
         self._inactive.set_data(places[[i for i in range(size) if i not in chases]].T)
         self._dots.set_data(self._messages.under_way(t).T)
-        self._crosses.set_data(self._messages.lost_between(before, t).T)
+        self._arrived.set_data(self._messages.ended_between(before, t, lost=False).T)
+        self._crosses.set_data(self._messages.ended_between(before, t, lost=True).T)
         self._caption.set_text(f"{seconds(t):.2f} s: {self._status_text(t, chases)}")
         return self.moving
 
@@ -286,7 +303,7 @@ class _MessageDots:
         lost: (k,) whether the message was lost.
         source: (k, 2) positions of the senders at transmission, m.
         target: (k, 2) positions of the receivers at arrival or loss, m.
-        short: the distance between the cross of a lost message and its receiver, m.
+        short: the distance between the mark of an arrival or a loss and the receiver, m.
     """
 
     def __init__(self, left: Integers, until: Integers, lost: Bools, source: Floats, target: Floats, short: float):
@@ -300,9 +317,9 @@ class _MessageDots:
         found: Floats = self._source[flying] + share * (self._target - self._source)[flying]
         return found
 
-    def lost_between(self, before: int, t: int) -> Floats:
-        """Return the (k, 2) positions of the crosses of messages lost between two times, m."""
-        gone = self.lost & (before < self._until) & (self._until <= t)
+    def ended_between(self, before: int, t: int, *, lost: bool) -> Floats:
+        """Return the (k, 2) positions of the marks of messages lost, or else delivered, between two times, m."""
+        gone = (self.lost == lost) & (before < self._until) & (self._until <= t)
         way = (self._target - self._source)[gone]
         length = np.hypot(way[:, 0], way[:, 1])
         share = np.minimum(self._short / np.maximum(length, self._short), 0.5)[:, None]

@@ -10,17 +10,25 @@ import numpy as np
 from matplotlib.patheffects import withStroke
 
 from desim.analysis.activity import EvaderPursuit, evader_pursuits
-from desim.analysis.plots import BLUE, EVADER, GREEN, GREY, PURPLE, SKY, VERMILION, Axes, set_plane
+from desim.analysis.palette import (
+    ACTIVE,
+    ACTIVE_WITH_OTHERS,
+    CAPTURE_MARK,
+    EVADER,
+    EVADER_MARKS,
+    GREY,
+    HANDOVER_MARK,
+    HUES,
+    INACTIVE,
+    PURSUER_MARK,
+)
+from desim.analysis.plots import EVADER_PATH, Axes, set_plane
 from desim.analysis.trace_index import captures, sampled
 from desim.config.arrays import Floats, Integers
 from desim.simulation.run import Result
 from desim.view.deliveries import Handover, handover_events
 from desim.view.labels import label_points
 
-HUES = (BLUE, GREEN, PURPLE)
-"""Hues of the pursuers by evader, if there are several evaders."""
-MARKS = ("s", "^", "v", "P")
-"""Markers of the evaders."""
 HALO = (withStroke(linewidth=1.5, foreground="white"),)
 """A white outline that keeps a label legible over a path."""
 
@@ -40,9 +48,9 @@ class EvaderStyle(NamedTuple):
     def of(cls, evader: int, count: int) -> "EvaderStyle":
         """Return the style of an evader, given its number (1 .. M) and the number of evaders M."""
         if count == 1:
-            return cls(MARKS[0], VERMILION, BLUE, SKY)
+            return cls(EVADER_MARKS[0], EVADER, ACTIVE, ACTIVE_WITH_OTHERS)
         hue = HUES[(evader - 1) % len(HUES)]
-        return cls(MARKS[(evader - 1) % len(MARKS)], hue, hue, hue)
+        return cls(EVADER_MARKS[(evader - 1) % len(EVADER_MARKS)], hue, hue, hue)
 
 
 class ActivePeriod(NamedTuple):
@@ -134,9 +142,9 @@ class Paths:
 
 
 def draw_pursuit(axes: Axes, result: Result) -> None:
-    """Draw the paths of active pursuers, bold while alone and thin with others, with a diamond at each handover.
+    """Draw the paths of active pursuers, bold while alone and thin with others, with a square at each handover.
 
-    The first diamond of an evader marks the first pursuer that chases it alone. A pursuer that was never active has
+    The first square of an evader marks the first pursuer that chases it alone. A pursuer that was never active has
     only the circle at its initial position. `label_handovers` adds the numbers of the pursuers.
 
     Raises:
@@ -145,16 +153,18 @@ def draw_pursuit(axes: Axes, result: Result) -> None:
     paths = Paths(result)
     looks = {evader: EvaderStyle.of(evader, paths.count) for evader in range(1, paths.count + 1)}
     set_plane(axes)
-    axes.plot(*paths.pursuers[0].T, "o", mfc="white", mec=GREY, mew=0.7, ms=3, label="pursuer at the start")
+    axes.plot(
+        *paths.pursuers[0].T, PURSUER_MARK, mfc="white", mec=INACTIVE, mew=0.7, ms=3, label="pursuer at the start"
+    )
     _draw_active_periods(axes, result, paths, looks)
     _draw_handovers(axes, result, paths, looks)
     for evader, look in looks.items():
         label = "evader" if paths.count == 1 else f"evader {evader}"
         mark: dict[str, Any] = {"ms": 3} if paths.count == 1 else {"ms": 6, "mfc": look.inner, "mew": 1.2}
-        axes.plot(*paths.evaders[:, evader - 1].T, lw=1.2, label=label, **{**EVADER, "marker": look.mark, **mark})
+        axes.plot(*paths.evaders[:, evader - 1].T, lw=1.2, label=label, **{**EVADER_PATH, "marker": look.mark, **mark})
     places = [paths.evaders[-1, each.evader - 1] for each in captures(result)]
     if places:
-        axes.plot(*np.transpose(places), "*", color="black", ms=7, mew=0, zorder=7, label="capture")
+        axes.plot(*np.transpose(places), CAPTURE_MARK, color="black", ms=7, mew=0, zorder=7, label="capture")
 
 
 def _draw_active_periods(axes: Axes, result: Result, paths: Paths, looks: dict[int, EvaderStyle]) -> None:
@@ -177,12 +187,12 @@ def _draw_handovers(axes: Axes, result: Result, paths: Paths, looks: dict[int, E
         places = [paths.position_of(each) for each in handover_events(result) if each.evader == evader]
         if places:
             style: dict[str, Any] = {"mfc": "white", "mec": look.alone, "mew": 0.9, "ms": 4, "zorder": 5}
-            axes.plot(*np.transpose(places), "D", ls="", label=label, **style)
+            axes.plot(*np.transpose(places), HANDOVER_MARK, ls="", label=label, **style)
             label = ""
 
 
 def label_handovers(axes: Axes, result: Result) -> None:
-    """Label each diamond of `draw_pursuit` with the number of its pursuer.
+    """Label each square of `draw_pursuit` with the number of its pursuer.
 
     If there are several evaders, their initial positions are labelled with their numbers. See `label_points` for the
     requirements on the axes.

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
-from desim.analysis.plots import GREY, VERMILION, Axes, Figure, styled
+from desim.analysis.palette import CAPTURE_MARK, GREY, LOST, LOST_MARK
+from desim.analysis.plots import Axes, Figure, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.clock import SECOND, nanoseconds, seconds
@@ -212,7 +213,7 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
                 axes.plot(
                     t / SECOND,
                     rows[capturer],
-                    "*",
+                    CAPTURE_MARK,
                     color="black",
                     ms=8,
                     zorder=6,
@@ -247,11 +248,9 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
     t[1] += np.where(at_once, latency * way, 0.0)
     row[1] = row[0] + way * (row[1] - row[0])
     gaps = np.full(len(lost), np.nan)
-    axes.plot(
-        np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=VERMILION, ls=":", lw=0.8, zorder=3
-    )
-    axes.plot(t[1], row[1], "x", color=VERMILION, ms=4, mew=1.0, zorder=4)
-    axes.plot([], [], color=VERMILION, ls=":", marker="x", ms=4, lw=1.0, label="lost message")
+    axes.plot(np.stack([*t, gaps], 1).ravel(), np.stack([*row, gaps], 1).ravel(), color=LOST, ls=":", lw=0.8, zorder=3)
+    axes.plot(t[1], row[1], LOST_MARK, color=LOST, ms=4, mew=1.0, zorder=4)
+    axes.plot([], [], color=LOST, ls=":", marker=LOST_MARK, ms=4, lw=1.0, label="lost message")
 
 
 def _ends(own: Sequence[Delivery], rows: dict[int, int]) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from desim.analysis.plots import save, styled, trajectory
+from desim.analysis.plots import save, size_of, styled, trajectory
 from desim.kernel.clock import SECOND
 from desim.kernel.events import Trace
 from desim.pursuit.events import Captured, Ended, Sampled, Started
@@ -164,3 +164,33 @@ def test_a_styled_figure_has_its_size_in_inches():
     with styled((3.0, 2.0)) as figure:
         assert figure.get_size_inches().tolist() == [3.0, 2.0]
         assert mpl.rcParams["svg.fonttype"] == "none"
+
+
+def test_a_figure_keeps_its_labels_when_it_is_resized():
+    """Of 9 points in 2.5 in, they are cut unless the layout follows the size; as without one."""
+    for is_live in (True, False):
+        figure = trajectory(chase())
+        if not is_live:
+            figure.set_layout_engine("none")
+        figure.set_size_inches(3.5, 2.5)
+        figure.draw_without_rendering()
+        (axes,), (width, height) = figure.axes, figure.bbox.size
+        boxes = [each.get_window_extent() for each in (axes.xaxis.label, axes.yaxis.label, axes.title)]
+        inside = [0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height for box in boxes]
+        overlaps = figure.legends[0].get_window_extent().overlaps(boxes[0])
+        assert (all(inside) and not overlaps) == is_live
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("8.5cm", (8.5, None)), ("8.5cmx6cm", (8.5, 6.0)), ("85x60mm", (8.5, 6.0)), ("5 in x 2.54 cm", (12.7, 2.54))],
+)
+def test_a_size_is_a_width_and_perhaps_a_height_with_a_unit(text, size):
+    found = size_of(text)
+    assert [each and round(each * 2.54, 9) for each in found] == [*size]
+
+
+@pytest.mark.parametrize("text", ["", "8.5", "cm", "8.5cmx", "8.5km", "-8.5cm", "1cm", "infcm", "1e9cm", "3inx0in"])
+def test_what_is_no_size_is_refused(text):
+    with pytest.raises(ValueError, match=re.escape(f"got {text!r}")):
+        size_of(text)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from desim.analysis.palette import EVADER_MARKS, HUES
 from desim.analysis.plots import COLUMN, styled
 from desim.view.labels import label_points
-from desim.view.paths import HUES, MARKS, EvaderStyle, Paths, draw_pursuit, label_handovers
+from desim.view.paths import EvaderStyle, Paths, draw_pursuit, label_handovers
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -22,7 +23,7 @@ def drawn(result):
 
 
 def test_pursuits_by_hand_are_golden():
-    """A single chaser is bold; a numbered diamond is where a pursuer becomes the only chaser.
+    """A single chaser is bold; a numbered square is where a pursuer becomes the only chaser.
 
     Sampled at 0, 0.5 and 1 s, so that pursuer 0 is at 4 m at 0.5 s and half way on the line at 0.25 s. Of two evaders
     each has a number, a mark and a hue, shared by its chasers; it rests where it was captured.
@@ -43,7 +44,7 @@ def test_the_looks_differ_without_colour():
 def test_many_evaders_share_hues_and_marks_in_turn():
     looks = [EvaderStyle.of(evader, 5) for evader in (1, 2, 3, 4, 5)]
     assert [each.alone for each in looks] == [*HUES, *HUES[:2]]
-    assert [each.mark for each in looks] == [*MARKS, MARKS[0]]
+    assert [each.mark for each in looks] == [*EVADER_MARKS, EVADER_MARKS[0]]
 
 
 def test_paths_are_straight_between_samples_and_end_where_they_are_asked_to():

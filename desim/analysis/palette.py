@@ -1,0 +1,35 @@
+"""The colours and symbols of all pictures: one for each thing, the same in trajectory, space-time diagram and film.
+
+The hues are those of Okabe & Ito 2008, "Color Universal Design", which the colour-blind can tell apart, but for LOST.
+Shapes repeat what the colours say. The replay has the same hues and shapes, and lighter ones on a dark page.
+"""
+
+ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
+VERMILION, PURPLE, GREY = "#D55E00", "#CC79A7", "#999999"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+"""Colours of the lines of a diagram, in order."""
+
+ACTIVE = BLUE
+"""A pursuer that chases an evader alone."""
+ACTIVE_WITH_OTHERS = SKY
+"""A pursuer that chases an evader together with others."""
+INACTIVE = GREY
+"""The outline of a pursuer that chases no evader; its inside is white."""
+EVADER = VERMILION
+IN_FLIGHT = ORANGE
+"""A message between transmission and arrival."""
+DELIVERED = GREEN
+"""A message that arrived."""
+LOST = "#D11A2A"
+"""A message that was lost, always dotted or a cross."""
+
+PURSUER_MARK = "o"
+EVADER_MARK = "D"
+CAPTURE_MARK = "*"
+HANDOVER_MARK = "s"
+"""A pursuer at the place and time at which it takes over."""
+LOST_MARK = "x"
+EVADER_MARKS = (EVADER_MARK, "^", "v", "P")
+"""Marks of the evaders, if there are several."""
+HUES = (BLUE, GREEN, PURPLE)
+"""Hues of the pursuers by evader, if there are several evaders."""
