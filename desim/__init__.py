@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from desim.simulation.run import Result as Result
     from desim.simulation.run import run as run
     from desim.study.explain import explain as explain
+    from desim.study.folder import open as open  # noqa: A004 - as `desim.open`
     from desim.study.sweep import sweep as sweep
 
 explain_hidden_packages()
@@ -116,6 +117,7 @@ _NAMES = {
     "desim.scenario.toml": ("load",),
     "desim.simulation.run": ("Result", "run"),
     "desim.study.explain": ("explain",),
+    "desim.study.folder": ("open",),
     "desim.study.sweep": ("sweep",),
 }
 """The public names by module. Each is imported on first access, so that `desim --help` does not load numpy."""

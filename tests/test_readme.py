@@ -98,7 +98,7 @@ def test_every_command_the_readme_names_runs(line, tmp_path, monkeypatch):
     monkeypatch.chdir(ROOT)
     words = shlex.split(line.split("#")[0].split(">")[0])
     words = [str(tmp_path / word) if word.startswith("out/") else word for word in words]
-    if words[0] in {"run", "sweep", "explain", "replay", "draw"}:
+    if words[0] in {"run", "sweep", "explain", "replay", "plot"} and any(word.endswith(".toml") for word in words):
         words += ["--set", "horizon=1.5"]
     if "-j" in words:
         words += ["-j", "1", "-n", "2"]

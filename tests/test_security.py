@@ -146,7 +146,7 @@ def _tables(node, above=""):
 
 COMMANDS = [
     *(["run"], ["sweep", "--dry-run"], ["explain", "-n", "2"], ["replay"]),
-    *(["draw", "spacetime"], ["draw", "perfetto"], ["draw", "gif"]),
+    *(["plot", "--kind", kind] for kind in ("trajectory", "spacetime", "perfetto", "film")),
 ]
 
 
@@ -203,7 +203,7 @@ def test_with_the_option_a_file_names_code_everywhere(mark, written, tmp_path):
     accepted("check", "--allow-import", file)
     accepted("run", "--allow-import", file, "-n", 2, "-o", tmp_path / "runs")
     one = tmp_path / "runs" / "seed-0"
-    for words in (["run", "--from", one / "run.json"], ["replay", one], ["draw", "perfetto", one]):
+    for words in (["run", "--from", one / "run.json"], ["replay", one], ["plot", "--kind", "perfetto", one]):
         assert f"{one / 'run.json'}: network.latency.kind: 'evil:late' names code" in refused(*words)
         accepted(*words, "--allow-import")
     for _ in range(2):  # the second goes on with the first
@@ -287,7 +287,7 @@ def changed(path: Path, change) -> None:
 def test_a_run_json_names_no_code(mark, ran):
     (ran / "evil.py").write_text((ran.parent / "evil.py").read_text())
     changed(ran / "run.json", lambda made: made["scenario"]["network"].update(latency={"kind": "evil:late"}))
-    for words in (["run", "--from", ran / "run.json"], ["replay", ran], ["draw", "spacetime", ran]):
+    for words in (["run", "--from", ran / "run.json"], ["replay", ran], ["plot", "--kind", "spacetime", ran]):
         assert f"{ran / 'run.json'}: network.latency.kind: 'evil:late' names code" in refused(*words)
     with pytest.raises(ScenarioError, match="names code"):
         run_folder.read(ran)
@@ -529,10 +529,10 @@ def precious(tmp_path):
 
 @pytest.mark.slow
 def test_a_link_in_the_folder_of_a_run_is_replaced(ran, precious):
-    names = ("replay.html", "trace.perfetto.json", "spacetime.svg", "spacetime.png", "pursuit.gif")
+    names = ("replay.html", "trace.perfetto.json", "spacetime.svg", "spacetime.png", "film.gif")
     for name in names:
         (ran / name).symlink_to(precious)
-    for words in (["replay"], ["draw", "perfetto"], ["draw", "spacetime"], ["draw", "gif"]):
+    for words in (["replay"], *(["plot", "--kind", kind] for kind in ("perfetto", "spacetime", "film"))):
         accepted(*words, ran)
     assert not [name for name in names if (ran / name).is_symlink()]
 

@@ -1,8 +1,11 @@
 """Figures from results, drawn by matplotlib; files are reproducible byte by byte."""
 
 import re
+from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from html import escape
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +35,11 @@ from desim.simulation.run import Result
 __all__ = [
     "COLUMN",
     "EVADER_PATH",
+    "NARROW",
     "Axes",
     "Figure",
     "draw_trajectory",
+    "html_image",
     "save",
     "set_plane",
     "size_of",
@@ -44,6 +49,8 @@ __all__ = [
 
 COLUMN = 8.5 / 2.54
 """The width of a column of a paper, inches."""
+NARROW = 12.0 / 2.54
+"""The minimum width of a figure with the usual size of text and several columns in its legend, in."""
 STYLE: dict[Any, Any] = {
     "text.usetex": False,  # a matplotlibrc in the working folder may set it; names would then run as TeX
     "svg.fonttype": "none",
@@ -146,17 +153,32 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
     return paths
 
 
-def trajectory(result: Result) -> Figure:
+def html_image(figure: Figure, name: str) -> str:
+    """Return a figure as an image of HTML, a PNG of twice the resolution of the page; `name` is its description."""
+    stream = BytesIO()
+    with mpl.rc_context(STYLE):
+        figure.savefig(stream, format="png", dpi=2 * 72)
+    width = 72.0 * figure.get_figwidth()
+    source = f"data:image/png;base64,{b64encode(stream.getvalue()).decode()}"
+    return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'
+
+
+def trajectory(result: Result, size: str | None = None) -> Figure:
     """Return a figure of the paths of the evaders, their capturers, and all other pursuers that moved.
+
+    Args:
+        result: the result of a run with recorded positions.
+        size: the width and perhaps the height; see `size_of`.
 
     Raises:
         ValueError: if the run recorded no positions.
     """
-    with styled(figsize=(5.2, 5.2)) as figure:
+    width, height = (5.2, None) if size is None else size_of(size)
+    with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), parse_math=False)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), parse_math=False, wrap=True)
+        figure.legend(loc="outside lower center", ncols=2 if width >= NARROW else 1, fontsize=8)
     return figure
 
 

@@ -14,7 +14,7 @@ NO_POSITIONS = "positions were not recorded: set record.trajectory to a time gre
 """The error message for a run without recorded positions."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TraceIndex(Result):
     """A result whose trace is complete, with a cache of derived quantities."""
 

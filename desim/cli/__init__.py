@@ -9,18 +9,29 @@ import sys
 import click
 
 from desim.cli.about import check, keys, metrics, protocols, schema
-from desim.cli.draw import draw
 from desim.cli.explain import explain
 from desim.cli.many import export, merge, sweep
 from desim.cli.one import run
 from desim.cli.pages import replay, report
+from desim.cli.plot import plot
 from desim.cli.program import Program
 from desim.cli.start import examples, new
 from desim.config.trust import no_cwd_import
 
+RENAMED = {"draw": "plot"}
+"""Names under which a command is looked for, and its name."""
+
 
 class Commands(Program, click.Group):
     """The commands of `desim`."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the arguments begin with, and the rest of them."""
+        if args[0] in RENAMED:
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {RENAMED[args[0]]!r}?")
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -33,7 +44,7 @@ def main() -> None:
 
 
 for command in (
-    *(examples, new, check, run, sweep, explain, merge, export),
-    *(replay, draw, report, keys, metrics, protocols, schema),
+    *(examples, new, run, replay, plot, sweep, explain, report),
+    *(merge, export, check, keys, metrics, protocols, schema),
 ):
     main.add_command(command)

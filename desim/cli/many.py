@@ -263,6 +263,6 @@ def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) 
     without_symlink(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")
     if can_plot():
         from desim.analysis.plots import save
-        from desim.study.figures import means
+        from desim.study.figures import file_name
 
-        save(means(found, metric), folder / "sweep")
+        save(found.plot(metric), folder / file_name("means", metric))

@@ -1,4 +1,4 @@
-"""The run that a command shows: read from a folder, or simulated for the command."""
+"""The results that a command shows: read from a folder, or simulated for the command."""
 
 import shlex
 from pathlib import Path
@@ -11,20 +11,28 @@ from desim.config.file_names import STORE, STORE_PARTS, TRACE
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
+    from desim.study.result import SweepResult
 
 SOURCE = click.argument("source", metavar="DIR|FILE", type=click.Path(path_type=Path))
 SAMPLES = 0.05
 """Time between samples of a run that is simulated for a command, if its scenario records none, s."""
 
 
+def is_recorded(source: Path) -> bool:
+    """Return whether a source is results, and not a scenario file."""
+    return source.is_dir() or source.name == TRACE or source.suffix == ".sqlite"
+
+
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
     """Return the run in a folder or of a scenario file; end the program if it cannot be read."""
-    if not source.is_dir():
-        return _simulated(source, seed, overrides)
-    check_has(source, TRACE)
-    if seed is not None or overrides:
-        raise click.UsageError("--seed and --set apply to a scenario FILE only: the run in a DIR is already recorded")
-    return _recorded(source)
+    from desim.simulation.run import Result
+
+    if source.is_dir():
+        check_has(source, TRACE)
+    found = results_of(source, seed, overrides)
+    if not isinstance(found, Result):
+        fail(f"{source}: is a sweep, not a run: `desim report` and `desim plot` show it")
+    return found
 
 
 def check_has(folder: Path, name: str) -> None:
@@ -48,18 +56,19 @@ def check_has(folder: Path, name: str) -> None:
         )
 
 
-def _recorded(folder: Path) -> "Result":
-    """Return the run in a folder; end the program if it cannot be read."""
-    from desim.results.run_folder import read
-    from desim.scenario.overrides import ScenarioError
+def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result | SweepResult":
+    """Return the run or the sweep in a folder, or the run of a scenario file; end the program if it cannot be read."""
+    if not is_recorded(source):
+        return _simulated(source, seed, overrides)
+    if seed is not None or overrides:
+        raise click.UsageError("--seed and --set apply to a scenario FILE only: the results in a DIR are recorded")
+    from desim.study.folder import open as open_results
 
     try:
-        return read(folder, allow_import=is_import_allowed())
+        return open_results(source, allow_import=is_import_allowed())
     except OSError as error:
-        below = sorted(each.parent.name for each in folder.glob(f"*/{TRACE}"))
-        hint = f"; the folder has the runs {', '.join(below[:3])}{' ...' if len(below) > 3 else ''}" if below else ""
-        fail(f"{error.filename}: cannot be read: {error.strerror}{hint}")
-    except (ScenarioError, ValueError) as error:
+        fail(f"{error.filename}: cannot be read: {error.strerror}" if error.strerror else str(error))
+    except ValueError as error:
         fail(str(error))
 
 

@@ -15,9 +15,9 @@ PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
 RUN_FILES = (
     *(TRACE, "summary.json", "scenario.toml", "run.json"),
     *("trajectory.svg", "trajectory.png", "replay.html"),
-    *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "pursuit.gif"),
+    *("spacetime.svg", "spacetime.png", "trace.perfetto.json", "film.gif"),
 )
-"""All files that `desim run`, `replay` and `draw` write into a run folder by default."""
+"""All files that `desim run`, `replay` and `plot` write into a run folder by default."""
 SUFFIX = re.compile(r"\.[A-Za-z]\w*")
 """A suffix that can denote a file type; the ".2" of "v1.2" does not match."""
 

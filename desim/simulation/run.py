@@ -3,9 +3,10 @@
 from collections import defaultdict
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from desim.config.arrays import Floats
+from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.events import Trace, Watcher
 from desim.kernel.fault_injection import inject
@@ -15,7 +16,7 @@ from desim.kernel.network import Network
 from desim.kernel.positions import Nodes, PositionSource
 from desim.pursuit.agent import Agent
 from desim.pursuit.announcements import announces_chase
-from desim.pursuit.events import Captured, Ended
+from desim.pursuit.events import Captured, Ended, Sampled
 from desim.pursuit.sensing import TeamSensor
 from desim.pursuit.state import coordinates
 from desim.pursuit.views import GlobalState, View
@@ -30,9 +31,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import simpy
+    from matplotlib.figure import Figure
+
+    from desim.view.replay import Replay
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """The result of a run: its scenario, its seed and the trace of its events."""
 
@@ -40,20 +44,80 @@ class Result:
     seed: int
     trace: Trace
 
+    def plot(
+        self,
+        kind: Literal["trajectory", "spacetime"] = "trajectory",
+        *,
+        begin: float | None = None,
+        end: float | None = None,
+        pursuers: "Sequence[int] | None" = None,
+        size: str | None = None,
+    ) -> "Figure":
+        """Return a figure of the run; needs matplotlib (the extra `plot`).
+
+        The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
+
+        Args:
+            kind: trajectory: the paths of all players; spacetime: a line per pursuer and an arrow per message.
+            begin: the start of the window of a space-time diagram, s.
+            end: the end of the window, s.
+            pursuers: the pursuers in a space-time diagram, from top to bottom.
+            size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm".
+
+        Raises:
+            ValueError: if positions (trajectory) or messages (spacetime) were not recorded, or an option is wrong.
+        """
+        from desim.analysis.plots import trajectory
+        from desim.view.spacetime import spacetime
+
+        if kind == "spacetime":
+            return spacetime(self, begin, end, pursuers, size or "17cm")
+        if kind != "trajectory":
+            raise ValueError(f"kind should be trajectory or spacetime, got {kind!r}")
+        if (begin, end, pursuers) != (None, None, None):
+            raise ValueError("begin, end and pursuers are options of the kind spacetime")
+        return trajectory(self, size)
+
+    def replay(self) -> "Replay":
+        """Return the replay, a page that a notebook shows and `write` writes; needs jinja2 (the extra `plot`)."""
+        from desim.view.replay import Replay
+
+        return Replay.of(self)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._ended}>"
+
     def _repr_html_(self) -> str:
-        """Return a table for notebooks: scenario, seed, protocol, outcome, events; metrics are in `desim.analysis`."""
-        ends = self.trace.of(Ended)
+        """Return a table for notebooks: scenario, seed, protocol, outcome, events; metrics are in `desim.analysis`.
+
+        The trajectories follow, if positions were recorded and matplotlib (the extra `plot`) is installed.
+        """
         rows = {
             "scenario": self.scenario.name,
             "seed": str(self.seed),
             "protocol": self.scenario.protocol_name,
-            "ended": _outcome(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders))
-            if ends
-            else "not yet",
+            "ended": self._ended,
             "events": f"{len(self.trace):,}",
         }
         lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
-        return f"<table>{lines}</table>"
+        return f"<table>{lines}</table>{self._picture}"
+
+    @property
+    def _ended(self) -> str:
+        """The outcome of the run as text."""
+        ends = self.trace.of(Ended)
+        return _outcome(ends[-1], len(self.trace.of(Captured)), len(self.scenario.evaders)) if ends else "not yet"
+
+    @property
+    def _picture(self) -> str:
+        """The trajectories as an image of HTML; "" if they cannot be drawn."""
+        if not self.trace.of(Sampled):
+            return ""
+        try:
+            from desim.analysis.plots import html_image
+        except ImportError:
+            return ""
+        return html_image(self.plot(), "trajectories of the players")
 
 
 def _outcome(end: Ended, captures: int, evaders: int) -> str:

@@ -1,9 +1,11 @@
 """Figures of sweeps and explanations."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from math import inf, isfinite, log10, nan
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
@@ -16,13 +18,14 @@ from pydantic.fields import FieldInfo
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.analysis.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
-from desim.analysis.plots import Axes, Figure, styled
+from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
 from desim.config.trust import escaped
+from desim.study.configurations import in_words
 from desim.study.explanation import AS_IT_IS, IDEAL, Cost, Explanation
-from desim.study.result import SweepResult, text
+from desim.study.result import SHOWN, Group, SweepResult, text
 
 MARKERS = "osD^v"
 APART = 0.012
@@ -38,6 +41,8 @@ LETTER = 0.075
 """The approximate width of a letter of 8 points, in."""
 CELL = 0.68, 0.45
 """The minimum width and the height of a cell of a phase diagram, in."""
+FLAT = 0.7
+"""The height of a figure of a given width and one panel, in widths."""
 INK = "#111111"
 """The colour of text on light cells. It is not black, because the report replaces black with the page's text colour."""
 WIDE = 20.0
@@ -47,26 +52,124 @@ Such an axis also requires that half of the positive values are below a quarter 
 """
 
 
-def means(result: SweepResult, metric: str) -> Figure:
-    """Draw the mean of a metric by configuration with 95 % intervals.
+def means(
+    result: SweepResult,
+    metric: str,
+    *,
+    x: str | None = None,
+    by: str | Sequence[str] = (),
+    against: Mapping[str, Any] | None = None,
+    labels: Mapping[str, str] = MappingProxyType({}),
+    xlabel: str | None = None,
+    ylabel: str | None = None,
+    size: str | None = None,
+) -> Figure:
+    """Draw the mean of a metric by configuration, or its paired difference from a reference, with 95 % intervals.
 
-    The abscissa is the first key of the grid that takes several numbers, with a line for each combination of the other
-    keys. If no key does, each configuration has a row.
+    Args:
+        result: the result of a sweep.
+        metric: the name of the metric.
+        x: the key on the abscissa; None = the first key that takes several numbers. If no key does, each configuration
+            has a row.
+        by: the key or keys whose values are lines; each combination of the other keys has a panel. By default all keys
+            but `x` name the lines, in one panel.
+        against: values of some keys, such as {"protocol": "sap"}: the differences from the configuration that has them
+            and is otherwise equal are drawn instead of the means; see `SweepResult.differences`.
+        labels: texts by value, such as {"sap": "SAP (ours)"}; with mathematics between dollar signs, as `xlabel`.
+        xlabel: the label of the abscissa.
+        ylabel: the label of the ordinate.
+        size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title, which
+            belongs into the caption. A figure can also be resized later with `set_size_inches`.
+
+    Raises:
+        ValueError: if the sweep has no such metric, key, value or reference, or the size is none.
     """
-    title = _with_unit(metric, result)
-    abscissa = next(iter(swept_numbers(result)), None)
-    height = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
-    with styled(figsize=(6.4, height)) as figure:
-        axes = figure.add_subplot()
-        axes.set_title(escaped(f"{result.name}, 95 % intervals"), fontsize=9, parse_math=False)
-        if abscissa is None:
-            axes.set_xlabel(title)
-            _draw_rows(axes, result, metric)
-        else:
-            axes.set_ylabel(title)
-            _draw_lines(axes, result, metric, abscissa)
-            _add_legend(axes, result, abscissa)
+    keys = (by,) if isinstance(by, str) else tuple(by)
+    values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
+    if unknown := [each for each in labels if each not in values]:
+        raise ValueError(f"no key takes the value {unknown[0]}, which has a label")
+    abscissa = _abscissa(result, x, keys)
+    rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
+    panels: dict[str, list[Point]] = {}
+    for group, found in _points(result, metric, against):
+        own = in_words({key: group.settings[key] for key in rest})
+        panels.setdefault(own, []).append((group, found))
+    columns = min(MAX_ABREAST, len(panels))
+    rows = -(-len(panels) // columns)
+    each_high = 4.0 if abscissa else 1.2 + 0.3 * len(result.groups)
+    usual = (6.4, each_high) if len(panels) == 1 else (0.6 + 2.6 * columns, 0.6 + 2.2 * rows)
+    width, height = (usual[0], None) if size is None else size_of(size)
+    height = height or (usual[1] if size is None or abscissa is None else width * FLAT * rows / columns**0.5)
+    named = keys or [key for key in result.keys if key != abscissa]
+    with styled(figsize=(width, height), font=9.0 if width >= NARROW else 8.0) as figure:
+        shared = figure.subplots(rows, columns, squeeze=False, sharex=abscissa is not None, sharey=True)
+        for axes, (name, points) in zip(shared.flat, panels.items(), strict=False):
+            title = _with_unit(metric, result, against)
+            if abscissa is None:
+                axes.set_xlabel(title)
+                _draw_rows(axes, result.keys, points, labels)
+            else:
+                axes.set_ylabel(title)
+                _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
+            if against is not None:
+                (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
+            axes.set_title(escaped(name), fontsize=8, parse_math=False, wrap=True)
+        for k, axes in enumerate(shared.flat):
+            _label(axes, xlabel, ylabel)
+            if k % columns:
+                axes.set_ylabel("")
+            if k + columns < len(panels):
+                axes.set_xlabel("")
+            axes.tick_params(labelbottom=k + columns >= len(panels))
+            axes.set_axis_on() if k < len(panels) else axes.set_axis_off()
+        if size is None:
+            what = "95 % intervals" if against is None else "paired differences, 95 % intervals"
+            over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
+            over(escaped(f"{result.name}, {what}"), fontsize=9, parse_math=False, wrap=True)
+        if abscissa is not None:
+            _add_legend(figure, named)
     return figure
+
+
+def file_name(kind: str, metric: str | None = None, against: Mapping[str, Any] | None = None) -> str:
+    """Return the name of the file of a figure, without a suffix; figures of different metrics have different names."""
+    return f"{kind if against is None else 'differences'}-{metric or SHOWN[0]}"
+
+
+Point = tuple[Group, Estimate | None]
+"""A configuration and the estimate of a metric, or None for a reference."""
+
+
+def _points(result: SweepResult, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
+    """Return each configuration with the mean of a metric, or with its difference from a reference."""
+    if against is None:
+        return list(zip(result.groups, result.estimates(metric), strict=True))
+    others, found = result.references(against), result.differences(metric, against)
+    return [
+        (group, None if other == k else each)
+        for k, (group, other, each) in enumerate(zip(result.groups, others, found, strict=True))
+    ]
+
+
+def _abscissa(result: SweepResult, x: str | None, by: Sequence[str]) -> str | None:
+    """Return the key on the abscissa; None if each configuration has a row."""
+    if x is not None:
+        result.values(x)
+        if x in by:
+            raise ValueError(f"{x} cannot be both the abscissa and the name of the lines")
+        return x
+    varied = [key for key in result.keys if key not in by and len(result.values(key)) > 1]
+    return next((key for key in swept_numbers(result) if key in varied), varied[0] if by and varied else None)
+
+
+def _label(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
+    """Set the labels that are given, and let all labels wrap where the figure is too small for them."""
+    if xlabel is not None:
+        axes.set_xlabel(escaped(xlabel))
+    if ylabel is not None:
+        axes.set_ylabel(escaped(ylabel))
+    axes.xaxis.label.set_wrap(True)
+    axes.yaxis.label.set_wrap(True)
 
 
 def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
@@ -81,7 +184,9 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
     columns = min(MAX_ABREAST, len(metrics))
     rows = -(-len(metrics) // columns)
     height = 2.1 if abscissa else 0.8 + 0.2 * len(result.groups)
-    names = list(_lines(result, metrics[0], abscissa)) if abscissa else []
+    others = [key for key in result.keys if key != abscissa]
+    lines = {each: _lines(_points(result, each, None), abscissa, others) for each in metrics} if abscissa else {}
+    names = list(lines[metrics[0]]) if abscissa else []
     width = 0.4 + 3.0 * columns
     abreast = max(1, int(width / (0.6 + LETTER * max(map(len, names), default=0))))
     size = (width, 0.3 + height * rows + 0.17 * -(-len(names) // abreast))
@@ -90,9 +195,9 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
         for axes, metric in zip(panels.flat, metrics, strict=False):
             axes.set_title(_with_unit(metric, result), loc="left")
             if abscissa is None:
-                _draw_rows(axes, result, metric)
+                _draw_rows(axes, result.keys, _points(result, metric, None))
             else:
-                _draw_lines(axes, result, metric, abscissa)
+                _draw_lines(axes, result, abscissa, lines[metric])
         for k, axes in enumerate(panels.flat):
             if k >= len(metrics):
                 axes.set_axis_off()
@@ -103,9 +208,8 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
                 axes.set_xlabel("")
         if len(names) > 1:
             found = panels.flat[0].get_legend_handles_labels()
-            title = _legend_title(result, abscissa)
+            title = _legend_title(others)
             figure.legend(*found, loc="outside lower center", ncols=abreast, title=title, title_fontsize=8)
-        figure.draw_without_rendering()  # a first layout: the legend shrinks the panels, which changes their ticks
     return figure
 
 
@@ -179,9 +283,11 @@ def swept_numbers(result: SweepResult) -> list[str]:
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
-def _with_unit(metric: str, result: SweepResult) -> str:
-    unit = unit_of_metric(metric, result.units)
-    return _literal(f"{words(metric)} ({unit})" if unit else words(metric))
+def _with_unit(metric: str, result: SweepResult, against: Mapping[str, Any] | None = None) -> str:
+    unit, what = unit_of_metric(metric, result.units), words(metric)
+    if against is not None:
+        what = f"difference in {what} from {in_words(against)}"
+    return _literal(f"{what} ({unit})" if unit else what)
 
 
 def _key_with_unit(key: str) -> str:
@@ -195,46 +301,69 @@ def _is_swept_number(result: SweepResult, key: str) -> bool:
     return numbers and len(values) > 1 and any(map(isfinite, values))
 
 
-def _draw_lines(axes: Axes, result: SweepResult, metric: str, abscissa: str) -> None:
-    """Draw a metric over a key, with a line for each combination of the other keys."""
-    values = sorted({group.settings[abscissa] for group in result.groups})
-    places, is_plain = _axis_positions(values)
-    lines = _lines(result, metric, abscissa)
+def _draw_lines(
+    axes: Axes, result: SweepResult, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
+) -> None:
+    """Draw lines of estimates over a key; the values of a key that are not numbers are apart, without lines."""
+    given = result.values(abscissa)
+    is_number = _is_swept_number(result, abscissa)
+    values = sorted(given) if is_number else given
+    places, is_plain = (
+        _axis_positions(values) if is_number else ({each: float(k) for k, each in enumerate(given)}, False)
+    )
     low, high = min(places.values()), max(places.values())
     for k, (name, points) in enumerate(lines.items()):
+        if not points:
+            continue
         marker, colour = MARKERS[k % len(MARKERS)], SERIES[k % len(SERIES)]  # 5 * 6 different pairs
         shift = (k - (len(lines) - 1) / 2.0) * APART * (high - low)
         known = sorted((places[value] + shift, each.mean, each.half_width) for value, each in points)
         x, y, error = zip(*known, strict=True)
-        axes.errorbar(x, y, error, color=colour, marker=marker, ms=3.5, lw=1.2, elinewidth=0.8, capsize=2, label=name)
+        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 3.5, "ls": "-" if is_number else "none"}
+        axes.errorbar(x, y, error, lw=1.2, elinewidth=0.8, capsize=2, label=name, **look)
     if len(values) <= MAX_TICKS or not is_plain:
-        count = min(len(values), MAX_TICKS)
-        ticks = [values[round(k * (len(values) - 1) / (count - 1))] for k in range(count)]
-        axes.set_xticks([places[value] for value in ticks], [text(value) for value in ticks])
+        count = min(len(values), MAX_TICKS) if is_number else len(values)
+        ticks = [values[round(k * (len(values) - 1) / max(count - 1, 1))] for k in range(count)]
+        axes.set_xticks([places[value] for value in ticks], [_literal(text(value)) for value in ticks])
     axes.set_xlabel(_key_with_unit(abscissa))
 
 
-def _lines(result: SweepResult, metric: str, abscissa: str) -> dict[str, list[tuple[float, Estimate]]]:
-    """Return the lines by name, one for each combination of the other keys: pairs of abscissa and estimate."""
-    others = [key for key in result.keys if key != abscissa]
-    lines: dict[str, list[tuple[float, Estimate]]] = {}
-    for group, found in zip(result.groups, result.estimates(metric), strict=True):
-        given = [text(group.settings[key]) for key in others]
-        if len(others) > 1:
-            given = [f"{key} = {each}" for key, each in zip(others, given, strict=True)]
-        lines.setdefault(_literal(", ".join(given)), []).append((group.settings[abscissa], found))
+def _lines(
+    points: Sequence[Point], abscissa: str, by: Sequence[str], labels: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, list[tuple[Any, Estimate]]]:
+    """Return the lines by name, one for each combination of the keys `by`: pairs of abscissa and estimate."""
+    lines: dict[str, list[tuple[Any, Estimate]]] = {}
+    for group, found in points:
+        line = lines.setdefault(", ".join(_named(key, group, labels, len(by) > 1) for key in by), [])
+        if found is not None:
+            line.append((group.settings[abscissa], found))
     return lines
 
 
-def _add_legend(axes: Axes, result: SweepResult, abscissa: str) -> None:
-    if len(axes.get_legend_handles_labels()[0]) > 1:
-        axes.legend(fontsize=7, title=_legend_title(result, abscissa), title_fontsize=7)
+def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
+    """Return the label of a setting or, without one, its text, with its key if settings of several keys are named."""
+    value = text(group.settings[key])
+    if value in labels:
+        return escaped(labels[value])
+    return _literal(f"{key} = {value}" if is_one_of_several else value)
 
 
-def _legend_title(result: SweepResult, abscissa: str | None) -> str | None:
+def _add_legend(figure: Figure, by: Sequence[str]) -> None:
+    """Add a legend if there are several lines: into the only panel, or below several panels."""
+    panels = [axes for axes in figure.axes if axes.axison]
+    found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    if len(found) > 1 or (found and len(panels) > 1):
+        title = _legend_title(by)
+        if len(panels) == 1:
+            panels[0].legend(fontsize=7, title=title, title_fontsize=7)
+        else:
+            place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(len(found), 4)}
+            figure.legend(list(found.values()), list(found), fontsize=7, title=title, title_fontsize=7, **place)
+
+
+def _legend_title(by: Sequence[str]) -> str | None:
     """Return the key whose values name the lines; None if there is no key, or if the names include several keys."""
-    others = [key for key in result.keys if key != abscissa]
-    return _key_with_unit(others[0]) if len(others) == 1 else None
+    return _key_with_unit(by[0]) if len(by) == 1 else None
 
 
 def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
@@ -256,15 +385,18 @@ def _axis_positions(values: Sequence[float]) -> tuple[dict[float, float], bool]:
     return places | beyond, not logarithmic and not beyond
 
 
-def _draw_rows(axes: Axes, result: SweepResult, metric: str) -> None:
-    """Draw a metric with a row for each configuration."""
-    names = [_literal(", ".join(map(text, group.settings.values()))) for group in result.groups]
-    found = result.estimates(metric)
-    x, error = [each.mean for each in found], [each.half_width for each in found]
-    axes.errorbar(x, range(len(names)), xerr=error, fmt="o", color=SERIES[0], ms=4, elinewidth=0.8, capsize=2)
+def _draw_rows(
+    axes: Axes, keys: Sequence[str], points: Sequence[Point], labels: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Draw estimates with a row for each configuration."""
+    names = [", ".join(_named(key, group, labels, False) for key in keys) for group, _ in points]
+    known = [(row, each) for row, (_, each) in enumerate(points) if each is not None]
+    x, error = [each.mean for _, each in known], [each.half_width for _, each in known]
+    look: dict[str, Any] = {"color": SERIES[0], "ms": 4, "elinewidth": 0.8, "capsize": 2}
+    axes.errorbar(x, [row for row, _ in known], xerr=error, fmt="o", **look)
     axes.set_yticks(range(len(names)), names, fontsize=7)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    axes.set_ylabel(", ".join(map(_key_with_unit, result.keys)))
+    axes.set_ylabel(", ".join(map(_key_with_unit, keys)))
 
 
 def _literal(name: str) -> str:

@@ -5,25 +5,30 @@ import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS, check_numeric, title, words
 from desim.analysis.statistics import Estimate, mean, paired, wilson
 from desim.analysis.tables import aligned, as_json, html_table, with_half_width
 from desim.config.json_numbers import json_number
 from desim.config.trust import escaped
+from desim.study.configurations import in_words, label
 from desim.study.store import Row, Store
 from desim.study.store_file import StoreError
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
 MESSAGING = ("network.", "announce.")
 """The first parts of keys that have an effect only if pursuers need messages."""
+Reference = int | Mapping[str, Any] | None
+"""The configuration with which others are compared; see `SweepResult.differences`."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Group:
 
     def in_words(self, without: Sequence[str] = ()) -> str:
         """Return the settings as one line of text, without those of the keys in `without`."""
-        return ", ".join(f"{key} = {text(each)}" for key, each in self.settings.items() if key not in without)
+        return in_words({key: each for key, each in self.settings.items() if key not in without})
 
     @property
     def failed(self) -> list[Row]:
@@ -115,33 +120,76 @@ class SweepResult:
         check_numeric(metric, self.units)
         return [mean(group.present(metric)) for group in self.groups]
 
-    def differences(self, metric: str, reference: int | None = None) -> list[Estimate]:
+    def differences(self, metric: str, reference: Reference = None) -> list[Estimate]:
         """Return the mean paired difference of a metric from a reference configuration, over runs with equal seeds.
 
         Args:
             metric: the name of the metric.
-            reference: the position of the reference in `groups`; None = a reference for each configuration: the first
-                configuration that has the same values of all keys but, at most, the first key with several values.
+            reference: the position of the reference in `groups`; or the values of some keys, such as
+                {"protocol": "sap"}: each configuration is compared with the one that has these values and is otherwise
+                equal; None = the same with the first value of the first key with several values.
 
         Raises:
-            ValueError: if the configurations do not share their seeds, or the sweep has no numeric metric of this name.
+            ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
+                a configuration has no reference.
         """
         check_numeric(metric, self.units)
         if not self.common:
             raise ValueError("runs with independent seeds cannot be paired")
-        others = self._references if reference is None else [reference] * len(self.groups)
         return [
             paired(*_aligned_values(group, self.groups[other], metric))
-            for group, other in zip(self.groups, others, strict=True)
+            for group, other in zip(self.groups, self.references(reference), strict=True)
         ]
+
+    def references(self, reference: Reference = None) -> list[int]:
+        """Return the position in `groups` of the reference of each configuration; see `differences`.
+
+        Raises:
+            ValueError: if a configuration has no reference.
+        """
+        if isinstance(reference, int):
+            return [reference] * len(self.groups)
+        if reference is None:
+            return self._first_references
+        wanted = {key: self.setting(key, value) for key, value in reference.items()}
+        places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
+        found = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
+        for group, other in zip(self.groups, found, strict=True):
+            if other is None:
+                raise ValueError(f"{group.in_words()}: has no reference with {in_words(wanted)}")
+        return [other for other in found if other is not None]
+
+    def values(self, key: str) -> list[Any]:
+        """Return the values of a key of the grid, in the order of the grid.
+
+        Raises:
+            ValueError: if the grid has no such key.
+        """
+        if key not in self.keys:
+            near = get_close_matches(key, self.keys, n=1)
+            hint = f", did you mean {near[0]}?" if near else f": its keys are {', '.join(self.keys) or 'none'}"
+            raise ValueError(f"the grid has no key {key}{hint}")
+        return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
+
+    def setting(self, key: str, value: Any) -> Any:
+        """Return the value of a key of the grid that equals a given value or has its text, as "cbba" has of `CBBA()`.
+
+        Raises:
+            ValueError: if the grid has no such key, or the key does not take the value.
+        """
+        there = self.values(key)
+        for each in there:
+            if each == value or text(each) == label(value):
+                return each
+        raise ValueError(f"{key} does not take the value {label(value)}: it takes {', '.join(map(text, there))}")
 
     @property
     def _compared_by(self) -> str | None:
         """The first key that has several values; None if there is none."""
-        return next((key for key in self.keys if len({repr(each.settings[key]) for each in self.groups}) > 1), None)
+        return next((key for key in self.keys if len(self.values(key)) > 1), None)
 
     @property
-    def _references(self) -> list[int]:
+    def _first_references(self) -> list[int]:
         """The position in `groups` of the default reference of each configuration; see `differences`."""
         return self._first_along(self._compared_by)
 
@@ -178,6 +226,31 @@ class SweepResult:
         ]
         same = all(one.value(name) == other.value(name) for one, other in pairs for name in ("captured", *metrics))
         return len(pairs) if same else 0
+
+    def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
+        """Return a figure of a metric; needs matplotlib (the extra `plot`).
+
+        The figure can be resized, `figure.set_size_inches(3.5, 2.5)`, and written with `figure.savefig(file)`.
+
+            swept.plot("active_time", x="network.latency.value", by="protocol", labels={"sap": "SAP (ours)"})
+            swept.plot("active_time", against={"protocol": "sap"}, size="8.5cm")
+
+        Args:
+            y: the name of the metric.
+            kind: means: the mean by configuration, or the paired difference from a reference, over a key; phase: the
+                mean over two keys as a heat map.
+            options: options of `desim.study.figures.means`: x, by, against, labels, xlabel, ylabel, size.
+
+        Raises:
+            ValueError: if the sweep has no such metric, key or value.
+            TypeError: if an option does not exist.
+        """
+        from desim.study import figures
+
+        draw = {"means": figures.means, "phase": figures.phase}
+        if kind not in draw:
+            raise ValueError(f"kind should be means or phase, got {kind!r}")
+        return draw[kind](self, y, **options)
 
     def table(self, metrics: Sequence[str] = SHOWN) -> str:
         """Return the means with half widths, then the differences along the first key with several values, as text."""
@@ -242,7 +315,7 @@ class SweepResult:
     def _difference_rows(self, metrics: Sequence[str]) -> list[tuple[str, ...]]:
         found = [self.differences(metric) for metric in metrics]
         rows: list[tuple[str, ...]] = [(*self.keys, "pairs", *map(words, metrics))]
-        for k, (group, other) in enumerate(zip(self.groups, self._references, strict=True)):
+        for k, (group, other) in enumerate(zip(self.groups, self.references(), strict=True)):
             if k == other:
                 continue
             pairs = len(_pairs(group, self.groups[other]))

@@ -7,10 +7,13 @@ coarser unit. Columns of numbers are little-endian typed arrays in base64.
 from base64 import b64encode
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
 from importlib.resources import files
 from itertools import groupby
 from math import isfinite
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +31,7 @@ from desim.analysis.trace_index import (
     trace_index,
 )
 from desim.config.arrays import Floats
+from desim.config.trust import escaped, without_symlink
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
@@ -43,15 +47,46 @@ MAX_REPLAY_TIME = 2**32 - 1
 """The largest tick that a column holds."""
 DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
+HEIGHT = 760
+"""The height of a replay in a notebook, in pixels of CSS."""
 ReplayData = dict[str, Any]
 """A JSON object."""
 
 
-def replay(result: Result) -> str:
-    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`).
+@dataclass(frozen=True, repr=False)
+class Replay:
+    """A page that plays a run: `result.replay()` at the end of a cell shows it in a notebook."""
 
-    In a notebook, write it to a file and show the file in an `IPython.display.IFrame`.
-    """
+    page: str
+    """The page as HTML; see `replay`."""
+    name: str
+    """The name of the run."""
+
+    @classmethod
+    def of(cls, result: Result) -> Self:
+        """Return the replay of a run; needs jinja2 (the extra `plot`)."""
+        return cls(replay(result), f"{result.scenario.name}, seed {result.seed}")
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page to a file, and return its path.
+
+        Raises:
+            OSError: if the file cannot be written.
+        """
+        without_symlink(Path(path)).write_bytes(self.page.encode())
+        return Path(path)
+
+    def __repr__(self) -> str:
+        return f"<Replay of {escaped(self.name)}>"
+
+    def _repr_html_(self) -> str:
+        """Return a frame with the page, whose script has no access to the notebook."""
+        look = f"width: 100%; height: {HEIGHT}px; border: 0"
+        return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts" style="{look}"></iframe>'
+
+
+def replay(result: Result) -> str:
+    """Return a self-contained HTML page that plays a run; needs jinja2 (the extra `plot`); see `Replay`."""
     from jinja2 import Environment
 
     result = trace_index(result)

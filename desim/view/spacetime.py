@@ -14,7 +14,7 @@ import numpy as np
 
 from desim.analysis.activity import changes, changes_with_previous, chases, decisions
 from desim.analysis.palette import CAPTURE_MARK, GREY, LOST, LOST_MARK
-from desim.analysis.plots import Axes, Figure, styled
+from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
 from desim.analysis.trace_index import ended, started
 from desim.config.trust import escaped
 from desim.kernel.clock import SECOND, nanoseconds, seconds
@@ -37,8 +37,6 @@ ARROWS: dict[str, Any] = {
 """Arrows between two points in data coordinates; shaft width in inches, heads in shaft widths."""
 SHORT = 0.25
 """Distance between the end of a message lost at transmission and the line of its receiver, in line spacings."""
-WIDE = 12.0
-"""Minimum width of a figure with the larger font size, cm."""
 PALE = "#8c8c8c"
 """Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
 MAX_SHOWN = 10
@@ -50,7 +48,7 @@ def spacetime(
     begin: float | None = None,
     end: float | None = None,
     pursuers: Sequence[int] | None = None,
-    width: float = 17.0,
+    size: str = "17cm",
 ) -> Figure:
     """Draw the messages among pursuers in a window of time, their decisions, and the faults.
 
@@ -62,16 +60,17 @@ def spacetime(
         end: the end of the window, s; None = the latest end for which the messages are easy to tell apart.
         pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
             team of more than ten.
-        width: the width of the figure, cm; a column of a paper is about 8.5 cm wide.
+        size: the width and perhaps the height of the figure; a column of a paper is about 8.5 cm wide.
 
     Raises:
         ValueError: if messages were not recorded, a pursuer does not exist or is given twice, the window is empty, or
             the messages in it are too many to be told apart.
     """
+    width, height = size_of(size)
     shown = list(pursuers) if pursuers is not None else _busiest(result)
     _check(result, shown, begin, end)
-    window, own = _window(result, shown, begin, end, round(MOST * width))
-    with styled((width / 2.54, 1.2 + 0.3 * len(shown)), font=7 if width < WIDE else 8) as figure:
+    window, own = _window(result, shown, begin, end, round(MOST * width * 2.54))
+    with styled((width, height or 1.2 + 0.3 * len(shown)), font=7 if width < NARROW else 8) as figure:
         axes = figure.add_subplot()
         rows = {pursuer: row for row, pursuer in enumerate(shown)}
         _draw_pursuers(axes, result, rows, window)
@@ -83,8 +82,8 @@ def spacetime(
         axes.set_yticks(range(len(shown)), [str(pursuer) for pursuer in shown])
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
-        size = len(started(result).active)
-        some = f", {len(shown)} of {size} pursuers" if len(shown) < size else ""
+        count = len(started(result).active)
+        some = f", {len(shown)} of {count} pursuers" if len(shown) < count else ""
         axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}{some}"), parse_math=False)
         handles, labels = axes.get_legend_handles_labels()
         found: dict[str, Artist] = dict(zip(labels, handles, strict=True))
@@ -92,7 +91,7 @@ def spacetime(
             list(found.values()),
             list(found),
             loc="outside lower center",
-            ncols=3 if width < WIDE else 5,
+            ncols=3 if width < NARROW else 5,
             columnspacing=1.0,
         )
     return figure

@@ -85,9 +85,9 @@ def test_a_picture_of_an_earlier_run_does_not_stay_beside_the_trace_of_a_later_o
 
 @pytest.mark.slow
 def test_nothing_that_shows_an_earlier_run_stays_but_the_runs_below(seen, tmp_path):
-    """Whatever `replay` and `draw` make; a folder `seed-S` has a scenario of its own."""
+    """Whatever `replay` and `plot` make; a folder `seed-S` has a scenario of its own."""
     write_below(tmp_path, run(seen, 4))
-    for command in ("draw spacetime", "draw perfetto", "draw gif", "replay"):
+    for command in ("plot --kind spacetime", "plot --kind perfetto", "plot --kind film", "replay"):
         write(run(seen.model_copy(update={"record": Recording(trajectory=0.1, messages=True)})), tmp_path)
         before = names(tmp_path)
         assert before == DATA | PICTURES | {"seed-4"}
@@ -361,6 +361,9 @@ def mutant(seed):
     return change
 
 
+SHOWN = (["replay"], ["plot", "--kind", "perfetto"], ["plot", "--kind", "spacetime"])
+
+
 def shown_or_refused(recorded, folder, seeds, commands):
     """Check that errors in a trace are reported with its file, or harm no reader."""
     outcomes = set()
@@ -378,7 +381,7 @@ def shown_or_refused(recorded, folder, seeds, commands):
 
 @pytest.mark.slow
 def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
-    shown_or_refused(recorded, tmp_path, range(20), (["replay"], ["draw", "perfetto"]))
+    shown_or_refused(recorded, tmp_path, range(20), SHOWN[:2])
 
 
 @pytest.mark.slow
@@ -386,4 +389,9 @@ def test_a_run_with_a_wrong_line_is_refused_or_shown(recorded, tmp_path):
 @pytest.mark.parametrize("name", ["faults", "radio", "many", "flooding"])
 def test_runs_of_any_kind_with_wrong_lines_are_refused_or_shown(name, tmp_path):
     short = record(tmp_path / name, name, "horizon=1.0", *(["team.count=6"] if name in {"radio", "flooding"} else []))
-    shown_or_refused(short, tmp_path, range(1000, 1025), (["replay"], ["draw", "perfetto"], ["draw", "spacetime"]))
+    shown_or_refused(
+        short,
+        tmp_path,
+        range(1000, 1025),
+        SHOWN,
+    )

@@ -291,3 +291,111 @@ def test_the_text_of_a_cell_fits_into_it(panels, size):
 def test_a_phase_diagram_needs_two_numbers():
     with pytest.raises(ValueError, match="two keys that take several numbers, there are 1"):
         phase(result({"x": [1.0, 2.0], "prune": ["inf", "none"], "y": [3.0]}), "active_time")
+
+
+GRID = {"protocol": ["sap", "cbba"], "x": [1.0, 2.0, 4.0], "y": [10.0, 20.0]}
+
+
+def test_a_key_names_the_lines_and_the_others_make_panels_of_the_same_scale():
+    figure = means(result(GRID), "active_time", x="x", by="protocol")
+    left, right = figure.axes
+    assert [axes.get_title() for axes in figure.axes] == ["y = 10", "y = 20"]
+    assert left.get_ylim() == right.get_ylim()
+    assert (left.get_ylabel(), right.get_ylabel()) == ("active time (s)", "")
+    assert [each.lines[0].get_ydata().tolist() for each in left.containers] == [[1.0, 3.0, 5.0], [7.0, 9.0, 11.0]]
+    (box,) = figure.legends
+    assert [each.get_text() for each in box.get_texts()] == ["sap", "cbba"]
+    assert box.get_title().get_text() == "protocol"
+
+
+def test_the_abscissa_may_be_any_key():
+    axes, _ = drawn(GRID)
+    assert axes.get_xlabel() == "x"
+    (axes,) = means(result(GRID), "active_time", x="y").axes
+    assert axes.get_xlabel() == "y"
+    assert len(axes.containers) == 6
+    (axes,) = means(result(GRID), "active_time", x="protocol").axes
+    assert ticks(axes.xaxis) == {"sap": 0.0, "cbba": 1.0}
+    assert {each.lines[0].get_linestyle() for each in axes.containers} == {"None"}, "there is nothing between them"
+
+
+@pytest.mark.parametrize(("value", "step"), [("sap", 6.0), ("cbba", -6.0)])
+def test_differences_are_from_any_value_of_any_key_and_paired(value, step):
+    """Run k of cbba is 6 s longer than that of sap with equal x and y, so no difference has a width."""
+    (axes,) = means(result(GRID), "active_time", x="x", against={"protocol": value}).axes
+    assert axes.get_ylabel() == f"difference in active time from protocol = {value} (s)"
+    assert [each.lines[0].get_ydata().tolist() for each in axes.containers] == [[step] * 3] * 2
+    other = {"sap": "cbba", "cbba": "sap"}[value]
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == [
+        f"protocol = {other}, y = {y}" for y in (10, 20)
+    ]
+
+
+def test_a_line_has_the_same_colour_with_and_without_a_reference():
+    (plain,), (compared,) = (
+        means(result(GRID), "active_time", x="x", against=each).axes for each in (None, {"protocol": "sap"})
+    )
+    assert [each.lines[0].get_color() for each in plain.containers[2:]] == [
+        each.lines[0].get_color() for each in compared.containers
+    ]
+
+
+def test_differences_may_be_from_one_configuration():
+    found = result(GRID)
+    reference = {"protocol": "sap", "x": "2", "y": 10.0}
+    assert found.references(reference) == [2] * 12
+    assert [each.mean for each in found.differences("active_time", reference)] == [k - 2.0 for k in range(12)]
+    (axes,) = means(found, "active_time", x="x", against=reference).axes
+    assert axes.containers[0].lines[0].get_xdata().tolist() == pytest.approx([1.0, 4.0], abs=0.1), "without itself"
+
+
+def test_texts_of_the_user_are_shown_and_may_be_mathematics():
+    options = {"labels": {"sap": "SAP (ours)", "10": "$L_1$"}, "xlabel": "latency $L$", "ylabel": "T_0"}
+    (axes,) = means(result(GRID), "active_time", x="x", **options).axes
+    assert [each.get_text() for each in axes.get_legend().get_texts()][:2] == [
+        "SAP (ours), $L_1$",
+        "SAP (ours), y = 20",
+    ]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("latency $L$", "T_0")
+
+
+@pytest.mark.parametrize("options", [{"x": "x", "by": "protocol"}, {}, {"against": {"protocol": "sap"}}])
+@pytest.mark.parametrize("size", [(3.5, 2.5), (8.0, 3.0)])
+def test_a_resized_figure_keeps_its_labels(options, size):
+    figure = means(result(GRID), "active_time", **options)
+    figure.set_size_inches(*size)
+    figure.draw_without_rendering()
+    width, height = figure.bbox.size
+    for axes in figure.axes:
+        for text in (axes.xaxis.label, axes.yaxis.label, axes.title):
+            box = text.get_window_extent()
+            assert 0 <= box.x0 <= box.x1 <= width
+            assert 0 <= box.y0 <= box.y1 <= height
+
+
+def test_a_figure_of_a_given_size_has_it_and_no_title():
+    figure = means(result(GRID), "active_time", size="8.5cmx6cm")
+    assert (figure.get_size_inches() * 2.54).tolist() == pytest.approx([8.5, 6.0])
+    assert figure.axes[0].get_title() == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"x": "protocl"}, "the grid has no key protocl, did you mean protocol"),
+        ({"by": "z"}, "the grid has no key z"),
+        ({"against": {"protocol": "spa"}}, "protocol does not take the value spa: it takes sap, cbba"),
+        ({"labels": {"spa": "SAP"}}, "no key takes the value spa"),
+        ({"x": "x", "by": ["x"]}, "x cannot be both"),
+        ({"size": "wide"}, "got 'wide'"),
+    ],
+)
+def test_an_option_that_does_not_fit_the_sweep_is_refused(options, why):
+    with pytest.raises(ValueError, match=why):
+        means(result(GRID), "active_time", **options)
+
+
+def test_a_configuration_without_a_reference_is_named():
+    found = result({"protocol": ["sap", "cbba"], "x": [1.0, 2.0]})
+    with pytest.raises(ValueError, match="protocol = cbba, x = 2: has no reference with protocol = sap"):
+        means(replace(found, groups=(found.groups[0], *found.groups[2:])), "active_time", against={"protocol": "sap"})

@@ -44,7 +44,7 @@ def test_diagrams_of_runs_by_hand_are_golden():
         "2 above 1": spacetime(history(), pursuers=(2, 1)),
         "0.15 s to 0.25 s": spacetime(history(), 0.15, 0.25),
         "0.6 s to 0.8 s": spacetime(history(), 0.6, 0.8),
-        "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, width=8.5),
+        "0.45 s to 0.55 s": spacetime(history(), 0.45, 0.55, size="8.5cm"),
     }
     golden("spacetime.txt", {name: described(figure) for name, figure in told.items()})
 
@@ -58,7 +58,7 @@ def test_the_names_of_two_faults_at_once_are_below_each_other():
 
 @pytest.mark.parametrize("width", [8.5, pytest.param(17.0, marks=pytest.mark.slow)])
 def test_no_text_lies_over_another_or_outside_of_the_picture(crowded, width):
-    figure = spacetime(crowded, 1.9, 2.1, width=width, pursuers=(0, 5, 9))
+    figure = spacetime(crowded, 1.9, 2.1, size=f"{width}cm", pursuers=(0, 5, 9))
     (axes,) = figure.axes
     figure.draw_without_rendering()
     said = [*axes.texts, axes.title, axes.xaxis.label, axes.yaxis.label, *axes.get_yticklabels()]
@@ -84,7 +84,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
 @pytest.mark.slow_but_one
 @pytest.mark.parametrize("width", [8.5, 17.0])
 def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
-    figure = spacetime(crowded, width=width)
+    figure = spacetime(crowded, size=f"{width}cm")
     (axes,) = figure.axes
     assert 0.4 * MOST * width < count(figure) <= MOST * width
     assert axes.get_xlim()[0] == 0.0

@@ -1,0 +1,264 @@
+"""`desim plot`: pictures of a recorded run or sweep, or of a scenario that is run for them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making
+from desim.cli.recorded import SOURCE, is_recorded, results_of
+from desim.config.file_names import PICTURE_SUFFIXES, files
+
+if TYPE_CHECKING:
+    from desim.simulation.run import Result
+    from desim.study.result import SweepResult
+
+OF_RUNS: Mapping[str, Sequence[str]] = {
+    "trajectory": ["size"],
+    "spacetime": ["begin", "end", "pursuers", "size"],
+    "film": ["begin", "end", "speed", "fps"],
+    "perfetto": [],
+}
+"""The kinds of pictures of a run, and the options of each; the first is drawn by default."""
+OF_SWEEPS: Mapping[str, Sequence[str]] = {
+    "means": ["y", "x", "by", "against", "labels", "xlabel", "ylabel", "size"],
+    "phase": ["y"],
+}
+"""The same for a sweep."""
+SUFFIXES = {"film": [".gif"], "perfetto": [".json"]}
+"""The suffixes of kinds that are not diagrams."""
+NAMES = {"perfetto": "trace.perfetto"}
+"""The names of files, without a suffix, that are not that of their kind."""
+
+
+class Numbers(click.ParamType[tuple[int, ...]]):
+    """Numbers of pursuers: 0,3,17."""
+
+    name = "i,j,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Return the numbers."""
+        try:
+            return tuple(int(each) for each in str(value).split(","))
+        except ValueError:
+            self.fail(f"{value!r} should be numbers separated by commas, e.g. 0,3,17", param, ctx)
+
+
+class Pair(click.ParamType[tuple[str, str]]):
+    """Two texts: NAME=TEXT."""
+
+    name = "NAME=TEXT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Return the texts before and after the first equals sign."""
+        first, equals, second = str(value).partition("=")
+        if not (first and equals):
+            self.fail(f"{value!r} should be two texts with = between them", param, ctx)
+        return first, second
+
+
+@click.command()
+@SOURCE
+@click.option(
+    "--kind",
+    type=click.Choice([*OF_RUNS, *OF_SWEEPS]),
+    help="Of a run: trajectory (default), the paths of all players; spacetime, a line per pursuer and an arrow per"
+    " message; film, a GIF; perfetto, a timeline for https://ui.perfetto.dev. Of a sweep: means (default), a metric"
+    " over a key; phase, a metric over two keys.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams. Default: SVG and PNG in DIR, or in"
+    " the working directory for a FILE; names include the kind and the metric.",
+)
+@click.option("--size", metavar="WIDTH[xHEIGHT]", help="Size of a diagram in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm.")
+@click.option("-y", "--y", metavar="METRIC", help="Of a sweep: the metric on the ordinate; default: active_time.")
+@click.option("-x", "--x", metavar="KEY", help="The key on the abscissa; default: the first with several numbers.")
+@click.option(
+    "--by",
+    multiple=True,
+    metavar="KEY",
+    help="The key whose values are lines; the other keys make panels; can be repeated. Default: all keys make lines.",
+)
+@click.option(
+    "--against",
+    multiple=True,
+    type=Pair(),
+    metavar="KEY=VALUE",
+    help="Draw paired differences from the configurations with this value, all else equal; can be repeated.",
+)
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    type=Pair(),
+    metavar="VALUE=TEXT",
+    help='The text for a value of a key, e.g. sap="SAP (ours)"; can be repeated.',
+)
+@click.option("--xlabel", metavar="TEXT", help="The label of the abscissa; between dollar signs, mathematics.")
+@click.option("--ylabel", metavar="TEXT", help="The label of the ordinate.")
+@click.option(
+    "--from",
+    "begin",
+    type=click.FloatRange(min=0),
+    help="Of a space-time diagram or a film: start of the window, s; default: the start of the run.",
+)
+@click.option(
+    "--to",
+    "end",
+    type=click.FloatRange(min=0),
+    help="End of the window, s; default: the end of the run or, of a space-time diagram, the latest end with which"
+    " messages are easy to tell apart.",
+)
+@click.option(
+    "--pursuers",
+    type=Numbers(),
+    help="Pursuers of a space-time diagram from top to bottom; default: all, or the six with the most changes of action"
+    " in a team of more than ten.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Simulated seconds per second of a film.",
+)
+@click.option("--fps", type=click.IntRange(1, 50), default=20, show_default=True, help="Frames per second of a film.")
+@SEED
+@ALLOW_IMPORT
+@SET
+def plot(
+    source: Path,
+    kind: str | None,
+    out: Path | None,
+    seed: int | None,
+    overrides: tuple[str, ...],
+    **options: Any,
+) -> None:
+    """Draw a run or a sweep: a DIR written by `desim run -o DIR` or `desim sweep -o DIR`, or a scenario FILE.
+
+    A scenario FILE is run first, once. The same figures are made by `result.plot()` and `swept.plot()` in Python.
+    """
+    if kind in OF_SWEEPS and not is_recorded(source):
+        fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")
+    if kind is not None:
+        _check_options(kind)
+        _output(source, out, kind, "")
+    with making("picture"):
+        result = results_of(source, seed, overrides)
+        _draw(result, source, kind, out, options)
+
+
+def _draw(
+    result: "Result | SweepResult", source: Path, kind: str | None, out: Path | None, options: dict[str, Any]
+) -> None:
+    """Draw a result, and write the files.
+
+    Raises:
+        ValueError: if the result lacks what is to be drawn.
+    """
+    from desim.simulation.run import Result
+
+    kinds = OF_RUNS if isinstance(result, Result) else OF_SWEEPS
+    if kind is not None and kind not in kinds:
+        one, other = ("run", "sweep") if kinds is OF_RUNS else ("sweep", "run")
+        fail(f"--kind {kind} draws a {other}, and {source} is a {one}: choose {' or '.join(kinds)}")
+    chosen = kind or next(iter(kinds))
+    _check_options(chosen)
+    given = {name: options[name] for name in kinds[chosen] if options[name] not in (None, ())}
+    if isinstance(result, Result):
+        _draw_run(result, chosen, _output(source, out, chosen, NAMES.get(chosen, chosen)), given)
+    else:
+        _draw_sweep(result, chosen, source, out, given)
+
+
+def _draw_run(result: "Result", kind: str, paths: Sequence[Path], options: dict[str, Any]) -> None:
+    from desim.analysis.trace_index import trace_index
+
+    indexed = trace_index(result)
+
+    def make() -> None:
+        if kind == "film":
+            from desim.view.animation import animate
+
+            animate(indexed, paths[0], **options)
+        elif kind == "perfetto":
+            from desim.view.perfetto import write
+
+            write(indexed, paths[0])
+        else:
+            from desim.analysis.plots import save
+
+            figure = indexed.plot(kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
+            for path in paths:
+                save(figure, path, dpi=200)
+
+    _write(make, paths)
+
+
+def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None, options: dict[str, Any]) -> None:
+    from desim.analysis.plots import save
+    from desim.study.figures import file_name
+
+    if "against" in options:
+        options["against"] = dict(options["against"])
+    if "labels" in options:
+        options["labels"] = dict(_split_at_value(result, *each) for each in options["labels"])
+    figure = result.plot(kind=kind, **options)  # type: ignore[arg-type]  # the option is one of its kinds
+    name = file_name(kind, options.get("y"), options.get("against"))
+    paths = _output(source, out, kind, name)
+    _write(lambda: [save(figure, path, dpi=200) for path in paths], paths)
+
+
+def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
+    """Return the value and the text of a --label, split at the equals sign that ends a value of the sweep."""
+    from desim.study.result import text
+
+    values = {text(each) for key in result.keys for each in result.values(key)}
+    parts = f"{first}={second}".split("=")
+    splits = [("=".join(parts[:k]), "=".join(parts[k:])) for k in range(1, len(parts))]
+    return next((each for each in splits if each[0] in values), (first, second))
+
+
+def _check_options(kind: str) -> None:
+    """Refuse the options of other kinds."""
+    context = click.get_current_context()
+    everything = {**OF_RUNS, **OF_SWEEPS}
+    names = {each.name: each.opts[-1] for each in context.command.params}
+    for name in dict.fromkeys(each for own in everything.values() for each in own):
+        if name not in everything[kind] and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            fitting = " and ".join(each for each, own in everything.items() if name in own)
+            raise click.UsageError(f"{names[name]} is an option of {fitting}; this picture is of the kind {kind}")
+
+
+def _output(source: Path, out: Path | None, kind: str, name: str) -> Sequence[Path]:
+    """Return the files of a picture: those of `out`, by default in the folder of the results or the working directory.
+
+    End the program if the suffix of `out` is wrong.
+    """
+    allowed = SUFFIXES.get(kind, PICTURE_SUFFIXES)
+    usual = allowed[:2]
+    if out is None:
+        if not is_recorded(source):
+            return [Path(f"{source.stem}.{name}{each}") for each in usual]
+        folder = source if source.is_dir() else source.parent
+        return [folder / f"{name}{each}" for each in usual]
+    try:
+        return files(out, allowed, usual)
+    except ValueError as error:
+        fail(f"--out {error}")
+
+
+def _write(make: Callable[[], object], paths: Sequence[Path]) -> None:
+    """Write the files of a picture and print their paths and sizes; end the program if they cannot be written."""
+    try:
+        paths[0].parent.mkdir(parents=True, exist_ok=True)
+        make()
+    except OSError as error:
+        fail(f"--out {paths[0]}: cannot be written: {error.strerror}")
+    for path in paths:
+        echo(f"{path}: {path.stat().st_size / 1000:,.0f} kB")

@@ -1,0 +1,70 @@
+"""Reading of results: the run or the sweep in a folder, whichever it is."""
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+
+from desim.config.file_names import STORE, TRACE
+from desim.results import provenance, run_folder
+from desim.simulation.run import Result
+from desim.study.result import SweepResult
+from desim.study.store import Store
+
+
+def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResult:  # noqa: A001 - as `desim.open`
+    """Return the run or the sweep in a folder, without its scenario file.
+
+    Use it in a notebook for results that the command line made: `desim.open("out/relay").plot()`.
+
+    Args:
+        path: a folder written by `desim run -o`, `sweep -o`, `explain -o` or `merge -o`; or, of a folder with several
+            results, the file with one of them: trace.jsonl, or the store, which ends in .sqlite.
+        allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
+
+    Raises:
+        ValueError: if the path has no run and no sweep, or several; the message says what it has. Or if a file does not
+            have the form that it was written in.
+        OSError: if a file does not exist or cannot be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = _file_in(path)
+    elif path.exists() and path.name != TRACE and path.suffix != ".sqlite":
+        raise ValueError(f"{path}: is not a result: give a folder, a {TRACE} or a .sqlite; desim.load reads scenarios")
+    if path.name == TRACE:
+        return run_folder.read(path.parent, allow_import=allow_import)
+    with Store(path, read_only=True) as store:
+        return SweepResult.of(store)
+
+
+def _file_in(folder: Path) -> Path:
+    """Return the file with the result in a folder.
+
+    Raises:
+        ValueError: if there is none, or if there are several.
+    """
+    found = [folder / name for name in (TRACE, STORE) if (folder / name).exists()]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ValueError(f"{folder}: has a run and a sweep: give {found[0]} or {found[1]}")
+    raise ValueError(f"{folder}: {_contents(folder)}")
+
+
+def _contents(folder: Path) -> str:
+    """Return what a folder without a result of its own has, as text."""
+    where = shlex.quote(str(folder))
+    if parts := _names(each.name for each in folder.glob("sweep.*-of-*.sqlite")):
+        return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
+    if below := _names(each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")):
+        return f"has no result itself, but its folders have ({below}): give one of them"
+    if (folder / provenance.FILE).exists():
+        what = provenance.read(folder / provenance.FILE)["what"]
+        return f"has the {provenance.FILE} of {what!r}, but neither {TRACE} nor {STORE}"
+    return f"has no result of desim: neither {TRACE} nor {STORE}"
+
+
+def _names(names: Iterable[str]) -> str:
+    """Return the first three names in order, as text; "" if there are none."""
+    ordered = sorted(names)
+    return f"{', '.join(ordered[:3])}{' ...' if len(ordered) > 3 else ''}"
