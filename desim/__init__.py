@@ -122,7 +122,7 @@ _NAMES = {
 }
 """The public names by module. Each is imported on first access, so that `desim --help` does not load numpy."""
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}
-__all__ = sorted(_HOMES)
+__all__ = sorted(_HOMES.keys() - {"open"})  # a star import keeps the built-in `open`
 
 
 def __getattr__(name: str) -> object:
@@ -134,4 +134,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """Return the public names."""
-    return __all__
+    return sorted(_HOMES)

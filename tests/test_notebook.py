@@ -1,18 +1,25 @@
 """What a notebook shows of results: text of which nothing is taken for HTML."""
 
+import io
 import json
+import re
+import sys
+from base64 import b64decode
+from html import unescape
 from html.parser import HTMLParser
 from math import isnan, nan
 
 import pytest
 
-from desim import Scenario, run
+from desim import Scenario, run, summary
 from desim.analysis.statistics import estimate
 from desim.analysis.tables import as_json, from_json
 from desim.pursuit.events import Ended
-from desim.scenario.scenario import Evader, Team
+from desim.scenario.scenario import Evader, Recording, Team
 from desim.study.explain import explain
 from desim.study.explanation import Explanation
+from desim.study.progress import progress
+from desim.view.replay import replay
 
 HOSTILE = "</td><script>window.hurt = 1</script> & <b>"
 # One pursuer at the place of the evader, which is captured at once; or no capture possible within 0.1 s.
@@ -51,7 +58,14 @@ def test_a_run_shows_what_it_was_and_how_it_ended():
         ["ended", "captured by 0 after 0.00 s"],
         ["events", f"{len(result.trace):,}"],
     ]
-    assert set(table.tags) == {"table", "tr", "th", "td"}
+    assert set(table.tags) == {"table", "tr", "th", "td", "img"}
+
+
+def test_the_trajectories_are_shown_if_they_were_recorded():
+    """A picture of PNG, which a page shows without a request."""
+    (picture,) = re.findall(r'<img src="data:image/png;base64,([^"]*)"', run(NEVER)._repr_html_())
+    assert b64decode(picture).startswith(b"\x89PNG")
+    assert "<img" not in run(NEVER.model_copy(update={"record": Recording(trajectory=0.0)}))._repr_html_()
 
 
 def test_a_run_without_a_capture_is_shown_as_such():
@@ -120,3 +134,53 @@ def test_an_estimate_survives_json(values):
     assert (again.mean, again.count) == (one.mean, one.count)
     assert again.standard_error == pytest.approx(one.standard_error, nan_ok=True)
     assert isnan(from_json({"mean": None, "half_width": None, "runs": 0}).mean) is isnan(nan)
+
+
+def test_a_short_text_stands_for_a_run_and_its_metrics():
+    result = run(NEVER, 3)
+    name = NEVER.name
+    assert repr(result) == f"<Result of {name}, seed 3: not captured within 0.1 s>"
+    assert re.fullmatch(
+        r"<Summary of \d+ metrics: seed = 3, captured = False, active_time = .*>", repr(summary(result))
+    )
+    assert repr(result.replay()) == f"<Replay of {name}, seed 3>"
+
+
+def test_the_metrics_of_a_run_are_a_table_with_units():
+    found = summary(run(NEVER, 3))
+    rows = Table(found._repr_html_()).rows
+    assert ["end time", "0.1 s"] in rows
+    assert [": ".join(row) for row in rows] == str(found).splitlines()
+
+
+def test_a_scenario_shows_what_differs_from_the_defaults():
+    assert repr(Scenario()) == "Scenario()"
+    assert repr(NEVER) == (
+        "Scenario(horizon=0.1, team=Team(count=1, positions=((9.0, 1.0),)), evader=Evader(position=(1.0, 1.0)))"
+    )
+    table = Table(AT_ONCE._repr_html_())
+    assert table.rows[0] == ["name", HOSTILE]
+    assert ["evader.position", "(1.0, 1.0)"] in table.rows
+    assert not [row for row in table.rows if row[0].startswith("network")]
+    assert set(table.tags) == {"table", "tr", "th", "td"}
+
+
+def test_a_replay_is_a_frame_that_cannot_reach_the_notebook(tmp_path):
+    result = run(AT_ONCE, 5)
+    shown = result.replay()
+    frame = shown._repr_html_()
+    assert frame.count("<") == 2, "nothing of the page is taken for HTML of the notebook"
+    (page,) = re.findall(r'srcdoc="([^"]*)" sandbox="allow-scripts"', frame)
+    assert unescape(page) == shown.page == replay(result)
+    assert shown.write(tmp_path / "r.html").read_text(encoding="utf-8") == replay(result)
+
+
+def test_a_notebook_shows_progress_and_a_pipe_does_not(monkeypatch):
+    for in_notebook in (False, True):
+        stream = io.StringIO()
+        monkeypatch.setattr(sys, "stderr", stream)
+        if in_notebook:
+            monkeypatch.setitem(sys.modules, "ipykernel.zmqshell", None)
+        with progress(2, "runs", "run") as bar:
+            bar.update(2)
+        assert ("2/2" in stream.getvalue()) == in_notebook

@@ -41,6 +41,7 @@ from desim.analysis.trace_index import (
     positions_known,
     trace_index,
 )
+from desim.config.html import html_properties
 from desim.config.json_numbers import to_json
 from desim.kernel.clock import seconds
 from desim.kernel.events import Cause
@@ -151,6 +152,10 @@ def entry(of: Callable[[Result], Any], unit: str = "", note: Any = None, **shown
     return Metric(of, unit, note, **shown)
 
 
+IN_REPR = ("seed", "captured", "capture_time", "active_time", "messages_sent")
+"""The metrics in the `repr` of a summary."""
+
+
 class Summary(Mapping[str, Any]):
     """The metrics of one run by name, in the order of tables: `summary["active_time"]`.
 
@@ -180,13 +185,23 @@ class Summary(Mapping[str, Any]):
         return len(self._values)
 
     def __repr__(self) -> str:
-        return f"Summary({self._values!r})"
+        some = ", ".join(f"{name} = {_formatted(self[name])}" for name in IN_REPR if self.get(name) is not None)
+        return f"<{type(self).__name__} of {len(self)} metrics: {some}>"
 
     def __str__(self) -> str:
+        return "\n".join(f"{name}: {text}" for name, text in self._texts.items())
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks, with a row for each metric that is not None."""
+        return html_properties(self._texts)
+
+    @property
+    def _texts(self) -> dict[str, str]:
+        """Each metric that is not None, by its name in words, as text with its unit."""
         there = {name: value for name, value in self.items() if value is not None}
-        return "\n".join(
-            f"{words(name)}: {_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in there.items()
-        )
+        return {
+            words(name): f"{_formatted(value)} {unit_of(name, self.units)}".rstrip() for name, value in there.items()
+        }
 
     seed: int = entry(lambda result: result.seed, in_tables=False, is_number=False)
     """Seed of the run."""

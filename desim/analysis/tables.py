@@ -1,6 +1,5 @@
-"""Results as tables in plain text or HTML, and estimates as JSON."""
+"""Results as tables in plain text, and estimates as JSON."""
 
-import html
 from collections.abc import Iterator, Mapping, Sequence
 from math import isnan, nan
 from typing import Any
@@ -26,13 +25,6 @@ def aligned(rows: Sequence[Sequence[str]], right_from: int = 1) -> str:
         ).rstrip()
         for row in rows
     )
-
-
-def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text as an HTML table; the first row is its head."""
-    head, *body = rows
-    lines = "".join([_html_row(head, "th"), *(_html_row(row, "td") for row in body)])
-    return f"<table><caption>{_html(title)}</caption>{lines}</table>"
 
 
 def run_table(scenario: Scenario, run: Summary, wall_time: float, shown: Sequence[str] = ()) -> str:
@@ -156,11 +148,3 @@ def _heading(scenario: Scenario, what: str) -> str:
         f", {len(scenario.evaders)} evaders" if len(scenario.evaders) > 1 else ""
     )
     return f"{scenario.name}: {players}, {scenario.protocol_name}, {what}\n"
-
-
-def _html_row(cells: Sequence[str], tag: str) -> str:
-    return f"<tr>{''.join(f'<{tag}>{_html(cell)}</{tag}>' for cell in cells)}</tr>"
-
-
-def _html(text: str) -> str:
-    return html.escape(text).replace("+-", "&plusmn;")

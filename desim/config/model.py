@@ -103,6 +103,18 @@ class Value(BaseModel):
                 properties[name]["description"] = text
         return found
 
+    def given(self) -> dict[str, Any]:
+        """Return the fields that differ from their defaults, by name."""
+        return {
+            name: getattr(self, name)
+            for name, field in type(self).model_fields.items()
+            if field.is_required() or getattr(self, name) != field.get_default(call_default_factory=True)
+        }
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        """Yield what `repr` shows: the fields that differ from their defaults."""
+        yield from self.given().items()
+
     def plain(self) -> dict[str, Any]:
         """Return the fields as JSON values; infinity is the string "Infinity"."""
         return dict(json.loads(self.model_dump_json()))

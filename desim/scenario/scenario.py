@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from desim.config.choice import OneOf
+from desim.config.html import html_properties
 from desim.config.model import (
     MIN_PERIOD,
     RESOLUTION,
@@ -265,6 +266,12 @@ class Scenario(Value):
     record: Recording = Recording()
     sweep: Sweep = Sweep()
 
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks: the main keys, and all others that differ from their defaults."""
+        main = {"name": self.name, "seed": self.seed, "horizon": self.horizon, "team.count": self.team.count}
+        rows = main | {"protocol": self.protocol_name} | dict(_given(self))
+        return html_properties({key: each if isinstance(each, str) else repr(each) for key, each in rows.items()})
+
     @property
     def evaders(self) -> tuple[Evader, ...]:
         """(M,) parameters of each evader; evader j has index j - 1."""
@@ -342,3 +349,13 @@ class Scenario(Value):
         for k, fault in enumerate(self.fault):
             key = "groups" if isinstance(fault, Partition) else "node"
             yield from ((("fault", k, key), no_pursuer.format(node)) for node in nodes_of(fault) if node >= count)
+
+
+def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of each field that differs from its default, in tables of one kind, too."""
+    for name, value in model.given().items():
+        usual = type(model).model_fields[name].get_default(call_default_factory=True)
+        if isinstance(value, Value) and type(value) is type(usual):
+            yield from _given(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value

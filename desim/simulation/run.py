@@ -2,10 +2,10 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Literal
 
 from desim.config.arrays import Floats
+from desim.config.html import html_properties
 from desim.config.trust import escaped
 from desim.kernel.clock import Clock, NodeClock, Phase, seconds
 from desim.kernel.events import Trace, Watcher
@@ -99,8 +99,7 @@ class Result:
             "ended": self._ended,
             "events": f"{len(self.trace):,}",
         }
-        lines = "".join(f"<tr><th>{name}</th><td>{escape(str(each))}</td></tr>" for name, each in rows.items())
-        return f"<table>{lines}</table>{self._picture}"
+        return html_properties(rows) + self._picture
 
     @property
     def _ended(self) -> str:

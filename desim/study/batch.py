@@ -4,12 +4,10 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
 from desim.analysis.metrics import summary
-from desim.config.trust import escaped
 from desim.simulation.run import Result, run
 from desim.study.dispatch import Simulate, Task, drive
+from desim.study.progress import progress
 from desim.study.workers import workers_for
 
 Measured = TypeVar("Measured")
@@ -43,9 +41,8 @@ def run_many(
         BrokenExecutor: if a run ended its worker process.
     """
     measured: list[Any] = [None] * len(tasks)
-    bar: tqdm[Any]
     with (
-        tqdm(total=len(tasks), desc=escaped(label), unit="run", disable=None) as bar,
+        progress(len(tasks), label, "run") as bar,
         workers_for(jobs if len(tasks) > 1 else 1) as workers,
         closing(drive(tasks, workers, measure, simulate)) as outcomes,
     ):

@@ -8,7 +8,8 @@ from typing import Any, Literal, Self
 
 from desim.analysis.metrics import with_unit, words
 from desim.analysis.statistics import Estimate, mean, wilson
-from desim.analysis.tables import aligned, as_json, from_json, html_table, number, with_half_width
+from desim.analysis.tables import aligned, as_json, from_json, number, with_half_width
+from desim.config.html import html_table
 
 EXPLAINED: Mapping[str, str] = MappingProxyType(
     {"active_time": "sum of active times", "end_time": "capture time, or horizon"}

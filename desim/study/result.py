@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from desim.analysis.metrics import METRICS, check_numeric, title, words
 from desim.analysis.statistics import Estimate, mean, paired, wilson
-from desim.analysis.tables import aligned, as_json, html_table, with_half_width
+from desim.analysis.tables import aligned, as_json, with_half_width
+from desim.config.html import html_table
 from desim.config.json_numbers import json_number
 from desim.config.trust import escaped
 from desim.study.configurations import in_words, label

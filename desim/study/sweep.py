@@ -12,11 +12,8 @@ from operator import index
 from pathlib import Path
 from typing import Any, Self
 
-from tqdm import tqdm
-
 from desim.analysis.metrics import UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
-from desim.config.trust import escaped
 from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
@@ -27,6 +24,7 @@ from desim.study.config_hash import tables
 from desim.study.configurations import Configuration, SweepGrid, configurations, without_metrics
 from desim.study.dispatch import drive, simulation
 from desim.study.metric_code import units_and_codes
+from desim.study.progress import progress
 from desim.study.result import SHOWN, SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
@@ -265,9 +263,8 @@ def _run(
     seeds = [plan.seed(configuration, k) for configuration, k in jobs]
     tasks = [(configuration.scenario, seed) for (configuration, _), seed in zip(jobs, seeds, strict=True)]
     measure = partial(measured, plan.metrics)
-    bar: tqdm[Any]
     with (
-        tqdm(total=len(jobs), desc=escaped(plan.base.name), unit="run", disable=None) as bar,
+        progress(len(jobs), plan.base.name, "run") as bar,
         closing(drive(tasks, workers, measure=measure, simulate=simulation(timeout))) as outcomes,
     ):
         for at, outcome in outcomes:

@@ -16,7 +16,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.lines import Line2D
 from PIL import Image
-from tqdm import tqdm
 
 from desim.analysis.palette import (
     ACTIVE,
@@ -38,6 +37,7 @@ from desim.config.arrays import Bools, Floats, Integers
 from desim.config.trust import without_symlink
 from desim.kernel.clock import nanoseconds, seconds
 from desim.simulation.run import Result
+from desim.study.progress import progress
 from desim.view.deliveries import deliveries
 from desim.view.paths import EvaderStyle, Paths, active_periods
 
@@ -116,13 +116,15 @@ def frames(result: Result, times: Sequence[int]) -> list[Image.Image]:
     background, palette = canvas.copy_from_bbox(figure.bbox), _palette(_colours(result))
     found: list[Image.Image] = []
     before = -1
-    for t in tqdm(times, desc="frames", unit="frame", disable=None):
-        canvas.restore_region(background)
-        for artist in scene.at(t, before):
-            figure.draw_artist(artist)
-        image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-        found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
-        before = t
+    with progress(len(times), "frames", "frame") as bar:
+        for t in times:
+            canvas.restore_region(background)
+            for artist in scene.at(t, before):
+                figure.draw_artist(artist)
+            image = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+            found.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+            before = t
+            bar.update()
     return found
 
 

@@ -193,7 +193,7 @@ def test_several_runs_in_the_folder_of_one_leave_nothing_of_it(result, other_fil
     assert names(tmp_path / "out") == {"run.json", "seed-1", "seed-2"}
     done = CliRunner().invoke(main, ["replay", str(tmp_path / "out")])
     assert (done.exit_code, done.stdout) == (2, "")
-    assert done.stderr.endswith("; the folder has the runs seed-1, seed-2\n")
+    assert done.stderr.endswith(": has no result itself, but its folders have (seed-1, seed-2): give one of them\n")
 
 
 OF_ANOTHER = {

@@ -525,7 +525,10 @@ def test_data_that_cannot_be_shown_are_reported_on_stderr(tmp_path):
 @pytest.mark.parametrize(
     ("prepare", "words"),
     [
-        (lambda folder: (folder / "trace.jsonl").unlink(), "trace.jsonl: cannot be read: No such file"),
+        (
+            lambda folder: (folder / "trace.jsonl").unlink(),
+            "has the run.json of 'run', but neither trace.jsonl nor sweep.sqlite",
+        ),
         (lambda folder: (folder / "run.json").unlink(), "run.json: cannot be read: No such file"),
         (lambda folder: (folder / "trace.jsonl").write_text('{"event": "Eaten", "t": 0}\n'), "line 1 is not an event"),
         (lambda folder: (folder / "trace.jsonl").write_text(""), "is not complete"),
@@ -547,14 +550,14 @@ def test_a_folder_of_several_runs_names_them(tmp_path):
         (tmp_path / f"seed-{seed}" / "trace.jsonl").touch()
     done = invoke(tmp_path)
     assert done.exit_code == 2
-    assert "; the folder has the runs seed-0, seed-1, seed-2 ..." in done.stderr
+    assert "has no result itself, but its folders have (seed-0, seed-1, seed-2 ...): give one of them" in done.stderr
 
 
 def test_a_recorded_run_cannot_be_shown_with_another_seed(tmp_path):
     for option in (("-s", 3), ("--set", "horizon=1.0")):
         done = invoke(tmp_path, *option)
         assert done.exit_code == 2
-        assert "is already recorded" in done.stderr
+        assert "the results in a DIR are recorded" in done.stderr
 
 
 def test_without_jinja_the_command_names_the_package_to_install(tmp_path, monkeypatch):

@@ -1,0 +1,25 @@
+"""Tables as HTML, for notebooks; all texts are escaped."""
+
+import html
+from collections.abc import Mapping, Sequence
+
+
+def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text as an HTML table; the first row is its head."""
+    head, *body = rows
+    lines = "".join([_row(head, "th"), *(_row(row, "td") for row in body)])
+    return f"<table><caption>{_text(title)}</caption>{lines}</table>"
+
+
+def html_properties(properties: Mapping[str, str]) -> str:
+    """Return texts by name as an HTML table with a row for each name."""
+    rows = (f"<tr><th>{_text(name)}</th><td>{_text(each)}</td></tr>" for name, each in properties.items())
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _row(cells: Sequence[str], tag: str) -> str:
+    return f"<tr>{''.join(f'<{tag}>{_text(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _text(text: str) -> str:
+    return html.escape(text).replace("+-", "&plusmn;")
