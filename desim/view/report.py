@@ -6,14 +6,16 @@ The page has no script and requests no resources. Its figures are inline SVG in 
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from xml.etree import ElementTree
 
-from desim.analysis.metrics import METRICS
+from desim.analysis.metrics import METRICS, words
+from desim.analysis.statistics import Estimate
+from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
@@ -33,6 +35,8 @@ MAPPED = "active_time"
 """The metric of the phase diagram."""
 MAX_FAILURES = 20
 """Maximum number of different tracebacks shown."""
+SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
+"""A file in a traceback; its group is the name, with that of its folder."""
 SVG, XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 COLOURS = {"#000000": "currentColor", "#0072b2": "var(--blue)"}
 """Colours that are illegible on a dark page, and the CSS colours that replace them."""
@@ -100,16 +104,11 @@ def report(study: Study) -> str:
     """Return a self-contained HTML page about a sweep; needs jinja2 and matplotlib (the extra `plot`)."""
     from jinja2 import Environment
 
-    from desim.study.figures import multiples, phase, swept_numbers, waterfall
+    from desim.study.figures import multiples, phase, swept_numbers
 
     result, measured = study.result, study.measured
     panels = [metric for metric in (*PANELS, *result.units) if metric in measured]
-    found = study.explanation
-    pictures = {
-        "multiples": multiples(result, panels) if panels else None,
-        "phase": phase(result, MAPPED) if len(swept_numbers(result)) > 1 and MAPPED in measured else None,
-        "waterfall": waterfall(found) if found else None,
-    }
+    has_map = len(swept_numbers(result)) > 1 and MAPPED in measured
     shown = [*SHOWN, *result.units]
     template = files("desim.view").joinpath("report.html").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, keep_trailing_newline=True, trim_blocks=True, lstrip_blocks=True)
@@ -124,11 +123,104 @@ def report(study: Study) -> str:
         wide=[(title, list(zip(*rows, strict=True))) for title, rows in result.tables(measured)] if measured else [],
         failures=failures[:MAX_FAILURES],
         more_failures=len(failures) - MAX_FAILURES,
+        findings=list(findings(study)),
         commands=shell_lines(study.commands),
         asked=None if made is None else wanted(made, study.commands),
         origin={} if made is None else _origin(made),
-        **{name: figure and _inline(figure, name) for name, figure in pictures.items()},
+        panels=[_inline(multiples(result, [each]), f"panel-{each}", words(each)) for each in panels],
+        phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, phase diagram") if has_map else None,
+        waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
     )
+
+
+def _waterfalls(found: Explanation) -> Iterator["Markup"]:
+    """Yield the costs of the imperfections in each metric as a figure."""
+    from desim.study.figures import waterfall
+
+    for name, cost in found.costs.items():
+        yield _inline(waterfall(replace(found, costs={name: cost})), f"waterfall-{name}", f"{words(name)}, costs")
+
+
+def findings(study: Study) -> Iterator[str]:
+    """Yield what was found, in sentences: the greatest cost of an imperfection, and the greatest paired difference.
+
+    Each is that of the first metric of the tables. Whether it is distinguishable from 0 is judged at 5 % in all,
+    however many differences there are (Bonferroni); the interval given is that of the one difference, as in the tables.
+    There is no sentence if nothing can be compared.
+    """
+    if study.explanation:
+        yield from _greatest_cost(study.explanation)
+    if study.made is None or study.made["what"] != "explain":
+        yield from _greatest_difference(study)
+
+
+def _greatest_cost(explanation: Explanation) -> Iterator[str]:
+    """Yield which imperfection changes the first metric of an explanation most."""
+    cost = next(iter(explanation.costs.values()))
+    parts = [(name, saving.mean) for name, saving in cost.parts.items() if saving.mean.count > 1]
+    if not parts:
+        return
+    name, found = max(parts, key=lambda part: (_excludes_0(part[1], len(parts)), abs(part[1].mean)))
+    if _excludes_0(found, len(parts)):
+        yield f"Of the imperfections, {name} matters most: it changes the {cost.label} by {_size(found, cost.unit)}."
+    else:
+        yield (
+            f"No imperfection has an effect on the {cost.label} that is distinguishable from 0; the greatest"
+            f"{f' of {len(parts)}' if len(parts) > 1 else ''} is that of {name}, {_size(found, cost.unit)}."
+        )
+
+
+def _greatest_difference(study: Study) -> Iterator[str]:
+    """Yield which key of the grid changes the first metric of the tables most."""
+    result = study.result
+    metric = next((each for each in (*SHOWN, *result.units) if each in study.measured), None)
+    if not result.common or metric is None:
+        return
+    differences = [
+        (key, k, other, found)
+        for key in result.keys
+        for k, (other, found) in _differences_along(result, key, metric).items()
+        if found.count > 1
+    ]
+    if not differences:
+        return
+    count = len(differences)
+    key, k, other, found = max(differences, key=lambda each: (_excludes_0(each[-1], count), abs(each[-1].mean)))
+    value, first = (text(result.groups[each].settings[key]) for each in (k, other))
+    rest = result.groups[k].in_words(without=[key])
+    change = f"{value} instead of {first}{f' (with {rest})' if rest else ''}"
+    size = _size(found, METRICS[metric].unit if metric in METRICS else result.units[metric])
+    if _excludes_0(found, count):
+        among = f", the greatest of {count} paired differences" if count > 1 else ""
+        yield f"{key} matters most: {change} changes the {words(metric)} by {size}{among}."
+    else:
+        yield (
+            f"No paired difference in {words(metric)} is distinguishable from 0; the greatest of {count} is {size}, "
+            f"for {key} = {change}."
+        )
+
+
+def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, tuple[int, Estimate]]:
+    """Return, for the configurations without the first value of a key, the one with it that is else equal.
+
+    The values are its position in `groups` and the paired difference from it.
+    """
+    first = dict[str, int]()
+    others = [first.setdefault(each.in_words(without=[key]), k) for k, each in enumerate(result.groups)]
+    found = {other: result.differences(metric, reference=other) for other in set(others)}
+    return {k: (other, found[other][k]) for k, other in enumerate(others) if k != other}
+
+
+def _excludes_0(found: Estimate, count: int) -> bool:
+    """Return whether a mean, one of `count`, differs from 0 at a level of 5 % / count."""
+    from scipy.special import stdtrit
+
+    return bool(abs(found.mean) > stdtrit(found.count - 1, 1.0 - 0.025 / count) * found.standard_error)
+
+
+def _size(found: Estimate, unit: str) -> str:
+    size = f"{with_half_width(found, found.count, '+')} {unit}".rstrip()
+    return f"{size} (95 % interval, {found.count} pairs of runs with the same seed)"
 
 
 def _explanation(folder: Path) -> Explanation | None:
@@ -155,7 +247,7 @@ def _failures(result: SweepResult) -> Iterator[tuple[str, str, list[str]]]:
             runs.setdefault((row.error, row.traceback), []).append(
                 f"{group.in_words()}; seed {row.seed} ({row.status})"
             )
-    yield from ((error, trace, which) for (error, trace), which in runs.items())
+    yield from ((error, SOURCE_LINE.sub(r'File "\1"', trace), which) for (error, trace), which in runs.items())
 
 
 def _origin(made: provenance.Document) -> dict[str, str]:
@@ -167,8 +259,9 @@ def _origin(made: provenance.Document) -> dict[str, str]:
         "hash of the source code": made["code"],
         **{f"version of {name}": each or "unknown" for name, each in made["versions"].items()},
         **{str(name): each for name, each in made["platform"].items()},
-        "folder of the scenario": made["folder"] or "none: built by a script",
     }
+    if made["folder"] is None:
+        rows["scenario"] = "built by a script"
     if made["unrecorded"]:
         rows["parameters not recorded"] = ", ".join(map(str, made["unrecorded"]))
     return {name: str(each) for name, each in rows.items()}
@@ -178,7 +271,7 @@ def _signs(cell: str) -> str:
     return cell.replace("+-", "±")
 
 
-def _inline(figure: "Figure", name: str) -> "Markup":
+def _inline(figure: "Figure", name: str, label: str) -> "Markup":
     """Return a figure as inline SVG for HTML; its ids are prefixed with `name`, to be unique on the page."""
     import matplotlib as mpl
     from markupsafe import Markup
@@ -202,7 +295,7 @@ def _inline(figure: "Figure", name: str) -> "Markup":
         root.attrib.pop(key, None)
     root.set("style", f"--width: {96.0 * figure.get_figwidth():.0f}px")  # font sizes as in print
     root.set("role", "img")
-    root.set("aria-labelledby", f"{name}-title")
+    root.set("aria-label", label)
     return Markup(ElementTree.tostring(root, encoding="unicode"))  # escaped by ElementTree
 
 

@@ -28,7 +28,7 @@ from desim.study.history import shell_lines, wanted
 from desim.study.store import Row, Store
 from desim.study.sweep import SweepPlan
 from desim.study.workers import workers_for
-from desim.view.report import MAX_FAILURES, Study, report
+from desim.view.report import MAX_FAILURES, Study, findings, report
 from tests.golden import golden
 from tests.summaries import changed
 from tests.view.browser import in_chromium
@@ -125,9 +125,62 @@ def test_costs_of_imperfections_are_shown(full):
 @pytest.mark.slow
 def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(full):
     elements = Elements(report(Study.read(full.path.parent / "explain")))
-    assert elements.tags.count("svg") == 2
+    assert elements.tags.count("svg") == 7, "two costs, five metrics"
     assert {"waterfall-title", "multiples-title"} <= set(elements.ids)
     assert "All parameters of the scenario" in elements.texts
+
+
+# What was found.
+
+KEYS = {"horizon": [0.05, 0.1], "prune": ["inf", "none"]}
+
+
+def found_in(folder, values, grid=KEYS, seeds="common"):
+    """Return what the page says was found of a sweep with these active times, a list for each configuration, s."""
+    base = BASE.model_copy(update={"sweep": BASE.sweep.model_copy(update={"seeds": seeds})})
+    plan = SweepPlan.of(base, grid, len(values[0]), 7)
+    with Store(folder / "sweep.sqlite") as store:
+        plan.register(store)
+        for cell, each in zip(plan.configurations, values, strict=True):
+            for r, time in enumerate(each):
+                store.add(cell.key, plan.root, Row(r, 7 + r, "ok", changed(RUN, active_time=time)))
+    return list(findings(Study.read(folder)))
+
+
+def test_the_key_of_the_greatest_difference_is_named(tmp_path):
+    """8, 9, 10 s more: 9 +- 4.303 / sqrt(3) s; the interval for the greatest of 4 is twice as wide."""
+    assert found_in(tmp_path, [[1, 2, 3], [1, 2, 3], [2, 3, 4], [9, 11, 13]]) == [
+        "horizon matters most: 0.1 instead of 0.05 (with prune = none) changes the active time by +9.000 +- 2.484 s "
+        "(95 % interval, 3 pairs of runs with the same seed), the greatest of 4 paired differences."
+    ]
+
+
+def test_no_key_is_named_if_no_difference_can_be_told_from_0(tmp_path):
+    """The only difference that is not 0 has an interval that excludes it, but not that of the greatest of four.
+
+    0.7, 1, 1.3 s: 1 +- 4.303 * 0.1732 = 0.745 s; at 5 % / 4, the quantile is 8.860 instead of 4.303.
+    """
+    said = found_in(tmp_path, [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [1.7, 3.0, 4.3]])
+    assert said == [
+        "No paired difference in active time is distinguishable from 0; the greatest of 4 is +1.000 +- 0.745 s "
+        "(95 % interval, 3 pairs of runs with the same seed), for horizon = 0.1 instead of 0.05 (with prune = none)."
+    ]
+
+
+def test_nothing_is_said_where_nothing_can_be_compared(tmp_path):
+    (tmp_path / "one").mkdir()
+    assert found_in(tmp_path / "one", [[1.0, 2.0]], {"prune": ["none"]}) == []
+    assert found_in(tmp_path, [[1.0, 2.0]] * 3 + [[8.0, 9.0]], seeds="independent") == []
+
+
+def test_no_absolute_folder_of_the_author_is_shown(tmp_path):
+    trace = 'Traceback:\n  File "/home/me/p/desim/kernel/clock.py", line 1, in f\nValueError: x'
+    made = MADE | {"folder": "/home/me/work"}
+    page = report(Study.read(swept(tmp_path, failing=[trace], made=made)))
+    assert "/home/me" not in page
+    assert "/a b" not in page
+    assert "desim sweep &#39;x y.toml&#39;" in page
+    assert "File &#34;kernel/clock.py&#34;, line 1" in page
 
 
 def test_a_swept_table_is_not_fixed(tmp_path):
@@ -143,20 +196,23 @@ def test_a_swept_table_is_not_fixed(tmp_path):
     ("argv", "expected"),
     [
         (["/a/bin/desim", "sweep", "x y.toml", "--set", "a=[1, 2]"], "desim sweep 'x y.toml' --set 'a=[1, 2]'"),
-        (["/a/desim/__main__.py", "sweep", "x.toml"], "python -m desim sweep x.toml"),
+        (["/x/desim/__main__.py", "sweep", "x.toml"], "python -m desim sweep x.toml"),
         (["my.py", "--fast"], "my.py --fast"),
+        (["/home/me/my.py", "/home/you/x.toml", "-o", "/a/out/x"], "my.py x.toml -o out/x"),
+        (["/a/my.py", "--set", "network.graph.file=/home/me/g.json"], "my.py --set network.graph.file=g.json"),
         ([], "desim"),
     ],
 )
 def test_the_command_is_shown_as_it_may_be_typed(argv, expected):
-    assert shell_lines([("/a", argv)]) == ["cd /a", expected]
+    assert shell_lines([("/a", argv)]) == [expected]
 
 
-def test_all_commands_and_their_working_folders_are_listed():
+def test_all_commands_and_the_names_of_several_working_folders_are_listed():
     """Then it is unknown how many runs there should be, and if they go on until something is known."""
     first, more = ("/a b", ["desim", "sweep", "first.toml"]), ("/a b", ["desim", "sweep", "first.toml", "-n", "9"])
     other, until = ("/c", ["desim", "sweep", "x y.toml"]), ("/c", ["desim", "sweep", "--until", "regret:1"])
-    told = ["cd '/a b'", "desim sweep first.toml", "desim sweep first.toml -n 9", "cd /c", "desim sweep 'x y.toml'"]
+    told = ["# in the folder a b", "desim sweep first.toml", "desim sweep first.toml -n 9"]
+    told += ["# in the folder c", "desim sweep 'x y.toml'"]
     assert shell_lines([first, more, other]) == told
     made = {"what": "sweep", "runs": 99}
     assert [wanted(made, each) for each in ([first], [first, other], [until], [])] == [99, None, None, None]
@@ -167,7 +223,7 @@ def test_pictures_are_as_large_as_in_print_so_that_all_type_is_of_one_size(full)
     """96 px to the inch; a width of 72 in the view box is an inch."""
     widths = [int(each) for each in re.findall(r'style="--width: (\d+)px"', full.text)]
     boxes = [float(each) for each in re.findall(r'viewBox="0 0 ([\d.]+) ', full.text)]
-    assert len(widths) == 3
+    assert len(widths) == len(boxes) == 8
     assert widths == [pytest.approx(each * 96 / 72, abs=1) for each in boxes]
 
 
@@ -186,7 +242,7 @@ def test_some_of_many_failures_are_shown_and_a_missing_run_json_is_reported(tmp_
 def test_there_is_no_phase_diagram_if_one_number_is_swept(tmp_path):
     elements = Elements(report(Study.read(swept(tmp_path, {"horizon": [0.05, 0.1], "prune": ["inf", "none"]}, 2))))
     assert [each for each in elements.ids if each.endswith("-title")] == ["multiples-title"]
-    assert elements.tags.count("svg") == 1
+    assert elements.tags.count("svg") == 5
 
 
 def test_all_ids_differ_and_all_references_lead_somewhere(full):
@@ -209,7 +265,7 @@ def test_nothing_in_the_page_is_active_or_lies_elsewhere(full):
     assert "<!DOCTYPE svg" not in full.text
     assert not re.findall(r"@import|https?:", full.text.replace(HOSTILE, ""))
     pictures = re.findall(r"<svg.*?</svg>", full.text, re.S)
-    assert len(pictures) == 3
+    assert len(pictures) == 8, "two costs, five metrics, a phase diagram"
     for svg in pictures:
         ElementTree.fromstring(svg)
         assert "#000000" not in svg
@@ -339,8 +395,8 @@ def test_a_browser_shows_a_hostile_name_as_text(shown):
     assert opened.value("document.title").startswith("</script><script>window.hurt")
     assert opened.value("window.hurt") is None
     assert opened.value("document.scripts.length") == 0
-    assert opened.value("document.querySelectorAll('svg').length") == 3
-    assert opened.value("document.querySelectorAll('main > section').length") == 7
+    assert opened.value("document.querySelectorAll('svg').length") == 8
+    assert opened.value("document.querySelectorAll('main > section').length") == 8
 
 
 @in_chromium
@@ -350,6 +406,9 @@ def test_a_page_fits_its_window(width, theme, shown):
     opened = shown(width=width, theme=theme)
     opened.value("document.querySelectorAll('details').forEach(each => each.open = true)")
     assert opened.value("document.documentElement.scrollWidth") <= width
+    assert opened.value(
+        "[...document.querySelectorAll('svg')].every(each => each.getBoundingClientRect().right <= innerWidth)"
+    )
 
 
 CONTRAST = """(() => {
@@ -359,7 +418,7 @@ CONTRAST = """(() => {
     return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
   };
   const card = light(getComputedStyle(document.querySelector("section")).backgroundColor);
-  return [...document.querySelectorAll("h1, h2, td, th, dt, dd, caption, summary, pre, .bad, svg text")]
+  return [...document.querySelectorAll("h1, h2, td, th, dt, dd, p, summary, pre, .bad, svg text")]
     .filter(each => !each.closest(".phase") && each.textContent.trim())
     .map(each => light(each.matches("svg *") ? getComputedStyle(each).fill : getComputedStyle(each).color))
     .map(each => (Math.max(each, card) + 0.05) / (Math.min(each, card) + 0.05))
