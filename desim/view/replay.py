@@ -31,15 +31,20 @@ from desim.analysis.trace_index import (
     trace_index,
 )
 from desim.config.arrays import Floats
+from desim.config.model import Value
 from desim.config.trust import escaped, without_symlink
 from desim.kernel.clock import SECOND, seconds
 from desim.kernel.faults import Crash, Fault, Partition
 from desim.kernel.graphs import Complete
 from desim.kernel.implicit_complete import is_complete
+from desim.kernel.latency import Constant
 from desim.kernel.links import Links
+from desim.kernel.loss import Bernoulli
+from desim.kernel.medium import Unlimited
 from desim.kernel.reception import Disk
 from desim.kernel.topology import Topology
 from desim.pursuit.events import BrokeDown, Captured, Decided
+from desim.scenario.scenario import Scenario
 from desim.simulation.run import Result
 from desim.view.deliveries import deliveries, handover_events, outages
 
@@ -49,6 +54,12 @@ DECIDED, BROKE_DOWN, RELEASED = range(3)
 """The cause of a pursuer's action: a decision, a breakdown of the pursuer, or the capture of its evader."""
 HEIGHT = 760
 """The height of a replay in a notebook, in pixels of CSS."""
+TRIGGERS = {
+    "change": "announced on change",
+    "revision": "announced at every revision",
+    "never": "nothing announced",
+}
+"""What is said of a run without heartbeats."""
 ReplayData = dict[str, Any]
 """A JSON object."""
 
@@ -95,6 +106,7 @@ def replay(result: Result) -> str:
     return page.render(
         name=result.scenario.name,
         about=_about(result),
+        conditions=conditions(result.scenario),
         warnings=list(missing_recordings(result)),
         run=_document(result),
     )
@@ -133,6 +145,45 @@ def _about(result: Result) -> str:
             "stopped": f", stopped after {seconds(end.t):.2f} s",
         }
     return f"{players}, {scenario.protocol_name}, seed {result.seed}: {which}{outcome[end.reason]}"
+
+
+def conditions(scenario: Scenario) -> str:
+    """Return the communication of a scenario in one line: latency, loss, range, heartbeat, and models not default."""
+    links, announce = scenario.network, scenario.announce
+    latency, loss = links.latency, links.loss
+    parts = [
+        f"latency {_number(latency.value)} s" if isinstance(latency, Constant) else f"latency {_model(latency)}",
+        f"loss {_number(100.0 * loss.p)} %" if isinstance(loss, Bernoulli) else f"loss {_model(loss)}",
+        f"range {_number(links.range)} m" if isfinite(links.range) else "unlimited range",
+        f"heartbeat {_number(announce.heartbeat)} s" if announce.has_heartbeats else TRIGGERS[announce.trigger],
+    ]
+    if isfinite(links.range) and not isinstance(links.reception, Disk):
+        parts.append(f"reception {_model(links.reception)}")
+    if not isinstance(links.graph, Complete):
+        parts.append(f"graph {_model(links.graph)}")
+    if not isinstance(links.medium, Unlimited):
+        parts.append(f"medium {_model(links.medium)}")
+    if links.link:
+        parts.append(f"{len(links.link)} link{'s' if len(links.link) > 1 else ''} with other models")
+    return ", ".join(parts)
+
+
+def _model(model: Any) -> str:
+    """Return the kind of a model and its numbers, except 0 and inf, or the name of a model that is not a `Value`."""
+    if not isinstance(model, Value):
+        return str(getattr(model, "__name__", type(model).__name__))
+    given = {name: getattr(model, name) for name in type(model).model_fields}
+    shown = [
+        f"{name.replace('_', ' ')} {_number(each)}"
+        for name, each in given.items()
+        if type(each) in {int, float} and isfinite(each) and each
+    ]
+    name = str(getattr(model, "kind", type(model).__name__)).replace("_", " ")
+    return f"{name} ({', '.join(shown)})" if shown else name
+
+
+def _number(number: float) -> str:
+    return f"{number:,.0f}" if number == round(number) else f"{number:.4g}"
 
 
 class _Ticks(NamedTuple):

@@ -90,9 +90,10 @@ class Page:
             time.sleep(0.02)
 
     def press(self, key, text=""):
-        """Press a key and let it go."""
-        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
-        self.send("Input.dispatchKeyEvent", type="keyUp", key=key)
+        """Press a key and let it go; with its text, as it is typed, it also presses the button that has the focus."""
+        code = {"windowsVirtualKeyCode": ord(text)} if text else {}
+        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=text, **code)
+        self.send("Input.dispatchKeyEvent", type="keyUp", key=key, **code)
 
 
 @contextmanager

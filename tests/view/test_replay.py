@@ -23,8 +23,8 @@ from desim.cli import main
 from desim.kernel.clock import SECOND
 from desim.kernel.events import LOST, Broadcast, Lost, Queued, Sent
 from desim.kernel.faults import Crash, FaultEnded, FaultStarted, Jamming, Partition
-from desim.kernel.graphs import Edge, Edges, Ring
-from desim.kernel.latency import Constant
+from desim.kernel.graphs import Edge, Edges, Link, Ring
+from desim.kernel.latency import Constant, Lognormal
 from desim.kernel.links import Links
 from desim.kernel.loss import Bernoulli
 from desim.kernel.medium import Bitrate
@@ -36,7 +36,7 @@ from desim.pursuit.events import BrokeDown, Captured, Decided, Ended, Sampled
 from desim.pursuit.sensing import Sensing
 from desim.results.run_folder import write
 from desim.scenario.scenario import Evader, Motion, Recording, Team
-from desim.view.replay import MAX_REPLAY_TIME, _column, _document, _Ticks, missing_recordings, replay
+from desim.view.replay import MAX_REPLAY_TIME, _column, _document, _Ticks, conditions, missing_recordings, replay
 from protocols.sap import SpatialAdaptivePlay
 from protocols.schedules import Poisson
 from tests.golden import golden
@@ -468,6 +468,46 @@ def test_a_page_lists_what_was_not_recorded():
     assert "were not recorded" not in replay(run(frozen))
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "latency 0.5 s, loss 5 %, unlimited range, heartbeat 5.5 s"),
+        (
+            {"announce": Announcements(trigger="change")},
+            "latency 0.5 s, loss 5 %, unlimited range, announced on change",
+        ),
+        (
+            {"network": Links(range=8.0, reception=QuasiUnitDisk(), graph=Ring(), latency=Lognormal())},
+            "latency lognormal (mean 0.05, cv 0.5), loss 0 %, range 8 m, heartbeat 5.5 s, "
+            "reception quasi unit disk (certain 0.5, p 0.5), graph ring",
+        ),
+        (
+            {
+                "network": Links(
+                    latency=lambda context, rng: 0.0,
+                    medium=Bitrate(bitrate=1e4),
+                    link=(Link(src=0, dst=1, order="fifo"),),
+                )
+            },
+            "latency <lambda>, loss 0 %, unlimited range, heartbeat 5.5 s, medium bitrate (bitrate 10,000), "
+            "1 link with other models",
+        ),
+    ],
+    ids=["constant", "without heartbeats", "models", "own"],
+)
+def test_the_header_names_the_conditions_of_the_network(change, said):
+    assert conditions(FORTY.model_copy(update=change)) == said
+
+
+def test_the_key_has_only_what_the_run_contains():
+    """By hand: a crash and jamming. With two evaders: neither fault nor loss."""
+    one, two = ([line.removeprefix(": ") for line in Elements(replay(each)).lines] for each in (history(), pair()))
+    assert {"crashed pursuer", "jammed area", "lost message", "evader"} <= set(one)
+    assert "group of a partition" not in one
+    assert not {"crashed pursuer", "jammed area", "lost message", "evader"} & set(two)
+    assert "evader 2, captured" in two
+
+
 def test_a_run_without_messages_lacks_none():
     mute = FORTY.model_copy(
         update={
@@ -509,6 +549,7 @@ def test_a_scenario_file_is_run_with_all_that_can_be_looked_at(tmp_path):
     page_of_it = (tmp_path / "b.html").read_text(encoding="utf-8")
     assert "<h1>x</h1>" in page_of_it
     assert "3 pursuers, sap, seed 4: not captured within 0.2 s" in page_of_it
+    assert "<p>latency 0 s, loss 0 %, unlimited range, heartbeat 0.1 s</p>" in page_of_it
     document = json.loads(Elements(page_of_it).scripts[0])
     assert len(column(document["path"]["t"], "<u4")) == 1 + 4 + 1  # start; 0, 0.05, 0.1, 0.15 s; end
     assert document["messages"]["begin"]
@@ -592,8 +633,8 @@ def shown(browser, tmp_path):
     assert browser.requests == [path.resolve().as_uri()]
 
 
-GREEN = """(() => {
-  const copy = new OffscreenCanvas(arena.width, arena.height), hue = [0, 0x8f, 0x69];
+AMBER = """(() => {
+  const copy = new OffscreenCanvas(arena.width, arena.height), hue = [0xe6, 0x9f, 0];
   const context = copy.getContext("2d", { willReadFrequently: true });
   context.drawImage(arena, 0, 0);
   const { data } = context.getImageData(0, 0, copy.width, copy.height);
@@ -637,7 +678,7 @@ def test_as_many_messages_are_drawn_as_the_trace_has_in_flight(name, shown, resu
 @in_chromium
 @pytest.mark.slow
 def test_counted_messages_are_visible(shown):
-    """Nothing green is on the plane while nothing flies; a dot has a radius of 2.8 px, 24 pixels, some at its rim."""
+    """Nothing amber is on the plane while nothing flies; a dot has a radius of 2.8 px, 24 pixels, some at its rim."""
     one = Scenario(
         team=Team(positions=[(0.0, 0.0), (9.0, 9.0)], speeds=1.0, active_at_start=0.0),
         evader=Evader(position=(9.0, 0.0), speed=0.0),
@@ -654,7 +695,7 @@ def test_counted_messages_are_visible(shown):
     for t in np.arange(0.05, 2.0, 0.1).tolist():
         flying = opened.value(f"(replay.seek({t}), replay.drawn.flying)")
         assert flying == in_flight(result, t * SECOND)
-        pixels.setdefault(flying, []).append(opened.value(GREEN))
+        pixels.setdefault(flying, []).append(opened.value(AMBER))
     assert set(pixels[0]) == {0}
     assert min(pixels[max(pixels)]) >= 8 * max(pixels) > 0
 
@@ -739,7 +780,7 @@ def test_with_two_evaders_the_texts_name_the_evader(shown):
         "0 of 2",
         "1: 0\n2: 1, 2",
         "0 chases 1 (1 m/s), receives from 2 teammates and believes that 1, 2 chase 2.",
-        "0.150 s: 1 chases 2; 0 is alone on 1",
+        "0.150 s: 1 chases 2; 0 is active alone on 1",
     ]
     assert opened.value(f"{text}(0.12)")[2].endswith("believes that 1 chases 1 and 2 chases 2.")
     assert opened.value(f"{text}(0.401)") == [
@@ -952,6 +993,19 @@ def test_play_goes_on_pause_stops_and_the_end_is_the_end(shown, result_of):
 
 @in_chromium
 @pytest.mark.slow
+def test_the_plane_is_saved_as_a_picture_named_after_the_run_and_the_time(shown, result_of):
+    opened = shown(result_of("relay"))
+    opened.value("""
+      HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href]; };
+      replay.seek(0.5); save.click()
+    """)
+    name, address = opened.value("saved")
+    assert name == "relay-0.500s.png"
+    assert b64decode(address.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+
+
+@in_chromium
+@pytest.mark.slow
 def test_the_slider_seeks(shown, result_of):
     opened = shown(result_of("relay"))
     slide = "(s => { s.value = 0.5 * s.max; s.dispatchEvent(new Event('input')); })(document.getElementById('slider'))"
@@ -962,6 +1016,31 @@ def test_the_slider_seeks(shown, result_of):
     opened.value("replay.seek(0.7)")
     assert opened.value("document.getElementById('arena').toDataURL()") != before
     assert opened.value("+document.getElementById('slider').value * 1e-9") == pytest.approx(0.7)
+    x, y = opened.value("(({ x, y, width }) => [x + 8 + 0.25 * (width - 16), y + 20])(slider.getBoundingClientRect())")
+    for kind in ("mousePressed", "mouseReleased"):
+        opened.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    assert opened.value("replay.time") == pytest.approx(0.25, abs=0.01)
+
+
+@in_chromium
+@pytest.mark.slow
+def test_the_address_names_the_time_and_the_selected_pursuer(shown, result_of):
+    """The address follows when the page has rested, and leads to the same state; a senseless one is ignored."""
+    opened = shown(result_of("relay"))
+    opened.value("new Promise(done => setTimeout(done, 400))")
+    assert opened.value("location.hash") == ""
+    opened.value("replay.seek(0.5)")
+    opened.until("location.hash === '#t=0.5'")
+    for address, t in (("t=0.75&p=4", 0.75), ("t=99", 1.0), ("t=x&p=99", 1.0), ("p=3", 1.0), ("t=-1", 1.0)):
+        opened.value(f"new Promise(done => {{ onhashchange = done; location.hash = {address!r}; }})")
+        assert opened.value("replay.time") == t
+    assert opened.value("(replay.draw(), said.textContent)").startswith("3 is ")
+    opened.value("location.hash = 't=0.25&p=4'")
+    opened.until("Math.abs(replay.time - 0.25) < 1e-9")
+    opened.send("Page.reload")
+    opened.until("Math.abs(window.replay?.time - 0.25) < 1e-9 && said.textContent.startsWith('4 is ')")
+    opened.errors.clear()
+    opened.requests[:] = opened.requests[:1]
 
 
 @in_chromium
@@ -989,18 +1068,39 @@ def test_steps_lead_from_event_to_event(shown, result_of):
     assert opened.value("document.getElementById('kind').value") == "faults"
     opened.press("ArrowRight")
     assert opened.value("replay.time") == pytest.approx(result.trace.of(FaultStarted)[0].t / SECOND, abs=1e-8)
-    opened.press(" ")
-    assert opened.value("replay.playing")
-    opened.press(" ")
-    assert not opened.value("replay.playing")
+    for focus in ("document.body", "play", "theme", "speed", "slider", "links", "kind"):
+        opened.value(f"(element => element.focus())({focus})")
+        before = opened.value("[document.documentElement.dataset.theme, links.checked, speed.value, kind.value]")
+        for playing in (True, False):
+            opened.press(" ", " ")
+            assert opened.value("replay.playing") is playing, focus
+        assert before == opened.value(
+            "[document.documentElement.dataset.theme, links.checked, speed.value, kind.value]"
+        )
+    opened.value("links.focus()")
+    opened.press("Enter", "\r")
+    assert not opened.value("links.checked")
 
 
 @in_chromium
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "theme"), [(1280, "light"), (1280, "dark"), (360, "light")])
-def test_a_page_fits_its_window_and_the_light(width, theme, shown, result_of):
-    opened = shown(result_of("faults"), width=width, theme=theme)
+@pytest.mark.parametrize(
+    ("width", "height", "theme"),
+    [(1280, 800, "light"), (1280, 800, "dark"), (1920, 1080, "light"), (1000, 700, "light"), (360, 800, "light")],
+)
+def test_a_page_fits_its_window_and_the_light(width, height, theme, shown, result_of):
+    """On a desktop nothing scrolls, and the bar covers nothing; the key is beside the plane, or opens above it."""
+    opened = shown(result_of("faults"), width=width, height=height, theme=theme)
     assert opened.value("document.documentElement.scrollWidth") <= width
+    assert opened.value("key.hidden") is (width < 1200)
+    if width < 1200:
+        opened.press("k")
+    bottom = "document.querySelector('footer').getBoundingClientRect().top"
+    opened.until(f"key.getBoundingClientRect().bottom <= {bottom}")
+    if width > 860:
+        assert opened.value("document.documentElement.scrollHeight") <= height
+        assert opened.value(f"said.getBoundingClientRect().bottom <= {bottom}")
+        assert opened.value("key.scrollHeight <= key.clientHeight")
     assert opened.value("document.documentElement.dataset.theme") == theme
     opened.press("t")
     assert opened.value("document.documentElement.dataset.theme") != theme
@@ -1016,7 +1116,7 @@ def test_a_tap_chooses_a_pursuer(shown, result_of):
     opened.value("document.getElementById('matrix').scrollIntoView()")
     left, top, size = opened.value("(({ x, y, width }) => [x, y, width])(matrix.getBoundingClientRect())")
     x, y = left + 60, top + 18 + (size - 18) * 0.75
-    for said in ("7 chases (1 m/s), receives from 9 teammates", "Point at a cell"):
+    for said in ("7 is active (1 m/s), receives from 9 teammates", "Point at a cell"):
         for kind in ("mousePressed", "mouseReleased"):
             opened.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
         opened.send("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
