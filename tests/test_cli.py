@@ -155,10 +155,9 @@ def test_a_page_of_the_other_command_is_suggested_for_a_folder(file, tmp_path):
     play = "make a page that plays a run: desim replay"
     assert refused("report", run) == [f"{run}: is the folder of a single run, not of a sweep; {play} '{run}'"]
     assert refused("report", runs) == [f"{runs}: is the folder of single runs, not of a sweep; {play} {runs}/seed-7"]
-    for words in (["replay"], ["draw", "gif"]):
-        (said,) = refused(*words, sweep)
-        assert said.startswith(f"{sweep}: is the folder of a sweep or an explanation, which keeps metrics only; ")
-        assert f"desim report {sweep};" in said
+    (said,) = refused("replay", sweep)
+    assert said.startswith(f"{sweep}: is the folder of a sweep or an explanation, which keeps metrics only; ")
+    assert f"desim report {sweep};" in said
 
 
 def test_errors_of_overrides_are_reported_with_those_of_the_file_and_labelled(file):

@@ -30,7 +30,7 @@ def test_the_keys_that_are_completed_are_those_of_the_models():
     assert KEYS.read_text() == text, "if it should differ: RENEW=1 pytest ... and look"
 
 
-@pytest.mark.parametrize("command", ["run", "check", "sweep", "explain", "replay"])
+@pytest.mark.parametrize("command", ["run", "check", "sweep", "explain", "replay", "plot"])
 def test_a_key_is_completed(command):
     found = completed(command, "f.toml", "--set", "network.latency.")
     assert {"network.latency.value=", "network.latency.kind=lognormal"} <= set(found)
