@@ -14,7 +14,8 @@ from matplotlib.colors import to_hex
 
 from desim import Scenario, explain, run
 from desim.analysis.metrics import Metric, active_time, end_time, summary
-from desim.analysis.plots import GREEN, ORANGE, VERMILION, Figure
+from desim.analysis.palette import GREEN, ORANGE, VERMILION
+from desim.analysis.plots import Figure
 from desim.analysis.statistics import Estimate, estimate
 from desim.cli import main
 from desim.kernel.faults import Crash
