@@ -1,7 +1,7 @@
 """The colours and symbols of all pictures: one for each thing, the same in trajectory, space-time diagram and film.
 
 The hues are those of Okabe & Ito 2008, "Color Universal Design", which the colour-blind can tell apart, but for LOST.
-Shapes repeat what the colours say. The replay has the same hues and shapes, and lighter ones on a dark page.
+Shapes repeat what the colours say. The replay has these hues on a light page, and lighter ones on a dark page.
 """
 
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from desim.analysis import palette
 from desim.analysis.activity import Change, Released, action, changes_with_previous
 from desim.analysis.knowledge import Pieces, knowledge
 from desim.analysis.trace_index import (
@@ -107,6 +108,7 @@ def replay(result: Result) -> str:
         name=result.scenario.name,
         about=_about(result),
         conditions=conditions(result.scenario),
+        palette=palette,
         warnings=list(missing_recordings(result)),
         run=_document(result),
     )
