@@ -192,9 +192,9 @@ class SweepResult:
     @property
     def _first_references(self) -> list[int]:
         """The position in `groups` of the default reference of each configuration; see `differences`."""
-        return self._first_along(self._compared_by)
+        return self.first_along(self._compared_by)
 
-    def _first_along(self, key: str | None) -> list[int]:
+    def first_along(self, key: str | None) -> list[int]:
         """Return for each configuration the position in `groups` of the first that differs in one key at most."""
         first = dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
@@ -221,7 +221,7 @@ class SweepResult:
 
     def _equal_pairs(self, key: str, metrics: Sequence[str]) -> int:
         """Return the number of pairs of runs that differ in a key only; 0 if one differs in a metric or a capture."""
-        firsts = zip(self.groups, self._first_along(key), strict=True)
+        firsts = zip(self.groups, self.first_along(key), strict=True)
         pairs = [
             pair for k, (group, first) in enumerate(firsts) if k != first for pair in _pairs(self.groups[first], group)
         ]

@@ -205,8 +205,7 @@ def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, 
 
     The values are its position in `groups` and the paired difference from it.
     """
-    first = dict[str, int]()
-    others = [first.setdefault(each.in_words(without=[key]), k) for k, each in enumerate(result.groups)]
+    others = result.first_along(key)
     found = {other: result.differences(metric, reference=other) for other in set(others)}
     return {k: (other, found[other][k]) for k, other in enumerate(others) if k != other}
 
