@@ -170,7 +170,7 @@ def test_a_replay_is_a_frame_that_cannot_reach_the_notebook(tmp_path):
     shown = result.replay()
     frame = shown._repr_html_()
     assert frame.count("<") == 2, "nothing of the page is taken for HTML of the notebook"
-    (page,) = re.findall(r'srcdoc="([^"]*)" sandbox="allow-scripts"', frame)
+    (page,) = re.findall(r'srcdoc="([^"]*)" sandbox="allow-scripts allow-downloads"', frame)
     assert unescape(page) == shown.page == replay(result)
     assert shown.write(tmp_path / "r.html").read_text(encoding="utf-8") == replay(result)
 

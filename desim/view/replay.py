@@ -94,7 +94,7 @@ class Replay:
     def _repr_html_(self) -> str:
         """Return a frame with the page, whose script has no access to the notebook."""
         look = f"width: 100%; height: {HEIGHT}px; border: 0"
-        return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts" style="{look}"></iframe>'
+        return f'<iframe srcdoc="{escape(self.page)}" sandbox="allow-scripts allow-downloads" style="{look}"></iframe>'
 
 
 def replay(result: Result) -> str:
