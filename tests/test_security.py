@@ -682,7 +682,7 @@ def test_pictures_and_pages_show_the_worst_name_as_it_is(written, tmp_path):
     text = "".join(ElementTree.parse(tmp_path / "trajectory.svg").getroot().itertext())
     assert "$\\frac{$ </script><svg onload=x>" in text
     accepted("sweep", file, "-n", 2, "-o", tmp_path / "out")
-    ElementTree.parse(tmp_path / "out" / "sweep.svg")
+    ElementTree.parse(tmp_path / "out" / "means-active_time.svg")
     accepted("report", tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<svg onload" not in page

@@ -38,6 +38,7 @@ __all__ = [
     "NARROW",
     "Axes",
     "Figure",
+    "as_it_is",
     "draw_trajectory",
     "html_image",
     "save",
@@ -104,6 +105,11 @@ def _extent(figure: Figure) -> object:
     """Return the size of a figure, in, and its texts with their sizes, in points."""
     texts = [each for each in figure.findobj(Text) if isinstance(each, Text)]
     return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
+
+
+def as_it_is(text: str) -> dict[str, Any]:
+    """Return the arguments of a title that show a text without mathematics, on several lines if it is too long."""
+    return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
 
 
 SIZE = re.compile(r"(?P<width>\d+(\.\d+)?)(?P<unit>cm|mm|in)?(x(?P<height>\d+(\.\d+)?)(?P<last>cm|mm|in)?)?")
@@ -177,7 +183,7 @@ def trajectory(result: Result, size: str | None = None) -> Figure:
     with styled(figsize=(width, height or width), font=9.0 if width >= NARROW else 8.0) as figure:
         axes = figure.add_subplot()
         draw_trajectory(axes, result)
-        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), parse_math=False, wrap=True)
+        axes.set_title(escaped(f"{result.scenario.name}, seed {result.seed}"), **as_it_is(result.scenario.name))
         figure.legend(loc="outside lower center", ncols=2 if width >= NARROW else 1, fontsize=8)
     return figure
 

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.analysis.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
-from desim.analysis.plots import NARROW, Axes, Figure, size_of, styled
+from desim.analysis.plots import NARROW, Axes, Figure, as_it_is, size_of, styled
 from desim.analysis.statistics import Estimate
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
@@ -113,7 +113,7 @@ def means(
                 _draw_lines(axes, result, abscissa, _lines(points, abscissa, named, labels))
             if against is not None:
                 (axes.axvline if abscissa is None else axes.axhline)(0.0, color=GREY, lw=0.8, zorder=0)
-            axes.set_title(escaped(name), fontsize=8, parse_math=False, wrap=True)
+            axes.set_title(escaped(name), fontsize=8, **as_it_is(name))
         for k, axes in enumerate(shared.flat):
             _label(axes, xlabel, ylabel)
             if k % columns:
@@ -125,7 +125,7 @@ def means(
         if size is None:
             what = "95 % intervals" if against is None else "paired differences, 95 % intervals"
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
-            over(escaped(f"{result.name}, {what}"), fontsize=9, parse_math=False, wrap=True)
+            over(escaped(f"{result.name}, {what}"), fontsize=9, **as_it_is(result.name))
         if abscissa is not None:
             _add_legend(figure, named)
     return figure

@@ -373,6 +373,16 @@ def test_a_resized_figure_keeps_its_labels(options, size):
             assert 0 <= box.y0 <= box.y1 <= height
 
 
+@pytest.mark.parametrize(
+    "name", ["$\\frac{}$ of a name that is too long for a narrow figure", "costs $5 and more " * 5]
+)
+def test_a_name_with_dollars_is_shown_as_it_is_at_any_size(name):
+    figure = means(result(GRID, name=name), "active_time")
+    figure.set_size_inches(3.5, 2.5)
+    figure.draw_without_rendering()
+    assert figure.axes[0].get_title() == f"{name}, 95 % intervals"
+
+
 def test_a_figure_of_a_given_size_has_it_and_no_title():
     figure = means(result(GRID), "active_time", size="8.5cmx6cm")
     assert (figure.get_size_inches() * 2.54).tolist() == pytest.approx([8.5, 6.0])
