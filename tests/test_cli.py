@@ -856,7 +856,13 @@ def test_a_sweep_prints_means_differences_and_the_location_of_its_runs(coins):
     assert re.fullmatch(
         rf"12 runs in [\d.]+ s \([\d.]+/s\), 0 already stored; store: {folder}/out/sweep.sqlite\n", result.stderr
     )
-    assert names(folder / "out") == ["run.json", "sweep.png", "sweep.sqlite", "sweep.svg", "sweep.txt"]
+    assert names(folder / "out") == [
+        "means-active_time.png",
+        "means-active_time.svg",
+        "run.json",
+        "sweep.sqlite",
+        "sweep.txt",
+    ]
     assert (folder / "out" / "sweep.txt").read_text() == result.stdout
 
 
