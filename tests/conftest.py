@@ -40,9 +40,13 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def _conserved(request):
-    """Let every trace that is made in the process of a test be watched, unless it is made by hand."""
+    """Let every trace that is made in the process of a fast test be watched, unless it is made by hand.
+
+    Slow tests measure laws over many runs, of kinds that fast tests and the soak test watch.
+    """
     item = request.node
-    if item.get_closest_marker("own_trace") or BENCHMARKS in item.path.parents:
+    unwatched = any(item.get_closest_marker(name) for name in ("own_trace", "slow"))
+    if unwatched or BENCHMARKS in item.path.parents:
         yield
         return
     begin, all_watchers = Trace.__init__, []
