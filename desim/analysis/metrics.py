@@ -313,6 +313,8 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
     {name: each for name, each in vars(Summary).items() if isinstance(each, Metric)}
 )
 """The built-in metrics by name."""
+Metrics = Mapping[str, Metric | Callable[[Result], Any]]
+"""Metrics of a user by name: functions of a result that return a number, True, False or None."""
 COLUMNS = frozenset({"settings", "replication", "root_seed", "status", "traceback", "error"})
 """The columns in tables of runs that are not metrics."""
 UsersMetrics = tuple[tuple[str, Metric], ...]
@@ -326,7 +328,7 @@ class MetricError(RuntimeError):
     """Raised when a user's metric fails or returns a wrong type; the text names the metric, the scenario and seed."""
 
 
-def summary(result: Result, metrics: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})) -> Summary:
+def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
     """Return all metrics of one run: the built-in ones, those that its scenario names, and those given.
 
     If you need only one or two metrics, call their functions in this module.
@@ -367,16 +369,15 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
     return None if isinstance(value, float) and isnan(value) else value
 
 
-def users_metrics(
-    named: Sequence[NamedMetric], more: Mapping[str, Callable[[Result], Any]] = MappingProxyType({})
-) -> UsersMetrics:
+def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType({})) -> UsersMetrics:
     """Return the metrics that a scenario names (its `record.metrics`), and more, each with its name.
 
     Raises:
         ValueError: if a metric is not a function, or has the name of another, or one that is not an identifier.
     """
     found: dict[str, Metric] = {}
-    for name, of in [*((each.name, each.of) for each in named), *more.items()]:
+    given: list[tuple[Any, Any]] = [*((each.name, each.of) for each in named), *more.items()]
+    for name, of in given:
         if not (isinstance(name, str) and name.isascii() and name.isidentifier()) or iskeyword(name):
             raise ValueError(f"the name of a metric should be a Python identifier in ASCII, got {name!r}")
         low = name.lower()  # SQL does not tell cases apart

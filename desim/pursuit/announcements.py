@@ -87,7 +87,7 @@ INTEGERS = (int, np.integer)
 def announced_action(body: Any) -> int | None:
     """Return `body.active`, the action that a message announces: an evader or 0; None if there is no action."""
     try:
-        action: int = body.active
+        action: int | None = body.active
     except AttributeError:
         return None
     return action if isinstance(action, INTEGERS) else None
@@ -101,7 +101,7 @@ def announces_chase(body: Any) -> bool:
 def relayed_records(body: Any) -> tuple[Record, ...] | None:
     """Return `body.records`, the records that a message relays; None if the message is not a relay."""
     try:
-        records: tuple[Record, ...] = body.records
+        records: object = body.records
     except AttributeError:
         return None
     return records if isinstance(records, tuple) else None

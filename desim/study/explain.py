@@ -17,14 +17,14 @@ from operator import index
 from pathlib import Path
 from typing import Self
 
-from desim.analysis.metrics import UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
+from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, more_is, unit_of, users_metrics, words
 from desim.analysis.statistics import mean
 from desim.scenario.scenario import Scenario
 from desim.study.configurations import Configuration, without_metrics
 from desim.study.explanation import AS_IT_IS, EXPLAINED, IDEAL, INTERACTION_RISK, Cost, Explanation, Saving
 from desim.study.imperfections import IMPERFECTIONS
 from desim.study.store import Row, Store
-from desim.study.sweep import Metrics, RunError, SweepPlan, carry_out
+from desim.study.sweep import RunError, SweepPlan, carry_out
 from desim.study.workers import Workers, workers_for
 
 RUNS = 100

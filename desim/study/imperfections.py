@@ -63,7 +63,7 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
     If messages of the schedule, such as a token, carry the actions, pursuers instead announce each change of action
     immediately and repeat it with every heartbeat. A scenario without turns is returned unchanged.
     """
-    protocol = scenario.protocol
+    protocol: object = scenario.protocol
     schedule = scenario.schedule_traits
     if not isinstance(protocol, BaseModel) or schedule.without_serial_decisions is None or scenario.team.count == 1:
         return scenario

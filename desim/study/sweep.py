@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -12,14 +12,13 @@ from operator import index
 from pathlib import Path
 from typing import Any, Self
 
-from desim.analysis.metrics import UsersMetrics, check_numeric, measured, users_metrics
+from desim.analysis.metrics import Metrics, UsersMetrics, check_numeric, measured, users_metrics
 from desim.analysis.statistics import runs_needed
 from desim.results import environment
 from desim.scenario.checks import sweep_warnings
 from desim.scenario.overrides import Source
 from desim.scenario.scenario import Scenario
 from desim.scenario.toml import validate
-from desim.simulation.run import Result
 from desim.study.config_hash import tables
 from desim.study.configurations import Configuration, SweepGrid, configurations, without_metrics
 from desim.study.dispatch import drive, simulation
@@ -29,8 +28,6 @@ from desim.study.result import SHOWN, SweepResult
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 
-Metrics = Mapping[str, Callable[[Result], Any]]
-"""Metrics of a user by name: functions of a result that return a number, True, False or None."""
 Job = tuple[Configuration, int]
 """A configuration and the number of one of its runs (its replication), from 0 on."""
 MAX_RUNS = 10_000

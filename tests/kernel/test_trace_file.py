@@ -252,7 +252,7 @@ BAD = {
     "{}": "should be an object whose key event is one of Queued, Broadcast",
     '{"event": [], "t": 0}': "should be an object whose key event is one of",
     '{"event": "Eaten", "t": 0}': "should be an object whose key event is one of",
-    '{"event": "Queued", "t": 0.0}': "transmission: Field required",
+    '{"event": "Queued", "t": 0.0}': "transmission: (Field required|Missing required argument)",
     json.dumps(SENT | {"new": 1}): "new: ",
     json.dumps(SENT | {"t": "x"}): "t: Input should be a valid number",
     json.dumps(SENT | {"t": True}): "t: Input should be a valid number",
