@@ -103,7 +103,7 @@ class _SettledLayout(ConstrainedLayoutEngine):
 
 def _extent(figure: Figure) -> object:
     """Return the size of a figure, in, and its texts with their sizes, in points."""
-    texts = [each for each in figure.findobj(Text) if isinstance(each, Text)]
+    texts = figure.findobj(Text)
     return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
 
 

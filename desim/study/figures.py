@@ -1,6 +1,7 @@
 """Figures of sweeps and explanations."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from math import inf, isfinite, log10, nan
@@ -75,7 +76,8 @@ def means(
             but `x` name the lines, in one panel.
         against: values of some keys, such as {"protocol": "sap"}: the differences from the configuration that has them
             and is otherwise equal are drawn instead of the means; see `SweepResult.differences`.
-        labels: texts by value, such as {"sap": "SAP (ours)"}; with mathematics between dollar signs, as `xlabel`.
+        labels: texts by value, or by a kind that only one value has, such as {"sap": "SAP (ours)"}; with mathematics
+            between dollar signs, as `xlabel`.
         xlabel: the label of the abscissa.
         ylabel: the label of the ordinate.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title, which
@@ -86,7 +88,8 @@ def means(
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
     values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
-    if unknown := [each for each in labels if each not in values]:
+    kinds = Counter(map(_kind, values))
+    if unknown := [each for each in labels if each not in values and kinds[each] != 1]:
         raise ValueError(f"no key takes the value {unknown[0]}, which has a label")
     abscissa = _abscissa(result, x, keys)
     rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
@@ -343,9 +346,15 @@ def _lines(
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
     """Return the label of a setting or, without one, its text, with its key if settings of several keys are named."""
     value = text(group.settings[key])
-    if value in labels:
-        return escaped(labels[value])
+    for name in (value, _kind(value)):
+        if name in labels:
+            return escaped(labels[name])
     return _literal(f"{key} = {value}" if is_one_of_several else value)
+
+
+def _kind(value: str) -> str:
+    """Return the kind of a model that is given as text, such as sap of sap(tau=...)."""
+    return value.partition("(")[0]
 
 
 def _add_legend(figure: Figure, by: Sequence[str]) -> None:
