@@ -12,6 +12,7 @@ import desim
 import protocols
 from protocols.rule import SCHEDULES
 from protocols.temperature import TEMPERATURES
+from scenarios.study import SCENARIOS
 
 FACADES = pytest.mark.parametrize("facade", [desim, protocols])
 
@@ -48,3 +49,10 @@ def test_every_schedule_and_temperature_is_public():
 def test_the_names_are_known_without_importing_their_modules():
     program = "import sys, desim, protocols; dir(desim), dir(protocols); sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_the_example_of_the_package_runs(monkeypatch, capsys):
+    monkeypatch.chdir(SCENARIOS.parent)
+    _, example, _ = (desim.__doc__ or "").split("```")
+    exec(example.removeprefix("python"), {})
+    assert "active time: " in capsys.readouterr().out

@@ -74,7 +74,7 @@ def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
 def _described_field(name: str, field: FieldInfo, indent: str, known: set[type[BaseModel]]) -> Iterator[str]:
     plain = next(models_in(field.annotation), None)
     text = field.description or (summary(plain) if plain is not None else "")
-    yield f"{indent}{name}{_default_of(field)}: {' '.join(text.split())}"
+    yield f"{indent}{name}{default_of(field)}: {' '.join(text.split())}"
     for choice in choices_of(field):
         choices = choice.choices()
         if known.issuperset(choices.values()):
@@ -91,7 +91,8 @@ def summary(model: Any) -> str:
     return (model.__doc__ or "").strip().partition("\n")[0]
 
 
-def _default_of(field: FieldInfo) -> str:
+def default_of(field: FieldInfo) -> str:
+    """Return " = " and the default of a field, or of a model its kind; "" without a default or a kind."""
     if field.is_required():
         return ""
     default = field.get_default(call_default_factory=True)

@@ -1,0 +1,89 @@
+"""The configuration of Sphinx: `python -m sphinx -W --keep-going -b html docs docs/_build`."""
+
+import re
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS))
+
+import pages  # noqa: E402  it lies in this folder
+
+project = "desim"
+author = "the authors of desim"
+extensions = [
+    "myst_nb",
+    "sphinx.ext.apidoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_click",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinxcontrib.bibtex",
+]
+exclude_patterns = ["_build", "jupyter_execute", "**.ipynb_checkpoints", "reference/api/*/modules.rst"]
+
+html_theme = "pydata_sphinx_theme"
+html_title = "desim"
+html_theme_options = {
+    "secondary_sidebar_items": ["page-toc"],
+    "show_prev_next": False,
+    "navbar_align": "left",
+    "pygments_light_style": "friendly",
+}
+html_sidebars = {"index": []}
+html_static_path = ["_static"]
+html_extra_path = ["_extra"]
+html_css_files = ["desim.css"]
+html_show_copyright = False
+
+myst_enable_extensions = ["colon_fence", "dollarmath", "fieldlist"]
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_render_markdown_format = "myst"
+bibtex_bibfiles = ["references.bib"]
+bibtex_default_style = "plain"
+copybutton_prompt_text = "$ "
+
+apidoc_modules = [
+    {"path": f"../{package}", "destination": f"reference/api/{package}", "separate_modules": True, "module_first": True}
+    for package in ("desim", "protocols")
+]
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_default_options = {
+    "show-inheritance": True,
+    "ignore-module-all": True,
+    "exclude-members": "model_config,__new__",
+}
+default_role = "code"
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+# Sphinx has no page for the classes of other projects.
+suppress_warnings = ["ref.python"]
+
+FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
+MARKUP = re.compile(r"[|*]|(?<=\w)_(?!\w)")
+"""What means something in reStructuredText, and stands for itself in our docstrings."""
+
+
+def _docstring(_app: Sphinx, what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:
+    """Turn a docstring into reStructuredText: code blocks, the list in a header, characters of markup."""
+    parts = FENCE.split("\n".join(lines))
+    text = ""
+    for plain, language, code in zip(parts[::3], [*parts[1::3], ""], [*parts[2::3], ""], strict=True):
+        quoted = plain.split("`")
+        text += "`".join(each if k % 2 else MARKUP.sub(r"\\\g<0>", each) for k, each in enumerate(quoted))
+        if code:
+            text += f".. code-block:: {language or 'text'}\n\n" + re.sub("^", "    ", code, flags=re.MULTILINE)
+    lines[:] = (pages.listed(text) if what == "module" else text).split("\n")
+
+
+def setup(app: Sphinx) -> None:
+    """Write the generated pages before Sphinx reads any."""
+    pages.write(DOCS)
+    app.connect("autodoc-process-docstring", _docstring, priority=400)

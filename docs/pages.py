@@ -1,0 +1,230 @@
+"""The pages that are made from the code: the keys of scenario files, protocols, metrics, and the gallery.
+
+They are written before each build, into the folders `reference` and `gallery`, and are not kept in the repository.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+import scenarios
+from desim import load, run
+from desim.analysis.metrics import METRICS, Summary
+from desim.analysis.plots import save, trajectory
+from desim.cli.description import default_of, summary
+from desim.config.choice import choices_of
+from desim.config.model import docs_of, fields_of, models_in
+from desim.scenario.scenario import PROTOCOLS, Scenario
+from desim.view.replay import replay
+
+SCENARIOS = Path(scenarios.__file__).parent
+STUDIES = ("rivals", "delay", "range", "evaders", "many", "table1", "two_clocks", "first_picture", "figures")
+"""The studies of the gallery, in its order."""
+HEADER = re.compile(r"^([A-Z][a-z]+(?: [a-z]+)*): +")
+"""The beginnings of the items in the header of a protocol."""
+FIRST = (
+    "relay",
+    "imperfect",
+    "faults",
+    "token_ring",
+    "auction",
+    "server",
+    "flooding",
+    "radio",
+    "lora",
+    "search",
+    "many",
+)
+"""The scenario files that come first in the gallery; the others follow in the order of their names."""
+
+
+def write(docs: Path) -> None:
+    """Write all generated pages below a folder."""
+    pages = {"reference/keys.md": keys(), "reference/protocols.md": protocols(), "reference/metrics.md": metrics()}
+    for name, text in pages.items():
+        _write(docs / name, text)
+    gallery(docs / "gallery")
+
+
+def keys() -> str:
+    """Return the page of the keys of scenario files: a section for each table, and one for each kind."""
+    parts = [
+        "# Keys of a scenario file",
+        "Every key has a default. The same text is printed by `desim keys KEY`, for instance `desim keys"
+        " network.latency.gamma`, and `desim schema` prints the JSON schema, with which an editor completes keys. "
+        "In Python the tables are the arguments of `desim.Scenario`.",
+        "Units: lengths in m, times in s, angles in degrees, sizes in bytes; latencies are one-way.",
+    ]
+    for place, model in _models(Scenario):
+        heading = ".".join(place)
+        parts.append(f"({_anchor(heading)})=\n##{'#' * (len(place) > 1)} {heading or 'The top level'}")
+        parts.append(" ".join((model.__doc__ or "").strip().partition("\n\n")[0].split()))
+        rows = [_row(place, name, field) for name, field in fields_of(model).items() if name != "kind"]
+        if rows:
+            parts.append("\n".join(["| key | default | what it is |", "|---|---|---|", *rows]))
+    return "\n\n".join(parts) + "\n"
+
+
+def protocols() -> str:
+    """Return the page of the protocols: the header of each module, which names its paper, and its parameters."""
+    parts = [
+        "# Protocols",
+        "How each protocol decides, the paper it is from, what it assumes, what it sends, and how it bears losses and"
+        " crashes. The references are listed in [](bibliography.md).",
+    ]
+    seen: dict[str, list[str]] = {}
+    choices = PROTOCOLS.choices()
+    for kind, model in choices.items():
+        seen.setdefault(model.__module__, []).append(kind)
+    for module, kinds in seen.items():
+        text = import_module(module).__doc__ or ""
+        first, _, fields = text.partition("\n\n")
+        parts.append(f"## {', '.join(kinds)}\n\n{' '.join(first.split())}")
+        parts.append(listed(fields))
+        parts += [f"- `{kind}`: {summary(choices[kind])} [Parameters]({_link(f'protocol.{kind}')})" for kind in kinds]
+    return "\n\n".join(parts) + "\n"
+
+
+def metrics() -> str:
+    """Return the page of the metrics: name, unit and docstring of each."""
+    docs = docs_of(Summary)
+    parts = [
+        "# Metrics",
+        "All are computed from the trace of a run alone. `desim.summary(result)` returns them; tables, JSON, stores and"
+        " `--until` use the same names. [](../howto/metrics.md) adds your own.",
+    ]
+    for name, metric in METRICS.items():
+        text = docs.get(name) or (metric.of.__doc__ or "").strip()
+        unit = f" ({metric.unit})" if metric.unit else ""
+        parts.append(f"## {name}{unit}\n\n{_markdown(text) or metric.note}")
+    return "\n\n".join(parts) + "\n"
+
+
+def gallery(folder: Path) -> None:
+    """Write the gallery: a page for each scenario file, with the replay of its first run, and a card for each study."""
+    files = sorted(SCENARIOS.glob("*.toml"), key=lambda path: (_rank(path.stem), path.stem))
+    cards = []
+    for file in files:
+        result = run(load(file, ["record.messages=true", "record.trajectory=0.05"]))
+        title, text, commands = _comment(file)
+        (folder / "thumbnails").mkdir(parents=True, exist_ok=True)
+        _write(folder.parent / "_extra" / "gallery" / "replays" / f"{file.stem}.html", replay(result))
+        save(trajectory(result), folder / "thumbnails" / file.stem)
+        _write(folder / f"{file.stem}.md", _scenario_page(file, title, text, commands))
+        cards.append(f":::{{grid-item-card}} {file.stem}\n:img-top: thumbnails/{file.stem}.png\n:link: {file.stem}\n"
+                     f":link-type: doc\n\n{title}\n:::")  # fmt: skip
+    hidden = "\n".join(file.stem for file in files)
+    _write(
+        folder / "index.md",
+        "# Gallery\n\nOne run of each scenario file, as a replay that can be played, and the figure of each study. "
+        "`desim examples` lists the files, `desim examples NAME` copies one.\n\n## Scenarios\n\n"
+        "::::{grid} 1 2 3 3\n:gutter: 2\n\n" + "\n".join(cards) + "\n::::\n\n## Studies\n\n"
+        + "\n\n".join(_study(name) for name in STUDIES)
+        + f"\n\n```{{toctree}}\n:hidden:\n\n{hidden}\n```\n",
+    )  # fmt: skip
+
+
+def _models(model: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], type[BaseModel]]]:
+    """Yield each model of scenario files once, with the key of its table, its kind included."""
+    known: set[type[BaseModel]] = set()
+    waiting: list[tuple[tuple[str, ...], type[BaseModel]]] = [((), model)]
+    while waiting:
+        place, each = waiting.pop(0)
+        if each in known:
+            continue
+        known.add(each)
+        yield place, each
+        inner: list[tuple[tuple[str, ...], type[BaseModel]]] = []
+        for name, field in fields_of(each).items():
+            for choice in choices_of(field):
+                inner += [((*place, name, kind), chosen) for kind, chosen in choice.choices().items()]
+            inner += [((*place, name), found) for found in models_in(field.annotation)]
+        waiting = inner + waiting
+
+
+def _row(place: tuple[str, ...], name: str, field: Any) -> str:
+    """Return the row of a key in the table of its model."""
+    plain = next(models_in(field.annotation), None)
+    text = " ".join((field.description or (summary(plain) if plain is not None else "")).split())
+    kinds = [f"`{kind}`" for choice in choices_of(field) for kind in choice.choices()]
+    if kinds:
+        text += " Kinds: " + ", ".join(kinds) + "."
+    elif plain is not None:
+        text += f" See [{name}]({_link('.'.join((*place, name)))})."
+    default = default_of(field).removeprefix(" = ")
+    return f"| `{name}` | {f'`{default}`' if default else ''} | {text} |".replace("|t|", r"\|t\|")
+
+
+def listed(text: str) -> str:
+    """Return a text whose lines "Name: ..." with indented continuations are the items of a list."""
+    paragraphs = []
+    for paragraph in text.split("\n\n"):
+        if not all(HEADER.match(line) or line.startswith(" ") for line in paragraph.splitlines()):
+            paragraphs.append(paragraph)
+            continue
+        items = re.sub(r"\n +", " ", paragraph).splitlines()
+        paragraphs.append("\n".join(HEADER.sub(r"- **\1:** ", item) for item in items))
+    return "\n\n".join(paragraphs)
+
+
+def _markdown(text: str) -> str:
+    """Return a docstring as Markdown: its paragraphs, without the indentation of the source."""
+    return "\n\n".join(" ".join(part.split()) for part in text.removeprefix("Return ").split("\n\n")).strip()
+
+
+def _comment(file: Path) -> tuple[str, str, list[str]]:
+    """Return the first sentence of the comment of a scenario file, the rest of it, and the commands in it."""
+    lines = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.removeprefix("#").strip())
+    commands = [line for line in lines if line.startswith(("desim ", "Found by:", "Start here:"))]
+    title, stop, rest = " ".join(line for line in lines if line not in commands).partition(". ")
+    return title + stop.strip(), rest, [line.partition(": ")[2] if ": d" in line else line for line in commands]
+
+
+def _scenario_page(file: Path, title: str, text: str, commands: list[str]) -> str:
+    """Return the page of a scenario file."""
+    shown = [f"desim replay scenarios/{file.name} -o {file.stem}.html", *(each for each in commands if each)]
+    return (
+        f"# {file.stem}\n\n{title} {text}\n\n"
+        f'```{{raw}} html\n<iframe class="replay" src="replays/{file.stem}.html" title="Replay of {file.stem}"'
+        f' loading="lazy"></iframe>\n<p><a href="replays/{file.stem}.html">Full screen</a></p>\n```\n\n'
+        "```sh\n" + "\n".join(shown) + "\n```\n\n"
+        f"```{{literalinclude}} ../../scenarios/{file.name}\n:language: toml\n```\n"
+    )
+
+
+def _study(name: str) -> str:
+    """Return the section of a study: the beginning of its docstring, its command, and its figure if it is kept."""
+    text = ast.get_docstring(ast.parse((SCENARIOS / f"{name}.py").read_text(encoding="utf-8"))) or ""
+    picture = SCENARIOS / f"{name}.svg"
+    shown = f"\n\n![{name}](../../scenarios/{picture.name})" if picture.exists() else ""
+    first, _, rest = text.partition("\n\n")
+    text = f"{' '.join(first.split())} {' '.join(rest.split())}"
+    return f"### {name}\n\n{text}\n\n```sh\npython -m scenarios.{name}\n```{shown}"
+
+
+def _rank(name: str) -> int:
+    return FIRST.index(name) if name in FIRST else len(FIRST)
+
+
+def _anchor(place: str) -> str:
+    return "key-" + (place or "top").replace(".", "-").replace("_", "-")
+
+
+def _link(place: str) -> str:
+    return f"keys.md#{_anchor(place)}"
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a page if it has changed, so that Sphinx reads again only what is new."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")

@@ -1,0 +1,158 @@
+"""What the README and the pages of the documentation say runs, and what they name exists.
+
+A block whose first line is `# NAME.py` or `# NAME.toml` is the content of that file. In a folder that holds a copy of
+the scenarios, the files of a page are written first; then its Python runs, block after block; then its commands.
+"""
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.command import accepted
+from tests.test_architecture import LAYERS
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted(ROOT.glob("docs/howto/*.md")), *sorted(ROOT.glob("docs/explanation/*.md"))]
+TEXTS = {path.relative_to(ROOT).with_suffix("").as_posix(): path.read_text(encoding="utf-8") for path in PAGES}
+GENERATED = ("docs/gallery/", "docs/reference/")
+"""Folders of pages that are made from the code before a build."""
+
+
+def blocks(text, language):
+    """Return the content of each fenced block of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def commands(text):
+    """Return the words of each command `desim` in the blocks of a shell."""
+    lines = [line for block in blocks(text, "sh") for line in block.splitlines()]
+    return [shlex.split(line)[1:] for line in lines if line.startswith("desim ")]
+
+
+def small(words):
+    """Return the words of a command that simulates little: 1.5 s, two runs of each, in this process."""
+    size = ["--set", "horizon=1.5"] if words[0] != "check" and any(word.endswith(".toml") for word in words) else []
+    if words[0] in {"sweep", "explain"} or "-n" in words:
+        size += ["-n", "2"]
+    return [*words, *size, *(["-j", "1"] if "-j" in words else [])]
+
+
+def is_page_with(part):
+    return pytest.mark.parametrize("page", [name for name, text in TEXTS.items() if part(text)])
+
+
+@pytest.fixture
+def folder(page, tmp_path, monkeypatch):
+    """Go to a folder with the scenarios and the files of a page; forget their modules afterwards."""
+    shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml")):
+        if name := re.match(r"# (\w+\.(?:py|toml))\n", block):
+            (tmp_path / name[1]).write_text(block, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path
+    for path in tmp_path.glob("*.py"):
+        sys.modules.pop(path.stem, None)
+
+
+@pytest.mark.slow
+@is_page_with(lambda text: blocks(text, "python") or commands(text))
+def test_the_python_and_the_commands_of_a_page_run(page, folder):
+    program = "\n".join(blocks(TEXTS[page], "python"))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for words in commands(TEXTS[page]):
+        accepted(*small(words))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["docs/howto/cluster"])
+def test_the_script_of_a_batch_system_runs_its_part(page, folder, monkeypatch):
+    """Part 3 of 20 of one run of each of 12 configurations: the third."""
+    (script,) = blocks(TEXTS[page], "bash")
+    assert "-n 1000" in script
+    (folder / "sweep.sbatch").write_text(script.replace("-n 1000", "-n 1 --set horizon=1.0"))
+    (folder / ".venv/bin").mkdir(parents=True)
+    (folder / ".venv/bin/activate").touch()
+    (folder / "bin").mkdir()
+    (folder / "bin/desim").write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m desim "$@"\n')
+    (folder / "bin/desim").chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder / "bin"), prepend=":")
+    for name, value in {"SUBMIT_DIR": str(folder), "ARRAY_TASK_ID": "3", "CPUS_PER_TASK": "2"}.items():
+        monkeypatch.setenv(f"SLURM_{name}", value)
+    done = subprocess.run(["bash", "sweep.sbatch"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "1 runs in" in done.stderr
+    assert (folder / "out/imperfect/part-3/sweep.3-of-20.sqlite").exists()
+
+
+def test_the_table_of_packages_equals_their_docstrings():
+    text = TEXTS["docs/explanation/packages"]
+    rows = re.findall(r"^\| `((?:desim|protocols|scenarios)/\w*/?)` \| (.+) \|$", text, re.MULTILINE)
+    inits = [*(ROOT / "desim").glob("*/__init__.py"), ROOT / "protocols/__init__.py", ROOT / "scenarios/__init__.py"]
+    assert sorted(name for name, _ in rows) == sorted(f"{path.parent.relative_to(ROOT)}/" for path in inits)
+    for name, said in rows:
+        assert said == " ".join(import_module(name.strip("/").replace("/", ".")).__doc__.split())
+
+
+def test_the_picture_of_the_layers_is_that_of_the_imports():
+    (picture,) = blocks(TEXTS["docs/explanation/packages"], "text")
+    assert [set(line.split()) for line in reversed(picture.splitlines())] == LAYERS
+
+
+@pytest.mark.parametrize("path", PAGES, ids=TEXTS)
+def test_every_file_a_page_links_to_exists(path):
+    for link in re.findall(r"\]\((?!https?://|#)([^)#]+)", path.read_text(encoding="utf-8")):
+        found = (path.parent / link).resolve().relative_to(ROOT)
+        assert (ROOT / found).exists() or found.as_posix().startswith(GENERATED), link
+
+
+def test_every_paper_that_the_code_cites_is_in_the_bibliography():
+    """A citation is the names of the authors and the year."""
+    text = (ROOT / "docs/references.bib").read_text(encoding="utf-8")
+    entries = re.split(r"^@", re.sub(r"[{}]", "", text), flags=re.MULTILINE)
+    name = r"[A-ZÉ][\w\-]+(?: [A-Z][\w\-]+)?"
+    cited = re.compile(rf"({name})(?:(?:, {name})*,? & {name}| et al\.)?,? \(?((?:19|20)\d\d)\b(?!-)")
+    missing = []
+    for file in [*ROOT.glob("protocols/*.py"), *ROOT.glob("desim/**/*.py")]:
+        for docstring in re.findall(r'"""(.*?)"""', file.read_text(encoding="utf-8"), re.S):
+            for first, year in cited.findall(" ".join(docstring.split())):
+                if not any(first.split()[-1] in each and year in each for each in entries):
+                    missing.append((file.name, first, year))
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_every_path_a_page_names_exists(page):
+    for path in re.findall(r"(?:scenarios|desim|protocols|tests)/[\w./]*\w", TEXTS[page]):
+        assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_every_module_and_key_of_desim_a_page_names_exists(page):
+    for name in set(re.findall(r"`((?:desim|protocols)(?:\.\w+)+)", TEXTS[page])) - {"desim.protocols"}:
+        if name in {"desim.disseminations", "desim.metrics"}:  # groups of entry points
+            continue
+        parts = name.split(".")
+        for k in range(len(parts), 0, -1):
+            try:
+                found = import_module(".".join(parts[:k]))
+            except ModuleNotFoundError:
+                continue
+            for part in parts[k:]:
+                found = getattr(found, part)
+            break
+
+
+@pytest.mark.parametrize("module", sorted(set(re.findall(r"python -m (scenarios[\w.]+)", "".join(TEXTS.values())))))
+def test_every_study_a_page_names_has_help(module):
+    done = CliRunner().invoke(import_module(module).main, ["--help"], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert done.stdout.startswith("Usage:")
