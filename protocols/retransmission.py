@@ -1,8 +1,8 @@
 """Retransmission time-outs with exponential back-off, for the schedules that exchange messages.
 
-A round trip is twice the latency plus the airtime of the request, of its answer and of the messages that may be queued
-in front of them. The first time-out is 5/4 of a round trip. In each later time-out the airtime counts 1.5 times as much
-as in the one before, because the channel may be busy.
+A round trip takes two latencies and, once each, the airtimes of the request, its answer and the messages that may be
+queued in front of them. The first time-out is 5/4 of a round trip, at least `min_timeout`. In each later time-out the
+airtime counts 1.5 times as much as in the one before, because the channel may be busy.
 """
 
 from collections.abc import Generator
@@ -37,7 +37,7 @@ class RetransmissionTimer:
 
 
 def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for a message at a port, or until a time on the local clock, s; return whether the time is up."""
+    """Wait for a message at a port, or until a time on the local clock, s; return False if a message came first."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

@@ -29,9 +29,9 @@ def short(workload: str) -> str:
 
 OURS = ("publish", "send")
 BROADCASTS = "broadcasts"
-"""The part of the study that is not one of `costs.PARTS`."""
+"""The name in `--parts` of the delivery rates, which this module measures; the other parts are `costs.PARTS`."""
 LONG = 5.0
-"""CPU time of the first lap of a way beyond which the way has no further laps, s."""
+"""A way whose first lap takes more CPU time than this, s, has no further laps."""
 Commands = Mapping[str, Sequence[str]]
 """By name of another simulator: the command that runs its program."""
 

@@ -109,7 +109,10 @@ def measure(options: Options) -> list[Cell]:
 
 
 def measured(result: Result) -> tuple[Summary, float | None]:
-    """Return the summary of a run and its time to relay, s, with the same window for all protocols."""
+    """Return the summary of a run and its time to relay, s.
+
+    To be the relay pursuer it must be alone for 2 (L + `PERIOD`), whatever the protocol.
+    """
     latency = result.scenario.network.latency
     assert isinstance(latency, Constant)
     return summary(result), time_to_relay(result, 2.0 * (latency.value + PERIOD))

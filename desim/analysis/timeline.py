@@ -87,7 +87,7 @@ def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
 
 
 class _Counts:
-    """An integer for each pursuer that changes by steps (time (ns), pursuer, increment), in order of time."""
+    """One integer per pursuer over time: initial values and steps, each a (time in ns, pursuer, increment), by time."""
 
     def __init__(self, start: tuple[bool, ...], steps: list[tuple[int, int, int]]):
         self._start = np.array(start, np.int32)

@@ -1,4 +1,4 @@
-"""Metrics that a scenario names: a user's functions, whose values the summary of a run adds to the built-in metrics."""
+"""Metrics that a scenario names: functions of a user; the summary of a run has them beside the built-in metrics."""
 
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -69,7 +69,7 @@ def _check_called(given: str, of: Any) -> None:
     try:
         signature(of).bind("result")
     except TypeError as error:
-        raise ValueError(f"{given!r} should be called with (result): {error}") from error
+        raise ValueError(f"{given!r} should accept one argument, the result of a run: {error}") from error
 
 
 MetricName = Annotated[

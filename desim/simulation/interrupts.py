@@ -12,7 +12,7 @@ SIGNALS = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Terminated(KeyboardInterrupt):
-    """Raised on SIGTERM and SIGHUP; a KeyboardInterrupt, so that code that cleans up after Ctrl-C runs.
+    """Raised on SIGTERM and SIGHUP; a KeyboardInterrupt, so that it triggers the same clean-up as Ctrl-C.
 
     Args:
         number: the number of the signal.

@@ -48,7 +48,7 @@ class SweepPlan:
     reps: int
     """The number of runs of each configuration."""
     root: int
-    """The seed of the first run."""
+    """The root seed: that of run 0 with common seeds, else an input of the hash that gives each run its seed."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
     metrics: UsersMetrics = ()
@@ -100,7 +100,7 @@ class SweepPlan:
         }
 
     def warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield the key and the text of each warning about the grid; `SweepResult.warnings` are those after the runs.
+        """Yield the key and the text of each warning about the grid; `SweepResult.warnings` needs results of runs.
 
         They concern latencies that are probably in ms, and keys that probably have no effect.
         """
@@ -185,8 +185,8 @@ def sweep(
 
     Args:
         scenario: the scenario that is varied.
-        grid: dotted keys of the scenario and the values that each takes: numbers, texts, also arrays, tables, protocols
-            and functions of a notebook; None = the grid of `scenario.sweep`.
+        grid: dotted keys of the scenario and the values that each takes: numbers, texts, arrays, tables, protocols, and
+            functions, even of a notebook; None = the grid of `scenario.sweep`.
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
         executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
@@ -286,12 +286,12 @@ def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None
 
 
 def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
-    """Return the runs predicted to reach a half width, given the runs in the store, which are included."""
+    """Return runs 0 .. n - 1 of each configuration; the runs in the store predict that n give the half width."""
     jobs: list[Job] = []
     for configuration in plan.configurations:
         found = store.runs(configuration.key, plan.root)
         rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
-        # Only the runs before the first missing one count: after it, the runs already stored are biased to short ones.
+        # Runs are stored as they end, so short runs are over-represented beyond the first gap; those do not count.
         first = takewhile(rows.__contains__, count())
         values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]

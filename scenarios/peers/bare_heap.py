@@ -1,7 +1,8 @@
 """The broadcasts of a workload in a bare loop over a heap, with one entry per broadcast and without a simulator.
 
-A turn is a pass of the loop. No node reads between two turns, so a broadcast at the top of the heap writes into the
-tables of all receivers that it reaches before the next turn, and is pushed back with the time of its next arrival.
+Each pass of the loop delivers what has arrived since the previous turn, and then sends the broadcast of its turn. Nodes
+read only at turns, so all arrivals until now of the broadcast at the top of the heap are written at once. If latencies
+differ, it goes back into the heap with the time of its next arrival.
 """
 
 from heapq import heappop, heappush, heapreplace
