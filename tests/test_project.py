@@ -45,13 +45,14 @@ def test_the_hook_of_ruff_has_the_locked_version():
     assert f"ruff-pre-commit\n    rev: v{locked}\n" in text(".pre-commit-config.yaml")
 
 
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:docs|desim|protocols|tests)/[\w./]*\w)`", CONTRIBUTING))))
-def test_every_path_that_the_contribution_guide_names_is_there(path):
+PATHS = re.findall(r"`((?:docs|desim|protocols|tests)/[\w./]*\w)`", CONTRIBUTING)
+COMMANDS = CONTRIBUTING + text(".github/workflows/ci.yml")
+MODULES = [
+    *(name.replace(".", "/") + ".py" for name in re.findall(r"python -m ((?:tests|scenarios)\.\w+)", COMMANDS)),
+    *(path for words in re.findall(r"(?:pytest|only:)((?: [\w./-]+)+)", COMMANDS) for path in words.split()),
+]
+
+
+@pytest.mark.parametrize("path", sorted({*PATHS, *(path for path in MODULES if "/" in path)}))
+def test_every_path_that_the_contribution_guide_and_the_workflow_name_is_there(path):
     assert (ROOT / path).exists() or "NAME" in path
-
-
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"(?:python -m|pytest|only:) ((?:tests|scenarios)[\w./ ]*)", CONTRIBUTING + text(".github/workflows/ci.yml")))))  # fmt: skip
-def test_every_module_and_folder_that_commands_name_is_there(path):
-    for each in path.split():
-        name = each if "/" in each else each.replace(".", "/")
-        assert (ROOT / name).exists() or (ROOT / name).with_suffix(".py").exists()
