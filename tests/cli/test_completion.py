@@ -20,7 +20,7 @@ def completed(*words: str) -> list[str]:
     return [each.value for each in ShellComplete(main, {}, "desim", "").get_completions(before, incomplete)]
 
 
-def test_the_keys_that_are_completed_are_those_of_the_models():
+def test_the_golden_file_of_completed_keys_is_that_of_the_models():
     found = {f"{key.dotted}=" for key in all_keys()}
     found |= {f"{key.dotted}.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted != "fault"}
     found |= {f"fault.0.kind={kind}" for key in all_keys() for kind in key.kinds if key.dotted == "fault"}
