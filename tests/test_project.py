@@ -45,7 +45,7 @@ def test_the_hook_of_ruff_has_the_locked_version():
     assert f"ruff-pre-commit\n    rev: v{locked}\n" in text(".pre-commit-config.yaml")
 
 
-PATHS = re.findall(r"`((?:docs|desim|protocols|tests)/[\w./]*\w)`", CONTRIBUTING)
+PATHS = re.findall(r"[`(]((?:docs|desim|protocols|tests)/[\w./]*\w)[`)]", CONTRIBUTING)
 COMMANDS = CONTRIBUTING + text(".github/workflows/ci.yml")
 MODULES = [
     *(name.replace(".", "/") + ".py" for name in re.findall(r"python -m ((?:tests|scenarios)\.\w+)", COMMANDS)),
