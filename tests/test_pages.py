@@ -50,16 +50,19 @@ def is_page_with(part):
 
 @pytest.fixture
 def folder(page, tmp_path, monkeypatch):
-    """Go to a folder with the scenarios and the files of a page; forget their modules afterwards."""
+    """Go to a folder with the scenarios and the files of a page; forget modules of their names before and afterwards."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml")):
         if name := re.match(r"# (\w+\.(?:py|toml))\n", block):
             (tmp_path / name[1]).write_text(block, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
+    own = [path.stem for path in tmp_path.glob("*.py")]
+    for name in own:  # another test may have imported a module of this name
+        monkeypatch.delitem(sys.modules, name, raising=False)
     yield tmp_path
-    for path in tmp_path.glob("*.py"):
-        sys.modules.pop(path.stem, None)
+    for name in own:
+        sys.modules.pop(name, None)
 
 
 @pytest.mark.slow

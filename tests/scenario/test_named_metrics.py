@@ -52,7 +52,10 @@ def test_a_module_is_imported_only_if_it_is_trusted(file, tmp_path):
     [
         ("MINE:none", "cannot be imported: .*has no attribute 'none'"),
         ("no_such_module:gap", "cannot be imported: No module named 'no_such_module'"),
-        ("tests.analysis.of_users:of_two", r"should accept one argument, the result of a run: missing a required argument: 'more'"),
+        (
+            "tests.analysis.of_users:of_two",
+            r"should accept one argument, the result of a run: missing a required argument: 'more'",
+        ),
         ("desim:Scenario", r"should be a function of a result \(got <class"),
         ("gap", "there is no installed metric 'gap'; allowed: \"module:name\"; built-in metrics need no naming"),
     ],
