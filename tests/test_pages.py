@@ -50,7 +50,7 @@ def is_page_with(part):
 
 @pytest.fixture
 def folder(page, tmp_path, monkeypatch):
-    """Go to a folder with the scenarios and the files of a page; forget modules of their names before and afterwards."""
+    """Go to a folder with the scenarios and the files of a page, whose modules are forgotten before and afterwards."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml")):
         if name := re.match(r"# (\w+\.(?:py|toml))\n", block):
