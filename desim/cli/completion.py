@@ -1,4 +1,4 @@
-"""What the shell completes: keys, kinds and names of examples; imports nothing that is slow to import.
+"""Completion in the shell: keys, kinds and names of examples; imports nothing that is slow to import.
 
 A shell asks on every press of Tab, so the keys are read from `keys.txt`. A test compares it with the models, and writes
 it with RENEW=1.
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from desim.config.packages import check_visible, folder_of
+from desim.config.packages import check_visible
 
 KEYS = Path(__file__).with_name("keys.txt")
 """The keys of scenario files as --set takes them: KEY= and, where it has kinds, KEY.kind=KIND."""
@@ -31,7 +31,9 @@ def protocols(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> 
 
 def examples(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
     """Return the names of the example scenarios that begin with a text."""
-    return _matching([path.stem for path in folder_of("scenarios").glob("*.toml")], incomplete)
+    from desim.scenario.examples import examples as all_examples
+
+    return _matching([*all_examples()], incomplete)
 
 
 def _matching(words: list[str], incomplete: str) -> list[str]:
