@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from desim.cli.options import ALLOW_IMPORT, SEED, SET, echo, fail, making, page_at, storing, write
-from desim.cli.recorded import SOURCE, check_has, result_of
+from desim.cli.recorded import SOURCE, check_no_run, result_of
 from desim.config.file_names import STORE, STORE_PARTS
 
 
@@ -49,7 +49,7 @@ def report(folder: Path, out: Path | None) -> None:
 
     path = page_at(out, folder / "report.html")
     _check_merged(folder)
-    check_has(folder, STORE)
+    check_no_run(folder)
     with making("report"):
         with storing(folder):
             study = Study.read(folder)

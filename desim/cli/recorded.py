@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from desim.cli.options import fail, is_import_allowed, source_of
-from desim.config.file_names import STORE, STORE_PARTS, TRACE
+from desim.config.file_names import STORE, TRACE
 
 if TYPE_CHECKING:
     from desim.simulation.run import Result
@@ -27,33 +27,24 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
     """Return the run in a folder or of a scenario file; end the program if it cannot be read."""
     from desim.simulation.run import Result
 
-    if source.is_dir():
-        check_has(source, TRACE)
     found = results_of(source, seed, overrides)
     if not isinstance(found, Result):
-        fail(f"{source}: is a sweep, not a run: `desim report` and `desim plot` show it")
+        fail(
+            f"{source}: is the folder of a sweep or an explanation, which keeps metrics only; make a page about it:"
+            f" desim report {shlex.quote(str(source))}; to see a run of it, repeat the run: desim replay FILE -s SEED"
+        )
     return found
 
 
-def check_has(folder: Path, name: str) -> None:
-    """End the program if a folder has no file of a name, but the results of another command.
-
-    Args:
-        folder: the folder.
-        name: the file that the command reads: TRACE or STORE.
-    """
-    if (folder / name).exists():
+def check_no_run(folder: Path) -> None:
+    """End the program if a folder has no store, but runs."""
+    if (folder / STORE).exists():
         return
     traces = [each for each in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if each.exists()]
-    if name == STORE and traces:
+    if traces:
         number = "a single run" if traces[0].parent == folder else "single runs"
         page = f"desim replay {shlex.quote(str(traces[0].parent))}"
         fail(f"{folder}: is the folder of {number}, not of a sweep; make a page that plays a run: {page}")
-    if name == TRACE and ((folder / STORE).exists() or any(folder.glob(STORE_PARTS))):
-        fail(
-            f"{folder}: is the folder of a sweep or an explanation, which keeps metrics only; make a page about it:"
-            f" desim report {shlex.quote(str(folder))}; to see a run of it, repeat the run: desim replay FILE -s SEED"
-        )
 
 
 def results_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result | SweepResult":

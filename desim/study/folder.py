@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
-from desim.config.file_names import STORE, TRACE
+from desim.config.file_names import STORE, STORE_PARTS, TRACE
 from desim.results import provenance, run_folder
 from desim.simulation.run import Result
 from desim.study.result import SweepResult
@@ -52,9 +52,9 @@ def _file_in(folder: Path) -> Path:
 
 
 def _contents(folder: Path) -> str:
-    """Return what a folder without a result of its own has, as text."""
+    """Return a description of a folder that has no result of its own."""
     where = shlex.quote(str(folder))
-    if parts := _names(each.name for each in folder.glob("sweep.*-of-*.sqlite")):
+    if parts := _names(each.name for each in folder.glob(STORE_PARTS)):
         return f"has parts of a sweep ({parts}): merge them first: desim merge {where} -o {where}"
     if below := _names(each.parent.name for name in (TRACE, STORE) for each in folder.glob(f"*/{name}")):
         return f"has no result itself, but its folders have ({below}): give one of them"
