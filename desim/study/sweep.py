@@ -241,7 +241,7 @@ def carry_out(
     failed: dict[tuple[str, int], Row] = {}
     is_started = False
     while True:
-        jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until)
+        jobs = plan.shard(*shard) if until is None else _wanted(plan, store, *until, failed.keys())
         jobs = [(configuration, k) for configuration, k in jobs if (configuration.key, k) not in done]
         if not jobs:
             return SweepResult.of(store, [configuration.key for configuration in plan.configurations], failed)
@@ -285,12 +285,18 @@ def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None
         raise ValueError(f"the half width of {metric} should be positive, got {half_width}")
 
 
-def _wanted(plan: SweepPlan, store: Store, metric: str, half_width: float) -> list[Job]:
-    """Return runs 0 .. n - 1 of each configuration; the runs in the store predict that n give the half width."""
+def _wanted(
+    plan: SweepPlan, store: Store, metric: str, half_width: float, failed: Collection[tuple[str, int]]
+) -> list[Job]:
+    """Return runs 0 .. n - 1 of each configuration; the runs in the store predict that n give the half width.
+
+    A run whose repetition failed has no value, even if the store has it without the metric.
+    """
     jobs: list[Job] = []
     for configuration in plan.configurations:
         found = store.runs(configuration.key, plan.root)
         rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
+        rows |= {k: None for key, k in failed if key == configuration.key}
         # Runs are stored as they end, so short runs are over-represented beyond the first gap; those do not count.
         first = takewhile(rows.__contains__, count())
         values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]

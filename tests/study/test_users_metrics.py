@@ -240,6 +240,23 @@ def test_a_metric_that_the_sweep_lacks_is_refused_but_not_one_that_fails_in_ever
 
 
 @pytest.mark.slow
+def test_a_metric_that_fails_in_a_stored_run_does_not_end_a_sweep_before_its_precision(tmp_path):
+    """Run 2 is stored without the metric and fails when it is repeated: as many runs as without a store."""
+
+    def fragile(result):
+        if result.seed == BASE.seed + 2:
+            raise ZeroDivisionError
+        return float(result.seed % 7)
+
+    target, given = ("fragile", 0.6), {"fragile": fragile}
+    (whole,) = sweep(BASE, {"capture.radius": [0.2]}, 80, until=target, metrics=given).groups
+    store = tmp_path / "s.sqlite"
+    sweep(BASE, {"capture.radius": [0.2]}, 4, store=store)
+    (group,) = sweep(BASE, {"capture.radius": [0.2]}, 80, store=store, until=target, metrics=given).groups
+    assert 30 < len(group.rows) == len(whole.rows) < 80
+
+
+@pytest.mark.slow
 def test_a_precision_of_a_metric_takes_as_many_runs_whether_or_not_there_are_runs_without_it(tmp_path):
     grid, target = {"capture.radius": [0.2]}, ("half", 0.012)
     (whole,) = sweep(BASE, grid, 60, until=target, metrics={"half": half}).groups
