@@ -1,5 +1,6 @@
 """What holds in every test: no history of a network breaks its invariants; and runs that tests share."""
 
+import sys
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -36,6 +37,18 @@ def pytest_collection_modifyitems(items):
             if item.function in begun:
                 item.add_marker("slow")
             begun.add(item.function)
+
+
+@pytest.fixture(autouse=True)
+def _no_modules_left(tmp_path_factory):
+    """Forget the folders that a test adds to `sys.path`, and the modules that it imports from folders of tests."""
+    path, known = [*sys.path], {*sys.modules}
+    yield
+    sys.path[:] = path
+    for name in {*sys.modules} - known:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file is not None and Path(file).is_relative_to(tmp_path_factory.getbasetemp()):
+            del sys.modules[name]
 
 
 @pytest.fixture(autouse=True)

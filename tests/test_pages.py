@@ -50,19 +50,13 @@ def is_page_with(part):
 
 @pytest.fixture
 def folder(page, tmp_path, monkeypatch):
-    """Go to a folder with the scenarios and the files of a page, whose modules are forgotten before and afterwards."""
+    """Go to a folder with the scenarios and the files of a page."""
     shutil.copytree(ROOT / "scenarios", tmp_path / "scenarios", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for block in (*blocks(TEXTS[page], "python"), *blocks(TEXTS[page], "toml")):
         if name := re.match(r"# (\w+\.(?:py|toml))\n", block):
             (tmp_path / name[1]).write_text(block, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    own = [path.stem for path in tmp_path.glob("*.py")]
-    for name in own:  # another test may have imported a module of this name
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    yield tmp_path
-    for name in own:
-        sys.modules.pop(name, None)
+    return tmp_path
 
 
 @pytest.mark.slow

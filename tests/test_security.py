@@ -61,12 +61,10 @@ def late(context, rng):
 
 
 @pytest.fixture
-def mark(tmp_path, monkeypatch):
+def mark(tmp_path):
     """Return a file that is there as soon as the module `evil`, which lies beside scenario files, is imported."""
-    monkeypatch.setattr(sys, "path", [*sys.path])
     (tmp_path / "evil.py").write_text(EVIL.format(mark=str(tmp_path / "mark")))
-    yield tmp_path / "mark"
-    sys.modules.pop("evil", None)
+    return tmp_path / "mark"
 
 
 @pytest.fixture

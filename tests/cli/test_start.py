@@ -1,7 +1,5 @@
 """`desim examples` and `desim new`: files to start from, which run as they are."""
 
-import sys
-
 import pytest
 
 from desim.scenario.templates import TEMPLATES
@@ -12,10 +10,8 @@ from tests.command import accepted, refused
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Work in an empty folder, and leave no module of it behind."""
+    """Work in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(sys, "modules", dict(sys.modules))
     return tmp_path
 
 

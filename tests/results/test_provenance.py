@@ -423,24 +423,19 @@ class {name}(Value):
 
 
 @pytest.fixture
-def beside(tmp_path, monkeypatch):
+def beside(tmp_path):
     """Return a function that writes a scenario file and a module of a protocol beside it, imported nowhere else."""
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    written = []
 
     def put(folder: str, name: str) -> Path:
         home = tmp_path / folder
         home.mkdir(exist_ok=True)
-        written.append(name)
         (home / f"{name}.py").write_text(RULES.format(name="Rule"))
         (home / "own.toml").write_text(
             f'horizon = 1.0\nteam.count = 4\nprotocol = {{ kind = "{name}:Rule", at = 0.2, until = inf }}\n'
         )
         return home / "own.toml"
 
-    yield put
-    for name in written:
-        sys.modules.pop(name, None)
+    return put
 
 
 def forget(name: str) -> None:

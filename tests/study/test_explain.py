@@ -676,12 +676,10 @@ def file(tmp_path, monkeypatch):
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(sys, "path", [*sys.path])
     (folder / "wrong_in_explain.py").write_text(FAILING)
     path = folder / "late.toml"
     path.write_text(FILE)
-    yield path
-    sys.modules.pop("wrong_in_explain", None)
+    return path
 
 
 def command(*arguments):

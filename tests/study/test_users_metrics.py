@@ -355,12 +355,10 @@ energy = gap
 @pytest.fixture
 def file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path.copy())  # a folder that is added to it would have modules for later tests
     monkeypatch.setattr("desim.results.run_folder.can_plot", lambda: False)
     (tmp_path / "mine_of_commands.py").write_text(MODULE)
     (tmp_path / "mine.toml").write_text(FILE)
-    yield tmp_path / "mine.toml"
-    sys.modules.pop("mine_of_commands", None)
+    return tmp_path / "mine.toml"
 
 
 TRUSTED = "--allow-import"

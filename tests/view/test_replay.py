@@ -859,8 +859,8 @@ TINTED = """(() => {
 def test_the_sensing_range_is_a_disc_to_scale_that_can_be_hidden(shown):
     """Of a radius of 2 m, 4 pi square metres less what lines and pursuers cover; twice seen is not darker."""
     opened = shown(run(SEEING))
-    opened.until("(replay.draw(), replay.scale > 1)")
-    assert opened.value(TINTED) == pytest.approx(4 * np.pi, rel=0.08)
+    opened.until(f"(replay.draw(), {TINTED} > 0)")
+    assert opened.value(f"(replay.draw(), {TINTED})") == pytest.approx(4 * np.pi, rel=0.08)
     assert "sensing range of a pursuer" in opened.value("document.querySelector('.key').textContent")
     opened.press("s")
     assert opened.value(f"(replay.draw(), {TINTED})") < 0.01
