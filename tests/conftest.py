@@ -39,9 +39,8 @@ def pytest_collection_modifyitems(items):
             begun.add(item.function)
 
 
-@pytest.fixture(autouse=True)
 def _no_modules_left(tmp_path_factory):
-    """Forget the folders that a test adds to `sys.path`, and the modules that it imports from folders of tests."""
+    """Forget the folders that are added to `sys.path`, and the modules that are imported from folders of tests."""
     path, known = [*sys.path], {*sys.modules}
     yield
     sys.path[:] = path
@@ -49,6 +48,10 @@ def _no_modules_left(tmp_path_factory):
         file = getattr(sys.modules[name], "__file__", None)
         if file is not None and Path(file).is_relative_to(tmp_path_factory.getbasetemp()):
             del sys.modules[name]
+
+
+_after_each_test = pytest.fixture(_no_modules_left, autouse=True)
+_after_each_file = pytest.fixture(_no_modules_left, autouse=True, scope="module")
 
 
 @pytest.fixture(autouse=True)
