@@ -5,7 +5,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
-from inspect import cleandoc, get_annotations, getsource
+from inspect import cleandoc, getsource
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated, Any, get_args, get_origin
@@ -23,6 +23,11 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from desim.config.json_numbers import from_json
+
+if sys.version_info >= (3, 14):
+    from annotationlib import Format, get_annotations
+else:
+    from inspect import get_annotations
 
 # Numbers and booleans are strict: the string "60" is not 60, and true is not 1.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -160,8 +165,15 @@ def docs_of(model: type) -> Docs:
     found: dict[str, str] = {}
     for each in reversed(model.__mro__):
         own = _docs(each.__module__).get(each.__qualname__, {})
-        found = {**{name: text for name, text in found.items() if name not in get_annotations(each)}, **own}
+        found = {**{name: text for name, text in found.items() if name not in annotated(each)}, **own}
     return found
+
+
+def annotated(model: type) -> list[str]:
+    """Return the names that a class itself annotates, without evaluating the annotations."""
+    if sys.version_info >= (3, 14):
+        return [*get_annotations(model, format=Format.FORWARDREF)]
+    return [*get_annotations(model)]
 
 
 @cache

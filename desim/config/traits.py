@@ -6,7 +6,7 @@ An attribute of a function or a class whose name is one letter off that of a tra
 have no effect, unless the trait is there, too. Attributes set in `__init__`, or on a partial, are not checked.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from desim.config.model import Value
+from desim.config.model import Value, annotated
 
 SHORTEST = 5
 """Least length of a name that is checked for typing errors; one letter makes other words of a shorter name."""
@@ -106,12 +106,11 @@ def name_of(value: Any) -> str:
     return str(value.__name__ if isinstance(value, FunctionType) else type(value).__name__)
 
 
-def _misspelt(traits: tuple[str, ...], scope: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield (attribute, trait) for each attribute of a class or function that is one letter off a trait.
+def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield (attribute, trait) for each name of an attribute that is one letter off a trait.
 
     If there is an attribute of the right name, too, the similar one means something else; so does a private one.
     """
-    names = {**scope.get("__annotations__", {}), **scope}
     for trait in traits:
         if len(trait) >= SHORTEST and trait not in names:
             yield from ((name, trait) for name in names if name[0] != "_" and is_one_letter_off(name, trait))
@@ -120,7 +119,9 @@ def _misspelt(traits: tuple[str, ...], scope: Mapping[str, Any]) -> Iterator[tup
 @lru_cache(maxsize=256)
 def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str], ...]:
     """Return `_misspelt` for a class and its base classes."""
-    return tuple(each for base in model.__mro__ for each in _misspelt(traits, vars(base)))
+    return tuple(
+        each for base in model.__mro__ for each in _misspelt(traits, dict.fromkeys([*annotated(base), *vars(base)]))
+    )
 
 
 def is_one_letter_off(word: str, other: str) -> bool:

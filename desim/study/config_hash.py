@@ -57,12 +57,15 @@ PICKLED = {NoneType, bool, int, float, list, dict}
 WRAPPED = {cached_property: "func", type(cache(len)): "__wrapped__"}
 """The types that wrap a function and have no pickle, and the attribute that holds the function."""
 GENERATED = {
-    *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__annotations_cache__", "__orig_bases__"),
+    *("__module__", "__dict__", "__weakref__", "__doc__", "__annotations__", "__orig_bases__"),
+    *("__annotations_cache__", "__conditional_annotations__"),
     *("__firstlineno__", "__static_attributes__", "__parameters__", "__type_params__", "__abstractmethods__"),
     *("_abc_impl", "__protocol_attrs__", "__dataclass_fields__", "__dataclass_params__"),
     *("__class_vars__", "__private_attributes__", "__signature__"),
 }
 """The attributes that Python, dataclasses and pydantic add to a class, besides methods and `__pydantic_*`."""
+ANNOTATORS = {"__annotate__", "__annotate_func__"}
+"""The methods with which Python 3.14 evaluates the annotations of a class."""
 ADVICE = "store plain values instead, or leave it out in the __getstate__ of the class that holds it"
 
 
@@ -325,7 +328,8 @@ def globals_read(code: CodeType) -> set[str]:
 def _is_generated(name: str, attribute: Any) -> bool:
     """Return whether an attribute of a class is added by Python, dataclasses or pydantic, and no method."""
     is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
-    return not is_method and (name in GENERATED or name.startswith("__pydantic_"))
+    is_generated = name in GENERATED or name.startswith("__pydantic_")
+    return name in ANNOTATORS or (is_generated and not is_method)
 
 
 def _is_cached(kind: type, name: str) -> bool:

@@ -299,7 +299,7 @@ def test_derived_attributes_do_not_change_the_hash(make):
 
 
 def deep(_):
-    return reduce(lambda inner, _: Plain(inner), range(5000), None)
+    return reduce(lambda inner, _: Plain(inner), range(100_000), None)
 
 
 class Tags(set):
