@@ -24,7 +24,7 @@ from desim.config.model import Duration, Rate, Value
 from desim.kernel.clock import nanoseconds
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
 
 PORT = "mutex"
 """The port at which the messages of the mutual exclusion arrive."""
@@ -165,7 +165,7 @@ class CriticalSection:
 
     def _wait(self, until: float) -> Waiting:
         """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
-        due = yield from wait_for_mail(self._me, PORT, until)
+        due = yield from arrival_or_timeout(self._me, PORT, until)
         for message in self._me.mail(PORT):
             self._process(message.src, message.body)
         return due

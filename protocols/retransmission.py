@@ -36,7 +36,7 @@ class RetransmissionTimer:
         return self._first + self._airtime * (BACKOFF ** min(attempt, MAX_GROWTH) - 1.0)
 
 
-def wait_for_mail(me: Agent, port: str, until: float) -> Waiting:
+def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:
     """Wait for a message at a port, or until a time on the local clock, s; return False if a message came first."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from desim.kernel.records import Record
 from desim.pursuit.agent import Agent, Process
-from protocols.retransmission import RetransmissionTimer, Waiting, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, Waiting, arrival_or_timeout
 
 Epoch = tuple[int, int, float]
 """Serial number, pursuer that started the epoch, and its local time then, s: unique even after a loss of memory."""
@@ -193,7 +193,7 @@ class TokenNode:
     def _wait(self, until: float) -> Waiting:
         """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
         me = self._me
-        due = yield from wait_for_mail(me, PORT, until)
+        due = yield from arrival_or_timeout(me, PORT, until)
         crashed = me.now > until + self._holding_time
         if crashed:  # this pursuer was down: others may have regenerated the token
             self.token = None

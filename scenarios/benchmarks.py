@@ -28,7 +28,7 @@ from scenarios.study import Options, study
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-from scenarios.benchmarks_runs import BROADCASTS, OURS, SHORT, Rate, measure, short
+from scenarios.benchmarks_runs import BROADCASTS, DESIM_WAYS, WORKLOAD_NAMES, Rate, measure, short
 
 
 def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
@@ -36,11 +36,11 @@ def table(rates: Sequence[Rate], missing: Mapping[str, str], laps: int) -> str:
     works, ways = list(dict.fromkeys(each.workload for each in rates)), list(dict.fromkeys(each.way for each in rates))
     found = {(each.workload, each.way): each.per_second for each in rates}
     heads = [short(work) for work in works]
-    speeds, ratios = [["", *heads]], [["", *(f"{head} {ours}" for head in heads for ours in OURS)]]
+    speeds, ratios = [["", *heads]], [["", *(f"{head} {ours}" for head in heads for ours in DESIM_WAYS)]]
     for way in ways:
         speeds.append([way, *(_quotient(found.get((work, way)), 1e3, 0) for work in works)])
-        if way not in OURS:
-            line = [(found.get((work, ours)), found.get((work, way))) for work in works for ours in OURS]
+        if way not in DESIM_WAYS:
+            line = [(found.get((work, ours)), found.get((work, way))) for work in works for ours in DESIM_WAYS]
             ratios.append([way, *(_quotient(own, other, 2) if other else "-" for own, other in line)])
     return "\n".join(
         [
@@ -70,7 +70,7 @@ def picture(rates: Sequence[Rate]) -> "Figure":
     with plots.styled(figsize=(4.6 * columns, 0.6 + rows * (0.5 + 0.19 * max(map(len, here))))) as figure:
         for axes, work, bars in zip(figure.subplots(rows, columns, squeeze=False).flat, works, here, strict=False):
             speeds = [each.per_second for each in bars]
-            colours = [palette.SERIES[0] if each.way in OURS else palette.GREY for each in bars]
+            colours = [palette.SERIES[0] if each.way in DESIM_WAYS else palette.GREY for each in bars]
             drawn = axes.barh([each.way for each in bars], speeds, color=colours, height=0.7)
             axes.bar_label(drawn, [f" {speed / 1e3:,.0f}" for speed in speeds], fontsize=8)
             axes.set_xscale("log")
@@ -99,7 +99,9 @@ def _names_from(allowed: Sequence[str]) -> Any:
     __doc__,
     3,
     click.Option(["--only"], callback=_names_from([*WAYS, *PEERS]), help="Ways, separated by commas; default: all."),
-    click.Option(["--workloads"], callback=_names_from(SHORT), help=f"Some of {','.join(SHORT)}; default: all."),
+    click.Option(
+        ["--workloads"], callback=_names_from(WORKLOAD_NAMES), help=f"Some of {','.join(WORKLOAD_NAMES)}; default: all."
+    ),
     click.Option(["--peers/--no-peers"], default=True, show_default=True, help="Include other simulators."),
     click.Option(
         ["--parts"],

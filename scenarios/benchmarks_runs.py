@@ -27,10 +27,11 @@ def short(workload: str) -> str:
     return workload.partition(":")[0]
 
 
-OURS = ("publish", "send")
+DESIM_WAYS = ("publish", "send")
+"""The ways that are calls of desim."""
 BROADCASTS = "broadcasts"
 """The name in `--parts` of the delivery rates, which this module measures; the other parts are `costs.PARTS`."""
-LONG = 5.0
+SLOW_LAP = 5.0
 """A way whose first lap takes more CPU time than this, s, has no further laps."""
 Commands = Mapping[str, Sequence[str]]
 """By name of another simulator: the command that runs its program."""
@@ -58,12 +59,12 @@ class Laps:
         self._seconds: dict[str, list[float]] = {}
 
     def lap(self, name: str) -> None:
-        """Run one lap of a way, unless its first lap was longer than `LONG`.
+        """Run one lap of a way, unless its first lap was longer than `SLOW_LAP`.
 
         Raises:
             RuntimeError: if the way ends with other tables than the ways before it.
         """
-        if name in self._missing or self._seconds.get(name, [0.0])[0] > LONG:
+        if name in self._missing or self._seconds.get(name, [0.0])[0] > SLOW_LAP:
             return
         try:
             deliveries, seconds = self._run_here(name) if name in WAYS else self._run_program(name)
@@ -131,4 +132,4 @@ def measure(options: Options, works: Sequence[Workload], ways: Sequence[str]) ->
     return rates, missing
 
 
-SHORT = [short(work.name) for work in workloads()]
+WORKLOAD_NAMES = [short(work.name) for work in workloads()]

@@ -37,7 +37,7 @@ SAMPLING = 0.02
 """Time between two samples of positions, s."""
 PRINT = 300
 """Resolution of the PNG, dots per inch."""
-SHORT = 0.1
+SHORT_SHARE = 0.1
 """If a pursuer is first alone before this share of a run, the beginning is also drawn enlarged."""
 
 
@@ -152,7 +152,7 @@ def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
             draw_utility_panel(axes, each)
             axes.set_title(name, loc="left")
             axes.label_outer()
-            if (chain := relays(result)) and chain[0][0] < SHORT * ended(result).t:
+            if (chain := relays(result)) and chain[0][0] < SHORT_SHARE * ended(result).t:
                 _draw_beginning(axes, each, 1.1 * seconds(chain[0][0]))
         rows[-1].set_xlabel("time (s)")
         figure.supylabel("individual utility (s)", fontsize=7)

@@ -38,9 +38,10 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
     if isinstance(value, NamedMetric):
         return value
     if isinstance(value, FunctionType):
+        _check_called(value.__name__, value)
         return NamedMetric(name=value.__name__, given=import_name(value), of=value)
     if not isinstance(value, str):
-        also = "; give others to `sweep` or `summary`, which take metrics by name" if callable(value) else ""
+        also = "; `sweep` and `summary` take any callable as metrics={NAME: callable}" if callable(value) else ""
         raise ValueError(
             f'should be a function, "module:name" or the name of an installed metric{also} (got {value!r})'
         )
@@ -55,8 +56,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
         hint = f", did you mean {close[0]!r}?" if close else ""
         names = ", ".join(['"module:name"', *installed])
         raise ValueError(
-            f"there is no installed metric {value!r}{hint}; allowed: {names}; built-in metrics need no naming:"
-            " every summary has them"
+            f"there is no installed metric {value!r}{hint}; allowed: {names}; the built-in metrics are in every summary"
         )
     _check_called(value, of)
     return NamedMetric(name=name, given=value, of=of)

@@ -46,7 +46,7 @@ WIDTH, HEIGHT = 4.8, 5.4
 PAD = 0.1
 """Margin around the figure, in."""
 DPI = 100
-MOST = 1500
+MAX_FRAMES = 1500
 """Maximum number of frames; each takes 0.4 MB of memory."""
 HOLD = 1500
 """Display time of the last frame, ms."""
@@ -55,7 +55,7 @@ PALE = 0.4
 """Weight of an evader's hue, blended with white, for pursuers that chase it together, if there are several evaders."""
 MAX_NAMED = 6
 """Maximum number of evaders in the legend."""
-SHORT = 0.02
+RECEIVER_GAP = 0.02
 """Distance between the mark of an arrival or a loss and the receiver, in widths of the picture."""
 SHADES = 10
 """Number of shades of each colour, towards white."""
@@ -87,11 +87,11 @@ def animate(
         raise ValueError(f"the speed should be greater than 0 and fps from 1 to 50, got {speed:g} and {fps}")
     pause = 100 // fps * 10  # ms
     step = nanoseconds(speed * pause / 1000.0)
-    times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MOST + 1], nanoseconds(last)]
-    if len(times) > MOST:
+    times = [*range(nanoseconds(begin), nanoseconds(last), max(step, 1))[: MAX_FRAMES + 1], nanoseconds(last)]
+    if len(times) > MAX_FRAMES:
         raise ValueError(
-            f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MOST} frames: choose a higher speed, "
-            "fewer fps, or a shorter window"
+            f"{last - begin:g} s at speed {speed:g} and {fps} fps are more than {MAX_FRAMES} frames: choose a higher"
+            " speed, fewer fps, or a shorter window"
         )
     first, *rest = frames(result, times)
     pauses = [pause] * len(rest) + [HOLD]
@@ -187,7 +187,7 @@ class _Scene:
         axes = figure.add_subplot()
         self._set(axes)
         left, right = axes.get_xlim()
-        self._messages = _message_dots(result, self._paths, SHORT * (right - left))
+        self._messages = _message_dots(result, self._paths, RECEIVER_GAP * (right - left))
         count = self._paths.count
         self._evaders = [_EvaderArtists(axes, evader, count) for evader in range(1, count + 1)]
         (self._dots,) = axes.plot([], [], "o", color=IN_FLIGHT, ms=2.5, mew=0, label="message in flight")

@@ -28,14 +28,14 @@ from desim.view.paths import HALO, EvaderStyle
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
-MOST = 24
+MAX_DENSITY = 24
 """Maximum number of messages per centimetre that can be told apart; half as many are easy to read."""
 ARROWS: dict[str, Any] = {
     **{"angles": "xy", "scale_units": "xy", "scale": 1.0, "units": "inches", "width": 0.008},
     **{"headwidth": 6.0, "headlength": 7.0, "headaxislength": 6.0, "minshaft": 1.0, "minlength": 0.0},
 }
 """Arrows between two points in data coordinates; shaft width in inches, heads in shaft widths."""
-SHORT = 0.25
+LOSS_GAP = 0.25
 """Distance between the end of a message lost at transmission and the line of its receiver, in line spacings."""
 PALE = "#8c8c8c"
 """Colour of messages that announce inactivity; lighter in greyscale than messages that announce activity."""
@@ -69,7 +69,7 @@ def spacetime(
     width, height = size_of(size)
     shown = list(pursuers) if pursuers is not None else _busiest(result)
     _check(result, shown, begin, end)
-    window, own = _window(result, shown, begin, end, round(MOST * width * 2.54))
+    window, own = _window(result, shown, begin, end, round(MAX_DENSITY * width * 2.54))
     with styled((width, height or 1.2 + 0.3 * len(shown)), font=7 if width < NARROW else 8) as figure:
         axes = figure.add_subplot()
         rows = {pursuer: row for row, pursuer in enumerate(shown)}
@@ -243,7 +243,7 @@ def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], la
         return
     t, row = _ends(lost, rows)
     at_once = t[1] == t[0]
-    way = np.where(at_once, 1.0 - SHORT / np.abs(row[1] - row[0]), 1.0)
+    way = np.where(at_once, 1.0 - LOSS_GAP / np.abs(row[1] - row[0]), 1.0)
     t[1] += np.where(at_once, latency * way, 0.0)
     row[1] = row[0] + way * (row[1] - row[0])
     gaps = np.full(len(lost), np.nan)

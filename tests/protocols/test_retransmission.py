@@ -7,7 +7,7 @@ import pytest
 from desim import Scenario, run
 from desim.kernel.latency import Constant
 from desim.kernel.links import Links
-from protocols.retransmission import RetransmissionTimer, wait_for_mail
+from protocols.retransmission import RetransmissionTimer, arrival_or_timeout
 
 
 def test_the_first_time_out_is_5_4_of_a_round_trip_and_each_later_one_has_3_2_of_the_airtime():
@@ -30,7 +30,7 @@ def test_waiting_ends_with_the_first_message_or_at_its_deadline():
             me.send(1, "word", "port")
         if me.id == 1:
             for until in (2.0, 3.0, 2.5):
-                due = yield from wait_for_mail(me, "port", until)
+                due = yield from arrival_or_timeout(me, "port", until)
                 seen.append((me.now, due, [message.body for message in me.mail("port")]))
 
     seen = []

@@ -57,7 +57,10 @@ def test_a_module_is_imported_only_if_it_is_trusted(file, tmp_path):
             r"should accept one argument, the result of a run: missing a required argument: 'more'",
         ),
         ("desim:Scenario", r"should be a function of a result \(got <class"),
-        ("gap", "there is no installed metric 'gap'; allowed: \"module:name\"; built-in metrics need no naming"),
+        (
+            "gap",
+            "there is no installed metric 'gap'; allowed: \"module:name\"; the built-in metrics are in every summary",
+        ),
     ],
 )
 def test_what_is_no_metric_is_told_with_file_line_and_key(file, given, said):
@@ -83,8 +86,10 @@ def test_a_scenario_of_a_script_has_functions_and_says_how_a_file_would_name_the
     with pytest.raises(ValueError, match=rf"{allowed} \(got 3\)"):
         Recording(metrics=(3,))
     for unnamed in (of_users.speed, partial(of_users.half)):
-        with pytest.raises(ValueError, match=f"{allowed}; give others to `sweep` or `summary`, which take metrics by"):
+        with pytest.raises(ValueError, match=f"{allowed}; `sweep` and `summary` take any callable as metrics="):
             Recording(metrics=(unnamed,))
+    with pytest.raises(ValueError, match="'of_two' should accept one argument, the result of a run"):
+        Recording(metrics=(of_users.of_two,))
 
 
 def test_metrics_that_a_scenario_names_are_replaced_as_any_other_key():

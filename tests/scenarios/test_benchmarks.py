@@ -86,7 +86,7 @@ def test_the_study_measures_all_ways_on_all_workloads(few, tmp_path):
     text = (tmp_path / "benchmarks.txt").read_text()
     found = {(each["workload"][:2], each["way"]): each["per_second"] for each in rates}
     assert re.search(rf"^heapq +{found['W1', 'heapq'] / 1e3:,.0f} ", text, re.MULTILINE)
-    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks_runs.OURS]
+    ratios = [found[work, own] / found[work, "heapq"] for work in ("W1", "W4") for own in benchmarks_runs.DESIM_WAYS]
     assert re.search(r"^heapq +" + " +".join(f"{ratio:,.2f}" for ratio in ratios) + "$", text, re.MULTILINE)
     picture = (tmp_path / "benchmarks.svg").read_text()
     assert all(picture.count(f">{way}</text>") == 2 for way in ways.WAYS)
@@ -133,7 +133,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     patch_study(monkeypatch, (benchmarks, benchmarks_runs), "PEERS", peers)
     commands = {
         name: [sys.executable, "-c", PRINTS.format(f'{{"deliveries": 240, "seconds": {seconds}}}')]
-        for name, seconds in (("slow", benchmarks_runs.LONG + 1.0), ("fast", 0.5))
+        for name, seconds in (("slow", benchmarks_runs.SLOW_LAP + 1.0), ("fast", 0.5))
     }
     laps = benchmarks_runs.Laps(TINY[0], commands, {})
     laps.lap("slow")
@@ -141,7 +141,7 @@ def test_a_long_lap_is_not_repeated(monkeypatch):
     commands |= {name: [sys.executable, "-c", "raise SystemExit('again')"] for name in commands}
     laps.lap("slow")
     laps.lap("fast")
-    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks_runs.LONG + 1.0))]
+    assert [(each.way, each.per_second) for each in laps.rates()] == [("slow", 240 / (benchmarks_runs.SLOW_LAP + 1.0))]
 
 
 @pytest.mark.slow_but_one

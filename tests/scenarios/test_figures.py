@@ -79,7 +79,7 @@ def test_the_utilities_of_a_run_are_computed_once(monkeypatch):
     """Also if its beginning is drawn enlarged, and handovers are labelled."""
     computed, utilities = [], figures.individual_utilities
     monkeypatch.setattr(figures, "individual_utilities", lambda result: computed.append(result) or utilities(result))
-    monkeypatch.setattr(figures, "SHORT", 1.0)
+    monkeypatch.setattr(figures, "SHORT_SHARE", 1.0)
     result = trace_index(run(figures.panels(20)["delta = 0.01 s"], 0))
     figure = figures.draw_utilities({"one": result, "two": result})
     assert len(computed) == 2

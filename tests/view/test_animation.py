@@ -7,7 +7,7 @@ from matplotlib.text import Text
 from PIL import Image
 
 from desim.analysis.plots import styled
-from desim.view.animation import COLOURS, HOLD, MOST, SHADES, _Scene, animate, frames
+from desim.view.animation import COLOURS, HOLD, MAX_FRAMES, SHADES, _Scene, animate, frames
 from tests.drawn import described, line_of, text_of
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -134,7 +134,7 @@ def test_six_seconds_of_twenty_pursuers_and_their_messages_are_less_than_a_megab
         ({"begin": 0.5, "end": 0.2}, "window from 0.5 s to 0.2 s is empty"),
         ({"speed": 0.0}, "greater than 0"),
         ({"fps": 51}, "from 1 to 50"),
-        ({"speed": 1e-4}, f"more than {MOST} frames: choose a higher speed"),
+        ({"speed": 1e-4}, f"more than {MAX_FRAMES} frames: choose a higher speed"),
         ({"speed": 1e-12}, "more than"),
     ],
 )

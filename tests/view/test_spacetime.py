@@ -9,7 +9,7 @@ from matplotlib.quiver import Quiver
 from desim.kernel.faults import Crash, FaultStarted, Partition
 from desim.pursuit.events import Decided
 from desim.view.deliveries import deliveries
-from desim.view.spacetime import MOST, spacetime
+from desim.view.spacetime import MAX_DENSITY, spacetime
 from tests.drawn import described
 from tests.golden import golden
 from tests.view.by_hand import MS, history, pair
@@ -76,8 +76,8 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
     with pytest.raises(ValueError, match="fewer pursuers") as refused:
         spacetime(crowded, 1.0, 4.0)
     until = float(re.search(r"end the window at ([\d.]+) s", str(refused.value))[1])
-    assert f"the {round(MOST * 17)} that" in str(refused.value)
-    assert 0.8 * MOST * 17 < count(spacetime(crowded, 1.0, until)) <= MOST * 17
+    assert f"the {round(MAX_DENSITY * 17)} that" in str(refused.value)
+    assert 0.8 * MAX_DENSITY * 17 < count(spacetime(crowded, 1.0, until)) <= MAX_DENSITY * 17
     spacetime(crowded, 1.0, 4.0, pursuers=(0, 9))
 
 
@@ -86,7 +86,7 @@ def test_too_many_messages_are_refused_and_the_advice_helps(crowded):
 def test_the_default_selection_is_neither_empty_nor_too_large(crowded, width):
     figure = spacetime(crowded, size=f"{width}cm")
     (axes,) = figure.axes
-    assert 0.4 * MOST * width < count(figure) <= MOST * width
+    assert 0.4 * MAX_DENSITY * width < count(figure) <= MAX_DENSITY * width
     assert axes.get_xlim()[0] == 0.0
     assert len(axes.get_yticks()) == 10
 
