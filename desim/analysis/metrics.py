@@ -408,6 +408,8 @@ def plain(numbers: Summary) -> dict[str, Any]:
 
 def _formatted(value: Any) -> str:
     """Return a value of a summary as text, fractions with six significant digits."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {_formatted(each)}" for key, each in value.items())
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
