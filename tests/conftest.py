@@ -99,7 +99,12 @@ def pictures():
 
 @pytest.fixture
 def _undrawn(request, monkeypatch):
-    """Draw and write no pictures, which takes a second each, unless the test asks for `pictures`."""
+    """Draw and write no pictures, unless the test asks for `pictures`."""
     if "pictures" not in request.fixturenames:
-        for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.figures.means"):
-            monkeypatch.setattr(f"desim.{name}", lambda *_: [])
+        undraw(monkeypatch)
+
+
+def undraw(patch):
+    """Let a run and a sweep draw and write no pictures, which takes a second each."""
+    for name in ("analysis.plots.save", "analysis.plots.trajectory", "study.figures.means"):
+        patch.setattr(f"desim.{name}", lambda *_: [])

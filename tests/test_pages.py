@@ -11,11 +11,14 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from click.testing import CliRunner
 
+from desim import Scenario
 from tests.command import accepted
+from tests.conftest import undraw
 from tests.test_architecture import LAYERS
 
 ROOT = Path(__file__).parent.parent
@@ -37,10 +40,11 @@ def commands(text):
 
 
 def small(words):
-    """Return the words of a command that simulates little: 1.5 s, two runs of each, in this process."""
-    size = ["--set", "horizon=1.5"] if words[0] != "check" and any(word.endswith(".toml") for word in words) else []
-    if words[0] in {"sweep", "explain"} or "-n" in words:
-        size += ["-n", "2"]
+    """Return the words of a command that simulates little: 1.5 s, or two runs of 0.5 s of each, in this process."""
+    several = words[0] in {"sweep", "explain"} or "-n" in words
+    size = ["-n", "2"] if several else []
+    if words[0] != "check" and any(word.endswith(".toml") for word in words):
+        size += ["--set", f"horizon={0.5 if several else 1.5}"]
     return [*words, *size, *(["-j", "1"] if "-j" in words else [])]
 
 
@@ -59,14 +63,27 @@ def folder(page, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def brief(monkeypatch):
+    """Let scenarios that are made in Python last 1.5 s, unless they say how long."""
+    begin = Scenario.__init__
+    monkeypatch.setattr(Scenario, "__init__", lambda self, **given: begin(self, **{"horizon": 1.5} | given))
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("brief")
 @is_page_with(lambda text: blocks(text, "python") or commands(text))
-def test_the_python_and_the_commands_of_a_page_run(page, folder):
-    program = "\n".join(blocks(TEXTS[page], "python"))
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def test_the_python_and_the_commands_of_a_page_run(page, folder, monkeypatch):
+    """Python runs as a program of its own would; pictures are drawn where the command is there for them."""
+    program = ModuleType("__main__")
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "__main__", program)
+        exec("\n".join(blocks(TEXTS[page], "python")), vars(program))
     for words in commands(TEXTS[page]):
-        accepted(*small(words))
+        with monkeypatch.context() as patch:
+            if words[0] in {"run", "sweep", "explain"}:
+                undraw(patch)
+            accepted(*small(words))
 
 
 @pytest.mark.slow
