@@ -27,7 +27,7 @@ def unbroken(tmp_path_factory):
     """Return the file of a sweep of 50 runs that pause for 50 ms, and what comes of it."""
     folder = tmp_path_factory.mktemp("unbroken")
     file = sweeps.write(folder, pause=0.05, reps=25)
-    return file, finish(file, folder / "out", "-j", 2)
+    return file, finish(file, folder / "out", "-j", 1)
 
 
 def wait_for(condition, within=60.0):
@@ -61,7 +61,7 @@ def test_a_sweep_whose_driver_is_killed_twice_ends_with_the_table_of_an_unbroken
         counts.append(sweeps.count(store))
     assert counts == sorted(counts)
     assert 0 < counts[-1] < 50, "it was killed too late to be of any use"
-    assert finish(file, out, "-j", 2) == whole
+    assert finish(file, out, "-j", 1) == whole
 
 
 def interrupted(process, mark, number=signal.SIGINT, send=os.killpg):

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import shutil
 import sqlite3
@@ -472,6 +473,16 @@ ENTRY = '''    hasty: float = entry(lambda result: 1.0 / (1.0 + end_time(result)
 '''
 
 
+SAYS = """\
+import shlex, sys
+from desim.cli import main
+
+for words in sys.argv[1:]:
+    print("\\f")
+    assert not main(shlex.split(words), standalone_mode=False)
+"""
+
+
 @pytest.mark.slow
 def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     """And a store that was made before has it as soon as it is asked for."""
@@ -479,23 +490,30 @@ def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
 
-    def said(*words):
-        command = [sys.executable, "-m", "desim", *words, *(["-j", "1"] if words[0] == "sweep" else [])]
-        made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)})
+    def said(*commands):
+        """Return what each of the commands prints, given in one process."""
+        made = subprocess.run(
+            [sys.executable, "-c", SAYS, *commands],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        )
         assert made.returncode == 0, made.stderr
-        return made.stdout
+        return made.stdout.split("\f\n")[1:]
 
-    before = said("sweep", "x.toml", "-o", "out")
+    sweeping = "sweep x.toml -o out -j 1"
+    (before,) = said(sweeping)
     list_of_all = tmp_path / "desim" / "analysis" / "metrics.py"
     text = list_of_all.read_text()
     list_of_all.write_text(text.replace("    energy: float = entry(", f"{ENTRY}    energy: float = entry("))
-    assert "hasty, 1/s: Made up" in said("metrics")
-    assert "hasty " in said("run", "x.toml")
-    assert "0.833" in said("run", "x.toml", "--json")
-    assert said("sweep", "x.toml", "-o", "out") == before
-    assert "hasty" not in stored(tmp_path / "out" / "sweep.sqlite")[0]
-    assert "hasty, 1/s" in said("sweep", "x.toml", "-o", "out", "--metric", "hasty")
+    listed, run, document, again, shown, _ = said(
+        *("metrics", "run x.toml", "run x.toml --json", sweeping, f"{sweeping} --metric hasty", "export out x.csv")
+    )
+    assert "hasty, 1/s: Made up" in listed
+    assert "hasty " in run
+    assert "0.833" in document
+    assert again == before
+    assert "hasty, 1/s" in shown
     assert "hasty" in stored(tmp_path / "out" / "sweep.sqlite")[0]
-    said("sweep", "x.toml", "-o", "out", "--until", "hasty:0.5", "-n", "2")
-    said("export", "out", "x.csv")
     assert "hasty" in (tmp_path / "x.csv").read_text().splitlines()[0]
