@@ -109,7 +109,7 @@ def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monkeypatch):
-    """A store that may have 16 pages of 4 kB holds the configurations, and not all of 200 runs."""
+    """A store that may have 16 pages of 4 kB holds the configurations, and not all of 60 runs."""
     begin = Store._open
 
     def small(self, *args):
@@ -120,18 +120,18 @@ def test_a_full_disk_is_reported_and_finished_runs_are_kept(tmp_path, file, monk
     with monkeypatch.context() as patch:
         patch.setattr(Store, "_open", small)
         assert (
-            refused("sweep", file, "--allow-import", "-n", 100, "-o", out)
+            refused("sweep", file, "--allow-import", "-n", 30, "-o", out)
             == f"{out / 'sweep.sqlite'}: database or disk is full"
         )
     _, runs = sweeps.rows(out / "sweep.sqlite")
-    assert 10 < len(runs) < 200
-    assert command("sweep", file, "--allow-import", "-n", 100, "-o", out).exit_code == 0
-    assert command("sweep", file, "--allow-import", "-n", 100, "-o", tmp_path / "whole").exit_code == 0
+    assert 10 < len(runs) < 60
+    assert command("sweep", file, "--allow-import", "-n", 30, "-o", out).exit_code == 0
+    assert command("sweep", file, "--allow-import", "-n", 30, "-o", tmp_path / "whole").exit_code == 0
     assert exported(out) == exported(tmp_path / "whole")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limit", [0, 4, 60, 200])
+@pytest.mark.parametrize("limit", [0, 4, 60])
 def test_a_file_size_limit_is_reported(tmp_path, file, limit):
     """The process may write files of some kB at most, as where a quota ends: run.json, the store or its journal."""
     out, mark = tmp_path / "out", str(tmp_path)
@@ -267,10 +267,10 @@ def test_stores_of_other_sweeps_are_not_merged(tmp_path, file, options, told):
 def test_two_drivers_may_work_on_one_store(tmp_path, file):
     """Both make it, both do all runs, and the table is that of one."""
     out = tmp_path / "out"
-    drivers = [sweeps.start("sweep", file, "--allow-import", "-n", 50, "-o", out, mark=str(tmp_path)) for _ in range(2)]
+    drivers = [sweeps.start("sweep", file, "--allow-import", "-n", 20, "-o", out, mark=str(tmp_path)) for _ in range(2)]
     (one, error_one), (other, error_other) = [driver.communicate() for driver in drivers]
     assert [driver.returncode for driver in drivers] == [0, 0], error_one + error_other
-    assert one == other == command("sweep", file, "--allow-import", "-n", 50, "-o", tmp_path / "whole").stdout
+    assert one == other == command("sweep", file, "--allow-import", "-n", 20, "-o", tmp_path / "whole").stdout
     assert sweeps.rows(out / "sweep.sqlite") == sweeps.rows(tmp_path / "whole" / "sweep.sqlite")
 
 
@@ -393,30 +393,31 @@ def without_rights(program, *args):
 COMMANDS = """
 import sys
 from desim.cli import main
-here, there = sys.argv[1:]
-for words in (["export", here, f"{there}/runs.csv"], ["report", here, "-o", f"{there}/r.html"],
-              ["merge", here, "-o", f"{there}/all"]):
-    main(words, standalone_mode=False)
+for here in sys.argv[1:]:
+    for words in (["export", here, f"{here}-mine/runs.csv"], ["report", here, "-o", f"{here}-mine/r.html"],
+                  ["merge", here, "-o", f"{here}-mine/all"]):
+        main(words, standalone_mode=False)
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (os.geteuid() or shutil.which("setpriv")), reason="permissions do not bind root")
-@pytest.mark.parametrize("which", ["folder", "file"])
-def test_a_store_that_may_not_be_written_is_read(tmp_path, good, which):
-    """Nothing appears beside it, and its own file stays as it is."""
-    here, there = tmp_path / "a # b?", tmp_path / "mine"
-    shutil.copytree(good[1], here)
-    there.mkdir()
-    path, before = here / "sweep.sqlite", sorted(here.iterdir())
-    path.chmod(0o444)
-    if which == "folder":
-        here.chmod(0o555)
-    without_rights(COMMANDS, here, there)
-    here.chmod(0o755)
-    assert sorted(here.iterdir()) == before
-    assert (there / "runs.csv").read_bytes() == good[2] == exported(there / "all")
-    assert (there / "r.html").exists()
+def test_a_store_that_may_not_be_written_is_read(tmp_path, good):
+    """Its file, or its folder, too. Nothing appears beside it, and its own file stays as it is."""
+    folders = file, folder = tmp_path / "a # b?", tmp_path / "b"
+    for each in folders:
+        shutil.copytree(good[1], each)
+        (tmp_path / f"{each.name}-mine").mkdir()
+        (each / "sweep.sqlite").chmod(0o444)
+    before = {each.name for each in file.iterdir()}
+    folder.chmod(0o555)
+    without_rights(COMMANDS, *folders)
+    folder.chmod(0o755)
+    for each in folders:
+        there = tmp_path / f"{each.name}-mine"
+        assert {other.name for other in each.iterdir()} == before
+        assert (there / "runs.csv").read_bytes() == good[2] == exported(there / "all")
+        assert (there / "r.html").exists()
 
 
 @pytest.mark.slow
@@ -530,7 +531,7 @@ def test_a_damaged_store_is_refused_or_gives_the_same_results_as_the_intact_one(
     """Bits, bytes, a digit, a page or the end are others: what is wrong with them is reported, or they mean nothing."""
     file, folder, table = good
     whole, outcomes = (folder / "sweep.sqlite").read_bytes(), set()
-    for each in range(1000, 1016) if seed is None else [seed]:
+    for each in range(1000, 1006) if seed is None else [seed]:
         damage, out, merged = damaged(random.Random(each), whole), tmp_path / "out", tmp_path / "merged"
         for words in (
             ("export", out, tmp_path / "a.csv"),
