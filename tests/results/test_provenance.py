@@ -657,7 +657,9 @@ def test_a_run_is_repeated_byte_for_byte_by_another_process(tmp_path):
     """From another folder, with another order of sets, and with its pictures."""
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "rules.py").write_text(RULES.format(name="Rule"))
-    (tmp_path / "home" / "own.toml").write_text('horizon = 1.0\nprotocol = { kind = "rules:Rule", until = inf }\n')
+    (tmp_path / "home" / "own.toml").write_text(
+        'horizon = 0.3\nteam.count = 4\nprotocol = { kind = "rules:Rule", until = inf }\n'
+    )
     printed = []
     for words, folder, hash_seed in (
         (["own.toml", "--allow-import", "-o", "../first", "-s", "3"], "home", "1"),
@@ -760,7 +762,7 @@ def test_a_record_that_is_wrong_is_refused(kept, made, change, said, tmp_path):
 def test_without_an_output_folder_the_provenance_is_not_collected(earlier, monkeypatch):
     """It takes a while to ask git."""
     monkeypatch.setattr(provenance, "document", lambda *_, **__: pytest.fail("it asked"))
-    accepted("run", SCENARIOS[0], "--set", "horizon=0.1")
+    accepted("run", SCENARIOS[0], "--set", "horizon=0.3")
 
 
 def test_a_record_that_cannot_be_written_at_the_top_is_reported(earlier, tmp_path, monkeypatch):
