@@ -4,6 +4,7 @@ There is a run of each scenario file, and `LONG`.
 """
 
 import json
+from functools import cache
 from hashlib import sha256
 
 import click
@@ -36,6 +37,7 @@ def digests(seed: int, names: tuple[str, ...] = NAMES) -> list[str]:
     return [" ".join([*_digests_of(name, seed), name]) for name in names]
 
 
+@cache
 def _digests_of(name: str, seed: int) -> tuple[str, str]:
     given = [f"horizon={HORIZON}", "record.messages=true"]
     result = run(LONG if name == "long" else load(SCENARIOS / name, given), seed)

@@ -5,7 +5,6 @@ import os
 import random
 import subprocess
 import sys
-from functools import cache
 
 import numpy as np
 import pytest
@@ -41,7 +40,6 @@ NO_LOOPS = {
     "TZ": "Asia/Kathmandu",
 }
 LOCALE = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0", "PYTHONHASHSEED": "3"}
-HERE = cache(digests)
 
 
 def printed(*arguments, environment):
@@ -68,7 +66,7 @@ def printed(*arguments, environment):
 )
 def test_traces_and_summaries_are_equal_in_any_process_at_any_place(names, options, environment):
     there = printed(*options, "-m", "tests.digests", "5", *names, environment=environment)
-    assert there.splitlines() == HERE(5, names)
+    assert there.splitlines() == digests(5, names)
 
 
 @pytest.mark.slow_but_one
@@ -90,7 +88,7 @@ def test_processor_dependent_rounding_differs_in_these_environments(rounded, env
 
 
 def test_other_seeds_make_other_traces_and_summaries():
-    found = [digest for seed in (5, 6) for line in HERE(seed, QUICK) for digest in line.split()[:2]]
+    found = [digest for seed in (5, 6) for line in digests(seed, QUICK) for digest in line.split()[:2]]
     assert len(set(found)) == len(found) == 12
 
 

@@ -28,11 +28,11 @@ def few(monkeypatch):
 
 @pytest.mark.slow
 def test_the_study_shows_what_runs_come_to(few, study):
-    document, text, picture = study(many.main, "--runs", "3")
+    document, text, picture = study(many.main, "--runs", "2")
     games = {(each["pursuers"], each["protocol"], each["slots"]): each for each in document["negotiations"]}
     game = games[3, "SAP, slow", 20]
     outcomes = [
-        many_runs.outcome(run(many_runs.static_game(3, 2, "sap", 20, many_runs.slow(20)), seed)) for seed in range(3)
+        many_runs.outcome(run(many_runs.static_game(3, 2, "sap", 20, many_runs.slow(20)), seed)) for seed in range(2)
     ]
     assert game["share"] == pytest.approx(np.mean([each.share for each in outcomes]))
     assert game["best"] == pytest.approx(np.mean([each.best for each in outcomes]))
@@ -40,7 +40,7 @@ def test_the_study_shows_what_runs_come_to(few, study):
     moved = {(each["pursuers"], each["protocol"]): each for each in document["pursuits"]}
     chases = [
         many_runs.chase(run(many_runs.moving_game(3, 2, "sap", many_runs.slow(many_runs.COOLING)), seed))
-        for seed in range(3)
+        for seed in range(2)
     ]
     assert moved[3, "SAP, slow"]["duration"] == pytest.approx(np.mean([each.duration for each in chases]))
     assert moved[3, "SAP, slow"]["captured"] == pytest.approx(np.mean([each.captured for each in chases]))

@@ -48,7 +48,7 @@ def cells(tmp_path_factory):
     folder, kept = tmp_path_factory.mktemp("table1"), {k: v for k, v in table1.PUBLISHED.items() if k != MAX_TIME}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(table1, "PUBLISHED", kept)
-        done = CliRunner().invoke(table1.main, ["--runs", "3", "--jobs", "1", "--out", str(folder), "--json"])
+        done = CliRunner().invoke(table1.main, ["--runs", "2", "--jobs", "1", "--out", str(folder), "--json"])
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)["cells"], (folder / "table1.txt").read_text()
 
@@ -88,13 +88,13 @@ def test_the_centralised_cells_of_table_1_depend_on_neither_seed_nor_start(count
 
 @pytest.mark.slow
 def test_the_decentralised_cells_of_table_1_are_near_if_all_start_active_and_far_if_not(cells):
-    """Three runs: a standard deviation of at most 14 % of the mean gives 8 %; the mean over five cells 3.6 %.
+    """Two runs: a standard deviation of at most 14 % of the mean gives 10 %; the mean over five cells 4.4 %.
 
     The random start, the control, is 26 % lower on the average.
     """
     ratios = {start: np.mean([cell["ratio"] for cell in cells[0] if cell["start"] == start]) for start in table1.STARTS}
-    assert ratios["all active"] == pytest.approx(1.0, abs=3 * 0.036)
-    assert ratios["random"] < 1.0 - 3 * 0.036
+    assert ratios["all active"] == pytest.approx(1.0, abs=3 * 0.044)
+    assert ratios["random"] < 1.0 - 3 * 0.044
 
 
 def test_heartbeats_that_table_1_does_without_would_change_nothing_but_the_number_of_messages():

@@ -141,7 +141,7 @@ def test_a_folder_without_messages_gives_an_error_that_explains_how_to_record_th
 def test_the_format_of_a_figure_follows_its_suffix(folder, tmp_path):
     """And of a name without one, nothing is lost."""
     window = ("--from", 0.1, "--to", 0.2)
-    assert call("spacetime", folder, *window, "-o", tmp_path / "a" / "x.pdf").count("\n") == 1
+    assert call("trajectory", folder, "-o", tmp_path / "a" / "x.pdf").count("\n") == 1
     assert [each.name for each in (tmp_path / "a").iterdir()] == ["x.pdf"]
     call("spacetime", folder, *window, "-o", tmp_path / "b" / "v1.2")
     call("perfetto", folder, "-o", tmp_path / "b" / "v1.2")

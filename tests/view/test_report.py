@@ -122,9 +122,15 @@ def test_costs_of_imperfections_are_shown(full):
         assert [cell.replace("+-", "±") for cell in row] in rows
 
 
+@pytest.fixture(scope="module")
+def explained(full):
+    """Return the page of the explanation alone."""
+    return report(Study.read(full.path.parent / "explain"))
+
+
 @pytest.mark.slow
-def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(full):
-    elements = Elements(report(Study.read(full.path.parent / "explain")))
+def test_the_page_of_an_explanation_alone_is_of_the_scenario_as_it_is(explained):
+    elements = Elements(explained)
     assert elements.tags.count("svg") == 7, "two costs, five metrics"
     assert {"waterfall-title", "multiples-title"} <= set(elements.ids)
     assert "All parameters of the scenario" in elements.texts
@@ -280,14 +286,14 @@ def test_hostile_names_and_settings_are_text_also_in_pictures(full):
 
 
 @pytest.mark.slow
-def test_the_same_store_gives_the_same_bytes_in_another_process(full):
+def test_the_same_store_gives_the_same_bytes_in_another_process(full, explained):
     program = (
         "import sys; from pathlib import Path; from desim.view.report import Study, report;"
         "sys.stdout.buffer.write(report(Study.read(Path(sys.argv[1]))).encode())"
     )
     folder, environment = full.path.parent / "explain", os.environ | {"PYTHONHASHSEED": "1"}
     other = subprocess.run([sys.executable, "-c", program, folder], env=environment, stdout=-1, check=True)
-    assert other.stdout == report(Study.read(folder)).encode()
+    assert other.stdout == explained.encode()
 
 
 # The command.
