@@ -20,6 +20,7 @@ from desim.study.workers import InProcess, Workers, workers_for
 from tests.study import sweeps
 from tests.study.test_workers import command
 
+pytestmark = pytest.mark.usefixtures("_undrawn")
 FAILED = 3
 WAYS = ("raise", "stubborn", "wild", "quit", "recursion", "memory", "huge")
 """Ways in which a run raises."""

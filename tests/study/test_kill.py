@@ -11,7 +11,10 @@ from desim.simulation.interrupts import Terminated, raising
 from tests.study import sweeps
 from tests.study.test_workers import command
 
-pytestmark = pytest.mark.timeout(300)  # a cluster takes its time to replace a worker
+pytestmark = [
+    pytest.mark.timeout(300),  # a cluster takes its time to replace a worker
+    pytest.mark.usefixtures("_undrawn"),
+]
 
 
 def finish(file, out, *options):

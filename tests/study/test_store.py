@@ -28,6 +28,7 @@ from desim.study.sweep import SweepPlan, sweep
 from tests.study import sweeps
 from tests.study.test_workers import command
 
+pytestmark = pytest.mark.usefixtures("_undrawn")
 WRONG_INPUT = 2
 
 
@@ -150,7 +151,7 @@ def test_a_file_size_limit_is_reported(tmp_path, file, limit):
 
 
 @pytest.mark.parametrize("name", ["sweep.txt", "means-active_time.svg", "run.json"])
-def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file, name):
+def test_files_that_cannot_be_written_beside_a_store_are_reported(tmp_path, file, name, pictures):
     (tmp_path / name).mkdir()
     made = command("sweep", file, "--allow-import", "-o", tmp_path)
     assert made.exit_code == WRONG_INPUT

@@ -26,6 +26,8 @@ from desim.study.workers import InProcess, Processes, workers_for
 from tests.digests import LONG
 from tests.study import sweeps
 
+pytestmark = pytest.mark.usefixtures("_undrawn")
+
 
 def command(*args):
     """Call the command in this process."""
