@@ -28,6 +28,10 @@ SHOWN = ("active_time", "capture_time", "messages_sent")
 """The metrics that a table shows by default."""
 MESSAGING = ("network.", "announce.")
 """The first parts of keys that have an effect only if pursuers need messages."""
+NEEDLESS = (
+    "; a protocol may need no messages if all know the initial actions (`announce.warm_start`) and see all positions"
+    " (`announce.payload`)"
+)
 Reference = int | Mapping[str, Any] | None
 """The configuration with which others are compared; see `SweepResult.differences`."""
 
@@ -203,30 +207,33 @@ class SweepResult:
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
         """Return a warning for each key of the grid on which neither the captures nor any of some metrics depend.
 
-        Such a key makes no difference, bit for bit, between runs with the same seed and all else equal. There is no
-        warning if seeds are independent, or if a run failed. `SweepPlan.warnings` are those before the runs.
+        Such a key makes no difference, bit for bit, between runs with the same seed and all else equal: with all values
+        of the other keys, or with one value of another key, for example one protocol. There is no warning if seeds are
+        independent, or if a run failed. `SweepPlan.warnings` are those before the runs.
         """
         metrics = [metrics] if isinstance(metrics, str) else metrics
         if self.failed or not self.common:
             return []
         names = ", ".join(("captured", *map(words, metrics)))
-        pairs = {key: self._equal_pairs(key, metrics) for key in self.keys}
-        needless = "; where positions are sensed (`announce.payload`), a protocol may need no messages"
         return [
-            f"nothing shown ({names}) depends on {key}: equal in {_counted(count, 'pair')} of runs that differ in it"
-            f" only{needless * key.startswith(MESSAGING)}"
-            for key, count in pairs.items()
-            if count
+            f"{where}nothing shown ({names}) depends on {key}: equal in {_counted(count, 'pair')} of runs that differ in"
+            f" it only{NEEDLESS * key.startswith(MESSAGING)}"
+            for key in self.keys
+            for where, count in self._without_effect(key, metrics)
         ]
 
-    def _equal_pairs(self, key: str, metrics: Sequence[str]) -> int:
-        """Return the number of pairs of runs that differ in a key only; 0 if one differs in a metric or a capture."""
+    def _without_effect(self, key: str, metrics: Sequence[str]) -> Iterator[tuple[str, int]]:
+        """Yield where a key has no effect, as text, and the number of pairs of runs that differ in it only."""
         firsts = zip(self.groups, self.first_along(key), strict=True)
-        pairs = [
-            pair for k, (group, first) in enumerate(firsts) if k != first for pair in _pairs(self.groups[first], group)
-        ]
-        same = all(one.value(name) == other.value(name) for one, other in pairs for name in ("captured", *metrics))
-        return len(pairs) if same else 0
+        pairs = [(group, _pairs(self.groups[first], group)) for k, (group, first) in enumerate(firsts) if k != first]
+        if count := _equal(pairs, metrics):
+            yield "", count
+            return
+        for other in self.keys:
+            values = dict.fromkeys(text(group.settings[other]) for group, _ in pairs) if other != key else {}
+            for value in values if len(values) > 1 else ():
+                if count := _equal([each for each in pairs if text(each[0].settings[other]) == value], metrics):
+                    yield f"with {other} = {value}, ", count
 
     def plot(self, y: str = SHOWN[0], *, kind: Literal["means", "phase"] = "means", **options: Any) -> "Figure":
         """Return a figure of a metric; needs matplotlib (the extra `plot`).
@@ -428,6 +435,13 @@ def _pairs(one: Group, other: Group) -> list[tuple[Row, Row]]:
     """Return the pairs of runs of two configurations that have the same seed and did not fail."""
     there = {row.replication: row for row in other.rows if row.ok}
     return [(row, there[row.replication]) for row in one.rows if row.ok and row.replication in there]
+
+
+def _equal(pairs: Sequence[tuple[Group, list[tuple[Row, Row]]]], metrics: Sequence[str]) -> int:
+    """Return the number of pairs of runs; 0 if those of a pair differ in the capture or in one of some metrics."""
+    inner = [pair for _, each in pairs for pair in each]
+    same = all(one.value(name) == other.value(name) for one, other in inner for name in ("captured", *metrics))
+    return len(inner) if same else 0
 
 
 def _aligned_values(one: Group, other: Group, metric: str) -> tuple[list[Any], list[Any]]:

@@ -104,7 +104,8 @@ def test_a_key_on_which_no_run_depends_is_warned_of_by_name():
     (said,) = found.warnings()
     assert said == (
         "nothing shown (captured, active time, capture time, messages sent) depends on network.y: equal in 4 pairs of"
-        " runs that differ in it only; where positions are sensed (`announce.payload`), a protocol may need no messages"
+        " runs that differ in it only; a protocol may need no messages if all know the initial actions"
+        " (`announce.warm_start`) and see all positions (`announce.payload`)"
     )
     assert found.table().endswith(f"\n\nwarning: {said}")
     assert html.escape(said) in found._repr_html_()
@@ -114,10 +115,18 @@ def test_a_key_on_which_no_run_depends_is_warned_of_by_name():
     ]
 
 
+def test_a_key_without_effect_with_one_value_of_another_is_warned_of_with_that_value():
+    """As a protocol that needs no messages, beside one that does."""
+    (said,) = of_grid(ON_X | {(1, 1): [1.5, 2.5]}).warnings("active_time")
+    assert said.startswith(
+        "with x = 0, nothing shown (captured, active time) depends on network.y: equal in 2 pairs of"
+    )
+
+
 @pytest.mark.parametrize(
     "times",
     [
-        pytest.param(ON_X | {(1, 1): [1.5, 2.0000000000000004]}, id="the last bit of one run"),
+        pytest.param(ON_X | {(k, 1): [1.0 + k / 2, 2.0000000000000004] for k in (0, 1)}, id="the last bit of one run"),
         pytest.param({(0, 0): [1.0], (1, 0): [2.0]}, id="a key with one value"),
         pytest.param({(0, 0): [1.0], (1, 1): [1.0]}, id="no two that differ in one key only"),
         pytest.param({(0, 0): [], (0, 1): []}, id="no runs"),
@@ -129,10 +138,11 @@ def test_a_key_on_which_a_run_depends_or_that_is_not_varied_is_not_warned_of(tim
 
 def test_of_independent_seeds_failed_runs_and_captures_there_is_no_such_warning():
     assert of_grid(ON_X, common=False).warnings() == []
-    for row in (failed(1), ok(1, active_time=2.0, captured=True)):
-        first, second, *others = of_grid(ON_X).groups
+    first, second, *others = of_grid(ON_X).groups
+    for row, left in ((failed(1), []), (ok(1, active_time=2.0, captured=True), ["with x = 1"])):
         changed = replace(second, rows=(second.rows[0], row))
-        assert replace(PLAIN, keys=("x", "network.y"), groups=(first, changed, *others)).warnings() == []
+        found = replace(PLAIN, keys=("x", "network.y"), groups=(first, changed, *others)).warnings()
+        assert [each.split(",")[0] for each in found] == left
 
 
 def test_runs_are_paired_by_number_not_by_place():
