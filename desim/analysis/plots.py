@@ -81,10 +81,19 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
     """
     small = {} if font >= STYLE["font.size"] else {"axes.titlesize": font, "axes.linewidth": 0.6}
     with mpl.rc_context(STYLE | small | {"font.size": font}):
-        figure = Figure(figsize=figsize, layout=_SettledLayout())
+        figure = _StyledFigure(figsize=figsize, layout=_SettledLayout())
         yield figure
         for _ in range(2):  # the first layout may change the ticks of the axes
             figure.draw_without_rendering()
+
+
+class _StyledFigure(Figure):
+    """A figure whose files are in the common style, whoever writes them: with TrueType in a PDF, for example."""
+
+    def savefig(self, *args: Any, **options: Any) -> None:
+        """Write the figure; see `matplotlib.figure.Figure.savefig`."""
+        with mpl.rc_context(STYLE):
+            super().savefig(*args, **options)
 
 
 class _SettledLayout(ConstrainedLayoutEngine):
@@ -162,8 +171,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
 def html_image(figure: Figure, name: str) -> str:
     """Return a figure as an image of HTML, a PNG of twice the resolution of the page; `name` is its description."""
     stream = BytesIO()
-    with mpl.rc_context(STYLE):
-        figure.savefig(stream, format="png", dpi=2 * 72)
+    figure.savefig(stream, format="png", dpi=2 * 72)
     width = 72.0 * figure.get_figwidth()
     source = f"data:image/png;base64,{b64encode(stream.getvalue()).decode()}"
     return f'<img src="{source}" alt="{escape(name)}" width="{width:.0f}">'

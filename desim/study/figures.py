@@ -26,7 +26,7 @@ from desim.config.model import fields_of, models_in
 from desim.config.trust import escaped
 from desim.study.configurations import in_words
 from desim.study.explanation import AS_IT_IS, IDEAL, Cost, Explanation
-from desim.study.result import SHOWN, Group, SweepResult, text
+from desim.study.result import SHOWN, Group, SweepResult, kind_of, text
 
 MARKERS = "osD^v"
 APART = 0.012
@@ -76,8 +76,8 @@ def means(
             but `x` name the lines, in one panel.
         against: values of some keys, such as {"protocol": "sap"}: the differences from the configuration that has them
             and is otherwise equal are drawn instead of the means; see `SweepResult.differences`.
-        labels: texts by value, or by a kind that only one value has, such as {"sap": "SAP (ours)"}; with mathematics
-            between dollar signs, as `xlabel`.
+        labels: texts by value, or by a kind that only one value has, such as {"sap": "SAP (ours)"}; of a key, the title
+            of the legend; with mathematics between dollar signs, as `xlabel`.
         xlabel: the label of the abscissa.
         ylabel: the label of the ordinate.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title, which
@@ -88,9 +88,10 @@ def means(
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
     values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
-    kinds = Counter(map(_kind, values))
-    if unknown := [each for each in labels if each not in values and kinds[each] != 1]:
-        raise ValueError(f"no key takes the value {unknown[0]}, which has a label")
+    kinds = Counter(map(kind_of, values))
+    if unknown := [each for each in labels if each not in values and each not in result.keys and kinds[each] != 1]:
+        what = "several values are of the kind" if kinds[unknown[0]] else "no key takes the value"
+        raise ValueError(f"{what} {unknown[0]}, which has a label; values: {', '.join(sorted(values))}")
     abscissa = _abscissa(result, x, keys)
     rest = [key for key in result.keys if keys and key not in (abscissa, *keys) and len(result.values(key)) > 1]
     panels: dict[str, list[Point]] = {}
@@ -130,7 +131,7 @@ def means(
             over = figure.suptitle if len(panels) > 1 else shared.flat[0].set_title
             over(escaped(f"{result.name}, {what}"), fontsize=9, **as_it_is(result.name))
         if abscissa is not None:
-            _add_legend(figure, named)
+            _add_legend(figure, named, labels)
     return figure
 
 
@@ -346,23 +347,18 @@ def _lines(
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
     """Return the label of a setting or, without one, its text, with its key if settings of several keys are named."""
     value = text(group.settings[key])
-    for name in (value, _kind(value)):
+    for name in (value, kind_of(value)):
         if name in labels:
             return escaped(labels[name])
     return _literal(f"{key} = {value}" if is_one_of_several else value)
 
 
-def _kind(value: str) -> str:
-    """Return the kind of a model that is given as text, such as sap of sap(tau=...)."""
-    return value.partition("(")[0]
-
-
-def _add_legend(figure: Figure, by: Sequence[str]) -> None:
+def _add_legend(figure: Figure, by: Sequence[str], labels: Mapping[str, str]) -> None:
     """Add a legend if there are several lines: into the only panel, or below several panels."""
     panels = [axes for axes in figure.axes if axes.axison]
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     if len(found) > 1 or (found and len(panels) > 1):
-        title = _legend_title(by)
+        title = escaped(labels[by[0]]) if len(by) == 1 and by[0] in labels else _legend_title(by)
         if len(panels) == 1:
             panels[0].legend(fontsize=7, title=title, title_fontsize=7)
         else:

@@ -30,7 +30,7 @@ MESSAGING = ("network.", "announce.")
 """The first parts of keys that have an effect only if pursuers need messages."""
 NEEDLESS = (
     "; a protocol may need no messages if all know the initial actions (`announce.warm_start`) and see all positions"
-    " (`announce.payload`)"
+    " (`announce.payload`), or if few pursuers could capture the evader in time"
 )
 Reference = int | Mapping[str, Any] | None
 """The configuration with which others are compared; see `SweepResult.differences`."""
@@ -132,7 +132,7 @@ class SweepResult:
             metric: the name of the metric.
             reference: the position of the reference in `groups`; or the values of some keys, such as
                 {"protocol": "sap"}: each configuration is compared with the one that has these values and is otherwise
-                equal; None = the same with the first value of the first key with several values.
+                equal; see `setting`. None = the same with the first value of the first key with several values.
 
         Raises:
             ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
@@ -156,6 +156,8 @@ class SweepResult:
             return [reference] * len(self.groups)
         if reference is None:
             return self._first_references
+        if isinstance(reference, str):
+            raise ValueError(f'a reference should be a mapping, such as {{"protocol": "sap"}} (got {reference!r})')
         wanted = {key: self.setting(key, value) for key, value in reference.items()}
         places = {repr(dict(group.settings)): k for k, group in enumerate(self.groups)}
         found = [places.get(repr({**group.settings, **wanted})) for group in self.groups]
@@ -177,7 +179,9 @@ class SweepResult:
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
 
     def setting(self, key: str, value: Any) -> Any:
-        """Return the value of a key of the grid that equals a given value or has its text, as "cbba" has of `CBBA()`.
+        """Return the value of a key of the grid that equals a given value, or has its text or alone its kind.
+
+        "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
 
         Raises:
             ValueError: if the grid has no such key, or the key does not take the value.
@@ -186,7 +190,11 @@ class SweepResult:
         for each in there:
             if each == value or text(each) == label(value):
                 return each
-        raise ValueError(f"{key} does not take the value {label(value)}: it takes {', '.join(map(text, there))}")
+        alike = [each for each in there if kind_of(text(each)) == label(value)]
+        if len(alike) == 1:
+            return alike[0]
+        what = "has several values of the kind" if alike else "does not take the value"
+        raise ValueError(f"{key} {what} {label(value)}: it takes {', '.join(map(text, there))}")
 
     @property
     def _compared_by(self) -> str | None:
@@ -216,8 +224,8 @@ class SweepResult:
             return []
         names = ", ".join(("captured", *map(words, metrics)))
         return [
-            f"{where}nothing shown ({names}) depends on {key}: equal in {_counted(count, 'pair')} of runs that differ in"
-            f" it only{NEEDLESS * key.startswith(MESSAGING)}"
+            f"{where}nothing shown ({names}) depends on {key}: equal in {_counted(count, 'pair')} of runs that differ"
+            f" in it only{NEEDLESS * key.startswith(MESSAGING)}"
             for key in self.keys
             for where, count in self._without_effect(key, metrics)
         ]
@@ -458,6 +466,11 @@ def _share(captured: Sequence[bool]) -> str:
 def text(value: Any) -> str:
     """Return a setting as text."""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def kind_of(value: str) -> str:
+    """Return the kind of a model that is given as text, such as sap of sap(tau=...)."""
+    return value.partition("(")[0]
 
 
 def _counted(number: int, what: str) -> str:

@@ -272,14 +272,10 @@ def _signs(cell: str) -> str:
 
 def _inline(figure: "Figure", name: str, label: str) -> "Markup":
     """Return a figure as inline SVG for HTML; its ids are prefixed with `name`, to be unique on the page."""
-    import matplotlib as mpl
     from markupsafe import Markup
 
-    from desim.analysis.plots import STYLE
-
     stream = BytesIO()
-    with mpl.rc_context(STYLE):
-        figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
+    figure.savefig(stream, format="svg", metadata={"Date": None}, transparent=True)
     root = ElementTree.fromstring(stream.getvalue())
     for above in list(root.iter()):
         for inner in list(above):

@@ -404,6 +404,18 @@ def test_an_option_that_does_not_fit_the_sweep_is_refused(options, why):
         means(result(GRID), "active_time", **options)
 
 
+def test_a_kind_that_one_value_has_names_it_and_a_key_can_be_renamed():
+    slow, fast = (f"sap(slot={each})" for each in (0.2, 0.1))
+    alone, both = (result({"protocol": each, "x": [1.0, 2.0]}) for each in ([slow, "cbba", "cbaa"], [slow, fast]))
+    figure = means(alone, "active_time", against={"protocol": "sap"}, labels={"protocol": "rule", "sap": "SAP"})
+    assert figure.axes[0].get_legend().get_title().get_text() == "rule"
+    for options in ({"against": {"protocol": "sap"}}, {"labels": {"sap": "SAP"}}):
+        with pytest.raises(ValueError, match=r"several values .* kind sap.*sap\(slot=0.1\)"):
+            means(both, "active_time", **options)
+    with pytest.raises(ValueError, match="a reference should be a mapping"):
+        both.differences("active_time", "protocol=sap")
+
+
 def test_a_configuration_without_a_reference_is_named():
     found = result({"protocol": ["sap", "cbba"], "x": [1.0, 2.0]})
     with pytest.raises(ValueError, match="protocol = cbba, x = 2: has no reference with protocol = sap"):
