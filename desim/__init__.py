@@ -14,7 +14,7 @@ schedules are in the package `protocols`.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from desim.config.packages import explain_hidden_packages
+from desim.config.packages import check_visible, explain_hidden_packages
 
 if TYPE_CHECKING:
     from desim.analysis.metrics import summary as summary
@@ -129,6 +129,7 @@ def __getattr__(name: str) -> object:
     """Import a public name on first access."""
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
+    check_visible("protocols")
     return getattr(import_module(_HOMES[name]), name)
 
 

@@ -108,6 +108,9 @@ class Value(BaseModel):
                 properties[name]["description"] = text
         return found
 
+    def __str__(self) -> str:
+        return repr(self)
+
     def given(self) -> dict[str, Any]:
         """Return the fields that differ from their defaults, by name."""
         return {

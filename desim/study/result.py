@@ -297,7 +297,7 @@ class SweepResult:
         some_lack = any(0 < values.count(None) < len(values) for values in found)
         return (
             f"{self.name}: {_counted(len(self.groups), 'configuration')}, {_counted(runs, 'run')}; +- is half a 95 % t"
-            f" interval, captured with Wilson's{'; (n): defined in n runs only' if some_lack else ''}"
+            f" interval, in brackets a Wilson interval{'; (n): defined in n runs only' if some_lack else ''}"
         )
 
     def _difference_tables(self, metrics: Sequence[str]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
@@ -394,7 +394,8 @@ class SweepResult:
         try:
             import pandas as pd
         except ImportError as error:
-            raise ImportError("pandas is missing: pip install 'pursuit-desim[frame]'") from error
+            missing = "pandas is missing: pip install 'pursuit-desim[frame]', or in a clone '.[frame]'"
+            raise ImportError(missing) from error
         records = list(self.records())
         columns = {name: [record[name] for record in records] for name in self._columns}
         return pd.DataFrame({name: pd.Series(*_typed(values)) for name, values in columns.items()})

@@ -11,6 +11,7 @@ from desim.config.packages import HiddenPackageError, check_visible, folder_of
 
 ROOT = Path(__file__).parents[2]
 RULE = "from desim import Scenario\nfrom protocols.sap import SpatialAdaptivePlay\n"
+NAME = "from desim import Scenario\nfrom protocols import SpatialAdaptivePlay\n"
 SCENARIO = "from desim import Scenario\nScenario()\n"
 STUDY = "import desim\nfrom scenarios.study import study\n"
 
@@ -29,7 +30,7 @@ ENVIRONMENT = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     ("program", "hidden", "file"),
     [
         (RULE, "protocols", "protocols/__init__.py"),
-        (SCENARIO, "protocols", "protocols/__init__.py"),
+        (NAME, "protocols", "protocols/__init__.py"),
         (SCENARIO, "protocols", "protocols.py"),
         (STUDY, "scenarios", "scenarios/__init__.py"),
     ],

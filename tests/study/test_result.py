@@ -179,7 +179,9 @@ def test_an_unmeasured_metric_has_no_mean(result):
 def test_the_table_shows_means_intervals_and_differences():
     """Half widths: t of 2 degrees 4.303 x 1/sqrt(3) = 2.484; of 1 degree 12.706 x 1 = 12.706, of 2.5 and 4.5."""
     head, rest = PLAIN.table().split("\n", 1)
-    assert head.startswith("a <b> & c: 2 configurations, 6 runs; +- is half a 95 % t interval, captured with Wilson's")
+    assert head.startswith(
+        "a <b> & c: 2 configurations, 6 runs; +- is half a 95 % t interval, in brackets a Wilson interval"
+    )
     assert head.endswith("; (n): defined in n runs only")
     assert rest == (
         "network.range  runs                  captured  active time, s      capture time, s   messages sent\n"
