@@ -39,8 +39,6 @@ SCHEDULES = {
 }
 SLOW = {"token_ring": 6.0, "token_walk": 8.0, "local_mutex": 6.0}
 """Schedules whose revisions wait for messages, and how many times less the latency is for them."""
-CASES = {"local_mutex": 6}
-"""How many cases of them, which take long; 30 of the others."""
 HORIZON = {"poisson": 0.5, "shared_seed": 0.5, "local_mutex": 0.35}
 LATENCIES = (
     lambda rng, mean: Constant(value=mean),
@@ -96,8 +94,8 @@ def outcome(result):
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", SCHEDULES)
 def test_every_asynchronous_case_ends_in_the_relay_profile(schedule):
-    """6 to 10 random cases of each schedule: 2 to 12 pursuers, reordering, up to half of all messages lost."""
-    cases = [case(schedule, number) for number in range(CASES.get(schedule, 10))]
+    """5 random cases of each schedule: 2 to 12 pursuers, reordering, up to half of all messages lost."""
+    cases = [case(schedule, number) for number in range(5)]
     outcomes = run_many([(each, each.seed) for each in cases], jobs=1, measure=outcome)
     for each, (profile, relay, settled) in zip(cases, outcomes, strict=True):
         assert profile == relay, f"after {settled} s: {each!r}"
@@ -122,13 +120,13 @@ def without_repetition(trigger, seed, horizon):
 
 @pytest.mark.slow
 def test_without_repetition_a_lost_announcement_can_leave_beliefs_wrong_forever():
-    """Announced on change only, 12 of 20 seeds stay wrong from 10 s until 100 s; with heartbeats none."""
+    """Announced on change only, 5 of 10 seeds stay wrong from 10 s until 40 s; with heartbeats none."""
     wrong = {}
-    for seed in range(20):
-        profile, relay, settled = without_repetition("change", seed, 100.0)
+    for seed in range(10):
+        profile, relay, settled = without_repetition("change", seed, 40.0)
         if profile != relay:
             wrong[seed] = profile, settled
-    assert len(wrong) == 12
+    assert len(wrong) == 5
     assert max(settled for _, settled in wrong.values()) < 10.0
     for seed in wrong:
         profile, relay, _ = without_repetition("both", seed, 20.0)
@@ -156,7 +154,7 @@ def test_on_a_path_only_forwarded_records_lead_to_one_relay_pursuer(disseminatio
         network=Links(graph=Edges.of(nx.path_graph(6)), latency=Constant(value=0.02)),
         record=Recording(trajectory=0.0),
     )
-    for seed in range(3):
+    for seed in range(2):
         result = run(scenario, seed)
         profile, relay, settled = outcome(result)
         assert relay == (True, *[False] * 5)

@@ -100,9 +100,9 @@ def random_team(rng):
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction, schedule):
-    """20 random games each: warm and cold starts of 1 to 12; in 5 none is in time (phi < r, 2 to 8 s)."""
+    """8 random games each: warm and cold starts of 1 to 12; in 2 none is in time (phi < r, 2 to 8 s)."""
     ends = []
-    for number in range(20, 40):
+    for number in range(20, 28):
         rng = np.random.default_rng(number)
         result = frozen(
             auction(schedule=SCHEDULES[schedule]),
@@ -115,7 +115,7 @@ def test_every_static_game_on_an_ideal_network_ends_in_the_relay_profile(auction
         )
         assert chasing(result) == relay(result)
         ends.append(len(relay(result)))
-    assert sum(ends) == 15
+    assert sum(ends) == 6
 
 
 @pytest.mark.slow_but_one
@@ -169,12 +169,12 @@ def nearest_within(phi, reward, graph, node, hops):
 @pytest.mark.slow
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_in_each_round_the_best_bid_travels_one_hop_farther(auction):
-    """After round k each believed winner is the best within k - 1 hops; 60 random connected graphs.
+    """After round k each believed winner is the best within k - 1 hops; 20 random connected graphs.
 
     So all agree, and just one chases, after 1 + D rounds: one in which all bid before any bid has arrived,
     and D for the diameter. Some nodes cannot bid (phi = inf), and forward claims all the same.
     """
-    for number in range(60):
+    for number in range(20):
         graph = random_graph(number)
         result, winners = rounds(auction, graph, number)
         phi = times(result)
@@ -362,7 +362,7 @@ def test_a_claim_decodes_to_the_bids_it_encodes(action, bids):
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_loss_and_random_latency_only_slow_it(auction, dissemination):
     """30 % lost, latency 0.05 s on average (cv 1, so messages overtake), on random connected graphs of 2 to 12."""
-    for number in range(5 if dissemination is None else 2):
+    for number in range(4 if dissemination is None else 1):
         graph = random_graph(number)
         result = frozen(
             auction(schedule=Poisson(rate=5.0)),
@@ -500,29 +500,29 @@ def test_a_pursuer_whose_bid_exceeds_that_of_the_winner_takes_over(auction, sche
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("auction", AUCTIONS)
 def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, schedule):
-    """Twenty of the paper, 8 seeds: 0.08 to 0.32 s too many on the mean, a handover at a time, and none at first.
-
-    The control, 3 of the seeds: if nothing is announced all pursuers in time chase, 9 to 10 s too many on the mean;
-    but a token has the claims of all with it.
-    """
-    excess, idle, alone = [], [], []
-    for seed in range(8):
+    """Twenty of the paper, 3 seeds: 0.08 to 0.32 s too many on the mean, a handover at a time, and none at first."""
+    excess, idle = [], []
+    for seed in range(3):
         result = pursuit(auction(schedule=SCHEDULES[schedule]), seed)
         assert result.trace.of(Ended)[0].reason == "captured"
         excess.append(excess_time(result))
         idle.append(idle_time(result))
-        if seed < 3:
-            alone.append(excess_time(pursuit(auction(schedule=SCHEDULES[schedule]), seed, trigger="never")))
     assert np.mean(excess) < 0.5
     assert np.mean(idle) < 0.5
-    assert np.mean(alone) > 5.0 or schedule == "token_ring"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", sorted({*SCHEDULES} - {"token_ring"}))
+def test_without_announcements_all_pursuers_in_time_chase(schedule):
+    """The control: 20 to 23 s too many, by either auction. A token has the claims of all with it."""
+    assert excess_time(pursuit(CBAA(schedule=SCHEDULES[schedule]), 2, trigger="never")) > 10.0
 
 
 def pursuit(protocol, seed, **announce):
-    """Run the pursuit of the paper with no pursuer active at first and a motion step of 0.02 s."""
+    """Run the pursuit of the paper with no pursuer active at first and a motion step of 0.05 s."""
     scenario = Scenario(
         team=Team(active_at_start=0.0),
-        motion=Motion(step=0.02),
+        motion=Motion(step=0.05),
         protocol=protocol,
         announce=Announcements(**announce),
         record=Recording(trajectory=0.0),
@@ -607,13 +607,14 @@ def test_where_no_two_are_nearly_equal_it_does_not_matter_whether_bids_are_up_to
     """
     phi = (13, 4, 7, 10) if moving else (4, 1, 2, 3)
     team = Team(positions=[(each + 0.1, 0.0) for each in phi], speeds=1.0, active_at_start=0.0)
-    for crash in ((), (Crash(node=1, start=0.8),), (Crash(node=1, start=0.8, end=1.2, memory=False),)):
+    for end in (inf, 1.2):
         decided, announced = [], []
         for payload in ("action", *UNSENSED):
             result = frozen(
                 auction(schedule=SCHEDULES[schedule], **({"winner_timeout": 0.5} if auction is CBBA else {})),
                 team=team,
-                fault=crash,
+                until=4.0,
+                fault=(Crash(node=1, start=0.8, end=end, memory=False),),
                 announce=Announcements(payload=payload),
                 motion=Motion(step=0.02, static=not moving),
             )

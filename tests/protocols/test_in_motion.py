@@ -59,55 +59,49 @@ class Forgetful(Server):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("latency", [0.2, 1.0])
-def test_the_server_keeps_the_evader_although_orders_are_late_and_lost(latency):
-    """Latency uniform by 5 %, a tenth lost, and pursuers that would be late may not chase: all of 3 captured.
+def test_the_server_keeps_the_evader_although_orders_are_late_and_lost():
+    """Latency 1 s, uniform by 5 %, a tenth lost, and pursuers that would be late may not chase: both captured.
 
     The active time is that of a centre that sees everything and whose orders are 2 L late, within 2 s. (In 1 of 48
     seeds, which is not among these, the evader has fled too far by 2 L = 2 s: then that centre gives up as well.)
     """
     rough = {
-        "network": Links(latency=Uniform(low=0.95 * latency, high=1.05 * latency), loss=Bernoulli(p=0.1)),
+        "network": Links(latency=Uniform(low=0.95, high=1.05), loss=Bernoulli(p=0.1)),
         "prune": "infeasible",
         "announce": Announcements(warm_start=False),
     }
-    server = outcome(3, Server(), **rough)
-    centre = outcome(3, RoundTrip(down=2.0 * latency), prune="infeasible")
+    server = outcome(2, Server(), **rough)
+    centre = outcome(2, RoundTrip(down=2.0), prune="infeasible")
     assert server.captured == centre.captured == 1.0
     assert server.active < centre.active + 2.0
-    assert server.idle < 2.0 * latency + 0.5
+    assert server.idle < 2.5
 
 
 @pytest.mark.slow
 def test_a_server_that_forgets_its_orders_loses_the_evader():
     """Orders go to and fro between several pursuers until all are too late, and for 35 s none chases."""
-    forgetful = outcome(2, Forgetful(), **late(1.0))
+    forgetful = outcome(1, Forgetful(), **late(1.0))
     assert forgetful.captured == 0.0
     assert forgetful.idle > 20.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", sorted({*PROTOCOLS.choices()} - {"server"}))
+@pytest.mark.parametrize("kind", sorted({*PROTOCOLS.choices()} - GEOMETRIC - {"server"}))
 def test_no_protocol_loses_the_evader_to_latency(kind):
-    """A second of latency; positions are announced, except to the rules that sense them.
-
-    The centralised benchmark captures all in these seeds.
-    """
-    announce = Announcements(payload="action" if kind in GEOMETRIC else "state")
-    found = outcome(2, {"kind": kind}, announce=announce, **late(1.0))
+    """A second of latency; positions are announced. The centralised benchmark captures all in these seeds."""
+    found = outcome(2, {"kind": kind}, announce=Announcements(payload="state"), **late(1.0))
     assert found.captured == 1.0
     assert found.idle < 3.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["token_ring", "token_walk"])
-def test_a_token_that_takes_long_is_as_bad_as_one_that_is_held_as_long_and_no_worse(kind):
+def test_a_token_that_takes_long_is_as_bad_as_one_that_is_held_as_long_and_no_worse():
     """Up to N L = 20 s pass until the token comes to a pursuer that could be in time: that is what loses the evader.
 
-    The same token without latency is held for a second instead. Captured 94 and 88 % of 16 either way.
+    The same token without latency is held for a second instead.
     """
     slow, held = (
-        outcome(12, {"kind": "best_response", "schedule": {"kind": kind} | hold}, **late(latency))
+        outcome(12, {"kind": "best_response", "schedule": {"kind": "token_ring"} | hold}, **late(latency))
         for latency, hold in ((1.0, {}), (0.0, {"holding_time": 1.0}))
     )
     assert abs(slow.captured - held.captured) < 0.1

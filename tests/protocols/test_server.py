@@ -77,15 +77,19 @@ def stress(protocol, latency=0.0, **given):
 
 
 def late(event):
-    """Return whether it happened after 6 s: enough has been seen."""
-    return event.t > 6 * SECOND
+    """Return whether it happened after 4 s: enough has been seen."""
+    return event.t > 4 * SECOND
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("latency", [0.0, 0.13, 0.6])
 @pytest.mark.parametrize(
-    "world",
-    [{"announce": Announcements(payload="state")}, {"team": Team(active_at_start=0.5)}, {"evader": Evader(count=3)}],
+    ("world", "latency"),
+    [
+        ({"announce": Announcements(payload="state")}, 0.0),
+        ({"announce": Announcements(payload="state")}, 0.6),
+        ({"team": Team(active_at_start=0.5)}, 0.13),
+        ({"evader": Evader(count=3)}, 0.13),
+    ],
 )
 def test_it_equals_an_omniscient_centre_whose_orders_are_one_latency_late(world, latency):
     """The same pursuers do the same at the same nanoseconds, whichever pursuer is the host: each is dead reckoned
@@ -97,14 +101,14 @@ def test_it_equals_an_omniscient_centre_whose_orders_are_one_latency_late(world,
     centre = RoundTrip(host=7, up=latency, down=latency)
     case = stress(Server(host=7), latency, **world)
     results = (run(case.model_copy(update={"protocol": each}), 0, late) for each in (case.protocol, centre))
-    server, ideal = ([change for change in changes(each) if change[0] < 6 * SECOND] for each in results)
+    server, ideal = ([change for change in changes(each) if change[0] < 4 * SECOND] for each in results)
     assert server == ideal != []
 
 
 @pytest.mark.slow
 def test_the_centre_that_it_is_compared_with_is_the_centralised_benchmark_if_nothing_is_late():
     """At rest and in motion: all that `RoundTrip` has of its own are the instants and the delay."""
-    for seed in range(3):
+    for seed in range(2):
         ideal, centre = (run(stress(each), seed) for each in (Centralised(slot=0.005), RoundTrip()))
         assert [(j, now) for _, j, now in changes(centre)] == [(j, now) for _, j, now in changes(ideal)]
 
@@ -179,7 +183,7 @@ def overtaken(result):
 def test_an_order_that_was_overtaken_is_not_obeyed():
     """Latencies of 0 to 0.6 s, a period of 0.1 s: many orders overtake others, and only the newest counts, at once."""
     late = switched = 0
-    for seed in range(5):
+    for seed in range(3):
         scenario = Scenario(
             team=Team(count=8),
             protocol=Server(host=1),
@@ -323,8 +327,8 @@ def test_a_pursuer_that_would_be_late_is_assigned_no_evader():
 
 @pytest.mark.slow
 def test_random_static_games_end_in_the_relay_profile():
-    """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 9 games."""
-    for seed in range(9):
+    """Any host, latency with heavy tails, a quarter of all lost, unequal speeds: 3 games."""
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         count = int(rng.integers(2, 13))
         scenario = Scenario(

@@ -145,13 +145,13 @@ def test_the_greedy_ring_is_sequential_best_response_at_any_latency(latency):
 def test_the_gibbs_law_holds_at_a_latency_longer_than_a_revision(schedule):
     """phi = (1, 2, 4, 8), r = 25, tau = 0.5: P(relay) = .6041, with serial revisions in any order, within 4 s.e.
 
-    10 seeds of 2,500 decisions: 1.4 / sqrt(25,000) = .009 if owners are drawn (`test_paper`). The control, all at
-    once, would have .4930, 10 s.e. away.
+    4 seeds of 2,500 decisions: 1.4 / sqrt(10,000) = .014 if owners are drawn (`test_paper`). The control, all at
+    once, would have .4930, 8 s.e. away.
     """
     play = SpatialAdaptivePlay(schedule=schedule, tau=ConstantTau(value=0.5))
     scenario = static_game(play, Links(latency=Constant(value=0.006)))
-    law, errors = measured(scenario.model_copy(update={"announce": Announcements(trigger="never")}), seeds=10)
-    assert errors[RELAY] < 0.015
+    law, errors = measured(scenario.model_copy(update={"announce": Announcements(trigger="never")}), seeds=4)
+    assert errors[RELAY] < 0.018
     assert abs(law[RELAY] - 0.6041) < 4 * errors[RELAY]
     assert abs(law[RELAY] - 0.4930) > 5 * errors[RELAY]
 
@@ -203,7 +203,7 @@ class Scale:
 @pytest.mark.parametrize("graph", [nx.star_graph(5), nx.path_graph(6), nx.complete_graph(6), nx.wheel_graph(6)])
 def test_the_uniform_law_is_stationary_under_the_walk(graph, absent):
     """P(i -> j) = min(1/d_i, 1/d_j) is symmetric, so every column sums to 1 as every row does; absent ones apart."""
-    steps = 3600
+    steps = 60
     token = Token((1, 0, 0.0), 1, (0,) * 6, absent, ())
     chances = np.zeros((6, 6))
     for i in set(graph) - set(absent):
@@ -225,26 +225,24 @@ def plain_walk(me, revise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("graph", [Star(), Ring()])
-def test_every_pursuer_holds_the_walking_token_equally_often(graph):
-    """Shares of 5 pursuers over 8 runs of 1,000 decisions: 1/5 each, within 5 s.e. (at most 0.011).
+def test_every_pursuer_on_a_star_holds_the_walking_token_equally_often():
+    """Shares of 5 pursuers over 6 runs of 1,000 decisions: 1/5 each, within 5 s.e. (at most 0.015).
 
-    The control, a plain walk on the star, is at its centre every second time.
+    The control, a plain walk, is at the centre every second time. On a ring it would be uniform, too.
     """
 
-    def shares(schedule):
+    def shares(schedule, seeds):
         counts = [
-            Counter(d.pursuer for d in decided(run(frozen(flips(schedule), graph=graph), seed))) for seed in range(8)
+            Counter(d.pursuer for d in decided(run(frozen(flips(schedule), graph=Star()), seed)))
+            for seed in range(seeds)
         ]
-        found = np.array([[each[j] / each.total() for j in range(5)] for each in counts])
-        return found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(8)
+        return np.array([[each[j] / each.total() for j in range(5)] for each in counts])
 
-    mean, error = shares(TokenWalk())
+    found = shares(TokenWalk(), 6)
+    mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(6)
     assert (error < 0.015).all()
     assert (abs(mean - 0.2) < 5 * error).all()
-    if isinstance(graph, Star):
-        mean, _ = shares(plain_walk)
-        assert mean[0] == pytest.approx(0.5, abs=0.02)
+    assert shares(plain_walk, 1)[0, 0] == pytest.approx(0.5, abs=0.02)
 
 
 # With faults.
@@ -443,7 +441,7 @@ def soak(seed):
     scenario = frozen(
         flips(schedule),
         count=count,
-        horizon=storm + 3.5 * detection_time,
+        horizon=storm + 2.5 * detection_time,
         latency=latency,
         faults=tuple(faults),
         graph=graph,
@@ -462,9 +460,9 @@ def faults_after(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("block", range(20 if EXPLORING else 3))
+@pytest.mark.parametrize("block", range(20 if EXPLORING else 1))
 def test_one_token_is_left_in_each_component_after_every_storm(block):
-    """150 random plans: what goes wrong in one plan of 80 is seen with 1 - (79 / 80)^150 = 0.848; 1000 to explore."""
+    """50 random plans: what goes wrong in one plan of 27 is seen with 1 - (26 / 27)^50 = 0.848; 1000 to explore."""
     assert {seed: found for seed in range(50 * block, 50 * block + 50) if (found := faults_after(seed))} == {}
 
 
@@ -505,11 +503,11 @@ def test_two_tokens_are_rare_while_messages_are_lost():
 
     def new_epochs(p):
         loss = Storm(p, inf)
-        results = [run(frozen(flips(TokenRing()), latency=0.01, loss=loss, horizon=30.0), seed) for seed in range(4)]
+        results = [run(frozen(flips(TokenRing()), latency=0.01, loss=loss, horizon=30.0), seed) for seed in range(2)]
         return [len({sent.body.epoch for sent in bodies(result, Token)}) - 1 for result in results]
 
-    assert sum(new_epochs(0.1)) <= 8
-    assert sum(new_epochs(0.3)) >= 30
+    assert sum(new_epochs(0.1)) <= 4
+    assert sum(new_epochs(0.3)) >= 15
 
 
 # Where a token takes longer than a hold to transmit.
