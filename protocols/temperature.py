@@ -34,7 +34,7 @@ class PaperTau(Value):
 
 
 class ConstantTau(Value):
-    """A constant temperature; the distribution of profiles is then the Gibbs law."""
+    """A constant temperature. In a static potential game with one revision at a time, the stationary law is Gibbs."""
 
     kind: Literal["constant"] = "constant"
     value: Positive = 0.1
@@ -46,7 +46,7 @@ class ConstantTau(Value):
 
 
 class LogarithmicTau(Value):
-    """tau = scale / ln(eta + offset): slow enough to find the best profile of a fixed game with probability 1.
+    """tau = scale / ln(eta + offset). In a static game the probability of the best profile then tends to 1.
 
     This holds if `scale` is large enough; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least value.
     """
@@ -79,44 +79,44 @@ class GeometricTau(Value):
         return exp(min(-eta * log(self.ratio), coldest)) / self.first
 
 
-Surprise = Literal["neighbour", "silence", "order"]
+ReheatingEvent = Literal["new_teammate", "silence", "order"]
 
 
 class AdaptiveTau(Value):
-    """Another cooling schedule, restarted in each pursuer separately at each of its surprises (`reheat_on`)."""
+    """A wrapper of a cooling schedule: each pursuer restarts it at its own reheating events (`reheat_on`)."""
 
     kind: Literal["adaptive"] = "adaptive"
     cooling: Annotated[Temperature, OneOf(PaperTau, ConstantTau, LogarithmicTau, GeometricTau, takes=("eta",))] = (
         GeometricTau()
     )
-    """Cooling between two surprises."""
-    reheat_on: tuple[Surprise, ...] = ("neighbour", "silence", "order")
-    """Events that restart the cooling. neighbour: a teammate is heard for the first time or after a time-out; silence:
-    a teammate times out (`announce.belief_timeout`); order: an evader is captured, or the least capture time for an
-    evader, among the pursuer and its known teammates, passes to another of them."""
+    """Cooling between two reheating events."""
+    reheat_on: tuple[ReheatingEvent, ...] = ("new_teammate", "silence", "order")
+    """Events that restart the cooling. new_teammate: an announcement of a teammate is received for the first time or
+    after a time-out; silence: a teammate times out (`announce.belief_timeout`); order: an evader is captured, or
+    another pursuer now has the least capture time for an evader, as far as known."""
 
     def __call__(self, eta: float) -> float:
-        """Return 1/tau, eta slots after the last surprise, 1/s."""
+        """Return 1/tau, eta slots after the last reheating event, 1/s."""
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield the number of slots (of length `slot`, s) since the last surprise at each turn."""
-        since, heard, first = me.now if me.restarts else 0.0, None, [me.id]
+        """Yield the number of slots (of length `slot`, s) since the last reheating event at each turn."""
+        since, known, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()
             ahead = [_first(me, evader) for evader in me.evaders()]
-            surprised = heard is not None and (
-                ("neighbour" in self.reheat_on and bool(beliefs.keys() - heard))
-                or ("silence" in self.reheat_on and bool(heard - beliefs.keys()))
+            is_reheated = known is not None and (
+                ("new_teammate" in self.reheat_on and bool(beliefs.keys() - known))
+                or ("silence" in self.reheat_on and bool(known - beliefs.keys()))
                 or ("order" in self.reheat_on and ahead != first)
             )
-            since = me.now if surprised else since
-            heard, first = beliefs.keys(), ahead
+            since = me.now if is_reheated else since
+            known, first = beliefs.keys(), ahead
             yield max(me.now - since, 0.0) / slot
 
 
 def _first(me: Agent, evader: int) -> int:
-    """Return the pursuer with the least capture time for an evader, among the agent and teammates of known time."""
+    """Return the pursuer with the least capture time for an evader; teammates of unknown capture time do not count."""
     known = [(each.capture_time, j) for j, each in me.beliefs(evader=evader).items() if not isnan(each.capture_time)]
     return min([*known, (me.capture_time(evader), me.id)])[1]
 
@@ -127,7 +127,7 @@ TEMPERATURES = OneOf(
 
 
 def slots_seen(tau: Temperature, me: Agent, slot: float) -> Iterator[float]:
-    """Yield eta at each turn: the number of slots (of length `slot`, s) since the start or the last surprise."""
+    """Yield eta at each turn: the number of slots (of length `slot`, s) since the start or the last reheating event."""
     if isinstance(tau, AdaptiveTau):
         yield from tau.slots_since(me, slot)
     while True:

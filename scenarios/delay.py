@@ -1,4 +1,4 @@
-"""Measure the cost of latency: the scaling law of excess active time, and the phase diagram over latency and slot.
+"""Measure the cost of latency: the scaling law of excess active time, and a heat map over latency and slot.
 
 The law: if all pursuers start active and decide greedily, the excess active time int (n - 1)+ dt is
 g_N(L lambda) N^2 delta, with the one-way latency L, the decision rate lambda of a pursuer and delta = 1 / (N lambda).
@@ -35,7 +35,7 @@ from scenarios.delay_runs import (
 
 
 def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
-    """Return the law and the phase diagram as text."""
+    """Return the law, and the active times over latency and slot, as text."""
     at = {(point.schedule, point.delay): point for point in points}
     rows = [("L lambda", *SCHEDULES)]
     for delay in DELAYS:
@@ -57,7 +57,7 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
-    """Draw the law for each schedule, and the phase diagram with the prediction of the law."""
+    """Draw the law for each schedule, and the heat map with the prediction of the law."""
     from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:
@@ -82,11 +82,11 @@ def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
         left.minorticks_off()
         left.set(xlabel=r"latency in decisions of one pursuer, $L\lambda$", ylabel=r"excess active time ($N^2\delta$)")
         left.legend(fontsize=8)
-        draw_phases(right, cells)
+        draw_heat_map(right, cells)
     return figure
 
 
-def draw_phases(axes: "Axes", cells: Sequence[Cell]) -> None:
+def draw_heat_map(axes: "Axes", cells: Sequence[Cell]) -> None:
     """Draw the measured active time as colours, the law as contour lines, and the line L lambda = `CRITICAL`."""
     from matplotlib.colors import LogNorm
 

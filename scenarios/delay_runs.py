@@ -23,7 +23,7 @@ N = 20
 LAMBDA = 5.0
 """Decision rate lambda of one pursuer in the static games, 1/s."""
 DELAYS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 16.0, 64.0)
-"""Values of L lambda."""
+"""Values of the dimensionless latency L lambda: one-way latency times the decision rate of a pursuer."""
 SCHEDULES: dict[str, Callable[[float], Schedule]] = {
     "poisson": lambda slot: Poisson(rate=1.0 / (N * slot)),
     "shared_seed": lambda slot: SharedSeed(slot=slot),
@@ -35,16 +35,18 @@ SLOTS = (0.001, 0.003, 0.01, 0.03, 0.1)
 LATENCIES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Values of L in the pursuits, s."""
 CRITICAL = 3.0
-"""L lambda at which the excess is about twice the excess without latency."""
+"""Dimensionless latency L lambda at which the excess is about twice the excess without latency."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """g at one L lambda under one schedule: the excess on static games in units of N^2 delta."""
+    """One measurement of the scaling function g on static games (see `scenarios.delay`)."""
 
     schedule: str
     delay: float
+    """Dimensionless latency L lambda."""
     excess: float
+    """g: mean excess active time divided by N^2 delta."""
     standard_error: float
 
 
@@ -85,7 +87,10 @@ def pursuit(latency: float, slot: float) -> Scenario:
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Return g for each schedule and delay; the token ring only without latency, as its slots grow with it."""
+    """Return g for each schedule and delay.
+
+    The token ring is measured without latency only, because the time between its revisions grows with the latency.
+    """
     slot = 1.0 / (N * LAMBDA)
     keys = [(name, delay) for name in SCHEDULES for delay in DELAYS if name != "token_ring" or not delay]
     scenarios = [static(SCHEDULES[name](slot), delay / LAMBDA) for name, delay in keys]
@@ -102,7 +107,7 @@ def law(points: Sequence[Point]) -> Callable[[float], float]:
 
 
 def measure_pursuits(options: Options, points: Sequence[Point]) -> list[Cell]:
-    """Return the phase diagram, measured and predicted by the law."""
+    """Return the active times over the grid of latencies and slots, measured and predicted by the law."""
     g = law(points)
     keys = [(latency, slot) for latency in LATENCIES for slot in SLOTS]
     alone = pursuit(0.0, SLOTS[0]).model_copy(update={"protocol": Centralised(slot=SLOTS[0])})

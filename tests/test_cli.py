@@ -888,7 +888,7 @@ def test_a_sweep_over_a_key_without_effect_is_warned_of(file, tmp_path):
     silent = accepted("sweep", path, *grid, "--set", "protocol.kind=argmin", "--dry-run").stderr
     assert silent == (
         'warning: --set sweep.grid={ "network.latency.value" = [0.0, 0.04] }: sweep.grid: network.latency.value:'
-        " it probably has no effect: argmin, which senses positions, announces nothing (`announce.payload`)\n"
+        " it probably has no effect: positions are sensed, so nothing is announced (`announce.payload`) under argmin\n"
     )
 
 

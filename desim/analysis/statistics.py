@@ -4,9 +4,9 @@ All intervals are 95 % intervals, unless a function takes another confidence. A 
 whether its runs so far suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
-from 200,000 simulated samples each (s.e. at most 0.11). The last two are for studies that stop at the first look at
-which the half width is at most 1.96 sigma / sqrt(20), the half width for 20 values with known sigma; the first look is
-at 3 or at 30 values (40,000 studies each, s.e. at most 0.22).
+from 200,000 simulated samples each (s.e. at most 0.11). The last two are for sequential studies, 40,000 each (s.e. at
+most 0.22). Their target half width is 1.96 sigma / sqrt(20), which 20 values reach if sigma is known. A study ends as
+soon as a look finds a half width of at most the target. Its looks begin at 3 or at 30 values.
 
     distribution                             2 values   5 values   30 values   looks from 3   looks from 30
     normal                                       94.9       95.0        95.0           91.6            95.2
@@ -122,11 +122,11 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def runs_needed(values: Sequence[float | None], target: float, *, at_most: int, first_look: int = FIRST_LOOK) -> int:
-    """Return the number of runs at the first look that finds a half width of at most `target`; at most `at_most`.
+    """Return the number of runs at which a sequential study ends, `at_most` or fewer.
 
-    If no look at the given values finds this, return the number of runs that the next look needs. Looks are taken
-    at the same numbers of runs however many runs exist already, so an interrupted study ends at the same number of
-    runs. The arguments are those of `next_look`.
+    The study ends with the first look that finds a half width of at most `target`. If no look at the given values finds
+    this, return the number of runs that the next look needs. Looks are taken at the same numbers of runs however many
+    runs exist already, so an interrupted study ends at the same number of runs. The arguments are those of `next_look`.
     """
     look = next_look((), target, at_most=at_most, first_look=first_look)
     while look <= len(values):
@@ -147,8 +147,9 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
     lower limit keeps the looks few, because each may end the study too early by chance.
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
-    value (None or nan) counts as a run but not for the mean: no look before `at_most` ends the study with fewer than
-    `first_look` values. If all values are equal numbers, the t interval has width 0, and the look ends the study.
+    value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least
+    `first_look` values that are not missing. If all values are equal numbers, the t interval has width 0, and the look
+    ends the study.
 
     The runs should be independent and in the order of their seeds; in the order in which they end, short runs would
     come first. The coverage is nominal only in the limit of a small target.

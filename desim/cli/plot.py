@@ -30,20 +30,20 @@ OF_SWEEPS: Mapping[str, Sequence[str]] = {
 SUFFIXES = {"film": [".gif"], "perfetto": [".json"]}
 """The suffixes of kinds that are not diagrams."""
 NAMES = {"perfetto": "trace.perfetto"}
-"""The names of files, without a suffix, that are not that of their kind."""
+"""File names (without suffix) that differ from the name of the kind."""
 
 
-class Numbers(click.ParamType[tuple[int, ...]]):
-    """Numbers of pursuers: 0,3,17."""
+class Ids(click.ParamType[tuple[int, ...]]):
+    """Ids of pursuers: 0,3,17."""
 
     name = "i,j,..."
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        """Return the numbers."""
+        """Return the ids."""
         try:
             return tuple(int(each) for each in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} should be numbers separated by commas, e.g. 0,3,17", param, ctx)
+            self.fail(f"{value!r} should be pursuer ids separated by commas, e.g. 0,3,17", param, ctx)
 
 
 class Pair(click.ParamType[tuple[str, str]]):
@@ -66,14 +66,14 @@ class Pair(click.ParamType[tuple[str, str]]):
     type=click.Choice([*OF_RUNS, *OF_SWEEPS]),
     help="Of a run: trajectory (default), the paths of all players; spacetime, a line per pursuer and an arrow per"
     " message; film, a GIF; perfetto, a timeline for https://ui.perfetto.dev. Of a sweep: means (default), a metric"
-    " over a key; phase, a metric over two keys.",
+    " over a key; phase, a heat map of a metric over two keys.",
 )
 @click.option(
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams. Default: SVG and PNG in DIR, or in"
-    " the working directory for a FILE; names include the kind and the metric.",
+    help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams. Default: a file in DIR, or in the"
+    " working directory for a FILE; diagrams as SVG and PNG. Names include the kind and the metric.",
 )
 @click.option("--size", metavar="WIDTH[xHEIGHT]", help="Size of a diagram in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm.")
 @click.option("-y", "--y", metavar="METRIC", help="Of a sweep: the metric on the ordinate; default: active_time.")
@@ -82,7 +82,8 @@ class Pair(click.ParamType[tuple[str, str]]):
     "--by",
     multiple=True,
     metavar="KEY",
-    help="The key whose values are lines; the other keys make panels; can be repeated. Default: all keys make lines.",
+    help="The key whose values are lines; can be repeated. The other keys make panels. Default: all keys but that of -x"
+    " are lines.",
 )
 @click.option(
     "--against",
@@ -111,14 +112,14 @@ class Pair(click.ParamType[tuple[str, str]]):
     "--to",
     "end",
     type=click.FloatRange(min=0),
-    help="End of the window, s; default: the end of the run or, of a space-time diagram, the latest end with which"
-    " messages are easy to tell apart.",
+    help="End of the window, s; default: the end of the run; for a space-time diagram, as late as its messages stay"
+    " legible.",
 )
 @click.option(
     "--pursuers",
-    type=Numbers(),
-    help="Pursuers of a space-time diagram from top to bottom; default: all, or the six with the most changes of action"
-    " in a team of more than ten.",
+    type=Ids(),
+    help="Ids of the pursuers of a space-time diagram, from top to bottom; default: all, or the six with the most"
+    " changes of action in a team of more than ten.",
 )
 @click.option(
     "--speed",
@@ -141,7 +142,8 @@ def plot(
 ) -> None:
     """Draw a run or a sweep: a DIR written by `desim run -o DIR` or `desim sweep -o DIR`, or a scenario FILE.
 
-    A scenario FILE is run first, once. The same figures are made by `result.plot()` and `swept.plot()` in Python.
+    A scenario FILE is run first, once. In Python, the method `plot` of a result draws the same diagrams; films and
+    Perfetto traces are in `desim.view`.
     """
     if kind in OF_SWEEPS and not is_recorded(source):
         fail(f"--kind {kind} draws a sweep, which {source} is not: make one with `desim sweep {source} -o DIR`")

@@ -23,7 +23,7 @@ class DataFileError(ValueError):
 def open_data(path: str | Path) -> BytesIO:
     """Open a data file for reading bytes; its content becomes part of the identity of runs that use the calling module.
 
-    Call it where the module that defines a model is imported:
+    Call it at the top level of the module that defines the model, so that the file is read at import:
 
         DELAYS = np.loadtxt(open_data(Path(__file__).with_name("delays.txt")))
 
@@ -32,12 +32,13 @@ def open_data(path: str | Path) -> BytesIO:
 
     Raises:
         OSError: if the file cannot be read.
-        DataFileError: if it is called during a run of a sweep, because the run was identified before it started.
+        DataFileError: if it is called during a run of a sweep, an explanation or a study. The hash of the run is
+            computed before the run starts.
     """
     if _identified.get():
         raise DataFileError(
-            f"{path}: is opened during a run, so its content is not part of what identifies the run: open it where the"
-            " module is imported, or name it in `depends_on` of the model and use open()"
+            f"{path}: is opened during a run, so its content is not part of the identity of the run: open it at the top"
+            " level of the model's module, or list it in `depends_on` of the model and use open()"
         )
     content = regular_or_missing(Path(path)).read_bytes()
     sys._getframe(1).f_globals.setdefault(OPENED, {})[str(path)] = content_hash(content)

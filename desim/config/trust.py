@@ -19,7 +19,7 @@ ALLOW_HINT = "if you trust that file, use --allow-import (in Python, allow_impor
 
 
 def escaped(text: str) -> str:
-    """Return a text with unprintable characters escaped as in TOML and JSON, safe to print on a terminal."""
+    """Return a text with unprintable characters, except newline and tab, escaped as in TOML; safe on a terminal."""
     return "".join(each if each.isprintable() or each in "\n\t" else _escape_sequence(ord(each)) for each in text)
 
 

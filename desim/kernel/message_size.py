@@ -3,11 +3,15 @@
     4  sender
     4  sequence number
     8  time, s
-    8  each number or boolean in the body
+    8  each number or boolean in the body; 16 if it is complex
+    1  each byte of a string in the body, in UTF-8
+    0  None
 
-The size of a record inside a body, for instance a forwarded one, includes its own header. For example, a message takes
-24 bytes if its body is an action (one number), 32 if it is an action and a time of capture, and 48 if it is an action,
-a position (two numbers) and a speed.
+The size of a collection, a dict or an array is the sum of the sizes of its items. A record inside a body, for instance
+a forwarded one, includes its own header. Any other object counts as one number.
+
+For example, a message takes 24 bytes if its body is an action (one number), 32 if it is an action and a capture time,
+and 48 if it is an action, a position (two numbers) and a speed.
 """
 
 from copy import deepcopy
@@ -39,7 +43,7 @@ def as_sent(body: Any) -> Any:
 
 
 def size_of(body: Any) -> int:
-    """Return the size (bytes) of a message whose body is a number, a string, None, or a collection or array of such."""
+    """Return the size (bytes) of a message with a body."""
     return HEADER + _size(body)
 
 

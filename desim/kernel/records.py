@@ -1,6 +1,7 @@
 """The newest record of each source that has arrived at each node.
 
-Records need no SimPy event: a record is stored at transmission with its arrival time; reads ignore it until then.
+A record whose arrival is certain needs no SimPy event. It is stored at transmission with its arrival time, and reads
+ignore it until then. A record that can still be lost on arrival is inserted when it arrives (`Records.insert`).
 """
 
 from bisect import insort
@@ -36,14 +37,14 @@ Arrival = int | list[int]
 Predicate = Callable[[Any], object]
 """A function that selects bodies of records: its result is true for a match."""
 MAX_UNREAD = 2048
-"""Longest flat list of unread records, at two items per record, that is not merged while its node does not read."""
+"""Length of a flat list of unread records (two items per record) above which `_merge_unread` merges it."""
 
 
 class SharedTable:
     """The records that reach all nodes but their source at one instant, stored once for all nodes.
 
-    A record is waiting until `apply_arrived` is called at or after its arrival time, then in the table until a newer
-    record of its source replaces it.
+    A record waits until `apply_arrived` is called at or after its arrival time. It then enters the table, unless the
+    table has a newer record of its source.
 
     Attributes:
         waiting: the waiting records, ordered by arrival.

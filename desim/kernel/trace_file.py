@@ -1,4 +1,7 @@
-"""Trace files: one line of JSON per event, with times in seconds instead of integer nanoseconds."""
+"""Trace files: one line of JSON per event, with times in seconds instead of integer nanoseconds.
+
+Numbers that are not finite are written as in Python's `json`: Infinity, -Infinity and NaN.
+"""
 
 import json
 from collections import namedtuple
@@ -52,7 +55,10 @@ class TraceFile:
 
 
 def line_of(event: Event) -> str:
-    """Return an event as one line of JSON: its type, then its fields, with times in seconds and null for `LOST`."""
+    """Return an event as one line of JSON (with Infinity and NaN): its type, and its fields, with times in seconds.
+
+    `LOST` is null.
+    """
     text, fields = _line_layout(type(event))
     for value, (key, write) in zip(event, fields, strict=True):
         text += key + write(value)
@@ -121,7 +127,7 @@ def _time_json(time: Any) -> str:
 
 
 def _as_json(value: Any) -> str:
-    """Return a value as JSON; a value that JSON cannot represent is written as its `repr`."""
+    """Return a value as JSON; an object without a JSON form is written as its `repr`, infinity as Infinity."""
     if type(value) is int:
         return repr(value)
     return _json(value.plain() if has_plain(value.__class__) else value)

@@ -1,6 +1,6 @@
 """The provenance of results: `run.json` records the command, scenario, seed and code, so that a run can be repeated.
 
-It has no date: the same run gives the same bytes, except for the command line and the commit.
+It has no date: the same command on the same code, in the same environment and folder, gives the same bytes.
 """
 
 import json
@@ -46,11 +46,11 @@ SHAPE: Mapping[str, tuple[type, ...]] = {
 }
 """The keys of every run.json, and the types of their values."""
 WORDS: Mapping[type, str] = {
-    str: "a text",
+    str: "a string",
     int: "an integer",
     bool: "true or false",
-    dict: "a table",
-    list: "a list",
+    dict: "an object",
+    list: "an array",
     NoneType: "null",
 }
 
@@ -74,7 +74,7 @@ def document(
         what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
         scenario: the scenario of the runs, if there is only one.
         seed: seed of the first run; the recorded scenario has it, too.
-        runs: number of runs, with seeds s, s + 1, ...
+        runs: number of runs; those of `desim run` have the seeds s, s + 1, ...
         folder: folder of the scenario file, in which modules named by the scenario are looked up.
         more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
@@ -125,7 +125,7 @@ def read(path: Path) -> Document:
     except (ValueError, RecursionError) as error:
         raise ProvenanceError(f"{path}: not JSON: {error}") from error
     if not isinstance(made, dict):
-        raise ProvenanceError(f"{path}: is not a {FILE}: should be a table")
+        raise ProvenanceError(f"{path}: is not a {FILE}: should be a JSON object")
     if "what" in made and made.get("format") != FORMAT:
         raise ProvenanceError(f"{path}: {other_format(made.get('format'), FORMAT)}")
     if missing := [key for key in SHAPE if key not in made]:
@@ -210,8 +210,8 @@ def _errors(made: Document) -> Iterator[str]:
 def _given(scenario: Document) -> Document:
     """Return the tables of a recorded scenario in a form in which each key can be overridden as in a file.
 
-    Infinity becomes a number again. The values of the network's preset are removed, because they would otherwise
-    override those of another preset.
+    Infinity becomes a number again. Network values equal to those of the preset, or to the defaults without a preset,
+    are removed, because they would override another preset.
     """
     from desim.kernel.links import Links
     from desim.kernel.presets import PRESETS

@@ -22,8 +22,8 @@ LONG_LATENCY = 0.1
 """The share of the horizon above which a mean latency gives a warning.
 
 With a longer latency, at most ten one-way messages follow each other in a run, so the pursuers can hardly negotiate.
-Values in seconds are far below it: in the files of `scenarios`, at most 1.5 % of the horizon. Values in milliseconds
-are above it: even the 5 ms of a fast radio become 5 s, a sixth of the default horizon.
+Values in seconds are usually far below it: in the files of `scenarios`, outside of grids, at most 1.5 % of the horizon.
+Values in milliseconds are above it: even the 5 ms of a fast radio become 5 s, a sixth of the default horizon.
 """
 
 
@@ -72,9 +72,8 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
 def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str]]:
     """Yield the key and the text of each latency that is probably in milliseconds, in a scenario or in a sweep.
 
-    Values of a sweep in seconds may reach from short to long latencies on purpose. So a key of several scenarios gives
-    a warning only if its mean latency is long (`LONG_LATENCY`) in all scenarios in which it is positive, or reaches the
-    horizon in one.
+    A sweep may vary a latency from short to long on purpose. A key of several scenarios therefore gives a warning only
+    if its mean latency is long (`LONG_LATENCY`) in all scenarios where it is positive, or reaches the horizon in one.
     """
     found: dict[str, list[tuple[float, float]]] = {}
     for scenario in scenarios:
@@ -104,8 +103,8 @@ def sweep_warnings(base: Scenario, keys: Sequence[str], scenarios: Sequence[Scen
     unread = [key for key in keys if key.startswith(("network.", "announce.")) and key != "announce.payload"]
     if unread and all(map(_senses_instead, scenarios)):
         names = ", ".join(dict.fromkeys(scenario.protocol_name for scenario in scenarios))
-        why = f"it probably has no effect: {names}, which senses positions, announces nothing (`announce.payload`)"
-        yield from ((key, why) for key in unread)
+        silent = f"positions are sensed, so nothing is announced (`announce.payload`) under {names}"
+        yield from ((key, f"it probably has no effect: {silent}") for key in unread)
 
 
 def _senses_instead(scenario: Scenario) -> bool:
@@ -115,7 +114,7 @@ def _senses_instead(scenario: Scenario) -> bool:
 
 
 def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield the key and the mean of each latency of the network that is known, s."""
+    """Yield the key and the mean (s) of each latency of the network whose mean is known."""
     network = scenario.network
     models = {"network.latency": network.latency}
     models |= {f"network.link.{k}.latency": link.latency for k, link in enumerate(network.link) if link.latency}

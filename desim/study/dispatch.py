@@ -71,7 +71,8 @@ def drive(
     """Yield the position and the outcome of each task as soon as the outcome is known.
 
     Runs are dispatched in batches, in the order of the tasks. When a worker dies, each run of the unfinished batches is
-    repeated alone. A run during which the worker dies again has crashed.
+    repeated alone. So is each run of a batch whose call failed, for example because its result cannot be serialized. A
+    run during which the worker dies again has crashed.
 
     Raises:
         BrokenExecutor: if a worker of the user's own executor died, after which the executor accepts no more calls.
@@ -165,7 +166,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _picklable(error: BaseException) -> BaseException | None:
-    """Return an exception in a form that can be pickled, if necessary without its traceback; None if there is none.
+    """Return an exception that can be pickled, if necessary without its traceback; None if it cannot be pickled at all.
 
     Once Dask's package `distributed` is imported, exceptions are pickled with their tracebacks.
     """

@@ -41,7 +41,7 @@ PAGE = 9.4
 LETTER = 0.075
 """The approximate width of a letter of 8 points, in."""
 CELL = 0.68, 0.45
-"""The minimum width and the height of a cell of a phase diagram, in."""
+"""The minimum width and the height of a cell of a heat map, in."""
 FLAT = 0.7
 """The height of a figure of a given width and one panel, in widths."""
 INK = "#111111"
@@ -228,7 +228,7 @@ def phase(result: SweepResult, metric: str) -> Figure:
     """
     keys = swept_numbers(result)
     if len(keys) < 2:
-        raise ValueError(f"a phase diagram needs two keys that take several numbers, there are {len(keys)}")
+        raise ValueError(f"a heat map needs two keys that take several numbers, there are {len(keys)}")
     x, y = keys[:2]
     over = {key: sorted({group.settings[key] for group in result.groups}) for key in (x, y)}
     panels: dict[str, NDArray[np.float64]] = {}

@@ -48,7 +48,8 @@ class SweepPlan:
     reps: int
     """The number of runs of each configuration."""
     root: int
-    """The root seed: that of run 0 with common seeds, else an input of the hash that gives each run its seed."""
+    """The root seed. With common seeds, the seed of run k is root + k; otherwise the seed of each run is a hash of the
+    root seed, the configuration and the number of the run."""
     common: bool = True
     """Whether run k of every configuration has the same seed."""
     metrics: UsersMetrics = ()
@@ -191,7 +192,7 @@ def sweep(
         executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
         seed: the seed of the first run; None = that of the scenario.
-        store: the file that receives each run as it ends; runs that it has are not repeated; None = no file.
+        store: the file that receives each run as it ends; its successful runs are not repeated; None = no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
             has at most this half width. The interval is first checked after 30 runs, and `reps` (10,000 if None) is the
             maximum number of runs.
@@ -288,16 +289,17 @@ def check_target(metric: str, half_width: float, own: UsersMetrics = ()) -> None
 def _wanted(
     plan: SweepPlan, store: Store, metric: str, half_width: float, failed: Collection[tuple[str, int]]
 ) -> list[Job]:
-    """Return runs 0 .. n - 1 of each configuration; the runs in the store predict that n give the half width.
+    """Return runs 0 .. n - 1 of each configuration, where n is the number of runs needed for the half width.
 
-    A run whose repetition failed has no value, even if the store has it without the metric.
+    n is predicted from the runs in the store. A run that failed when it was repeated counts as a run without a value.
     """
     jobs: list[Job] = []
     for configuration in plan.configurations:
         found = store.runs(configuration.key, plan.root)
         rows = {row.replication: row.summary for row in found if row.summary is None or metric in row.summary}
         rows |= {k: None for key, k in failed if key == configuration.key}
-        # Runs are stored as they end, so short runs are over-represented beyond the first gap; those do not count.
+        # Runs are stored as they end, so short runs are over-represented beyond the first gap. Only the runs before
+        # the gap count.
         first = takewhile(rows.__contains__, count())
         values = [None if (numbers := rows[k]) is None else numbers[metric] for k in first]
         jobs += [(configuration, k) for k in range(runs_needed(values, half_width, at_most=plan.reps))]

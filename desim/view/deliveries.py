@@ -1,9 +1,10 @@
 """The data that pictures show besides positions: deliveries of messages, chases, handovers and outages.
 
-In every picture a message moves at constant speed from its sender's position at transmission to its receiver's position
-at arrival. A lost message ends in a cross, which shows the receiver that missed it. In the replay and the animation the
-cross is just short of the receiver and appears at the time of the loss, whatever its cause. For the cross in a
-space-time diagram see `desim.view.spacetime`.
+In the replay and the animation, a message moves at constant speed from the position of its sender at transmission to
+that of its receiver at arrival. In a space-time diagram it is an arrow between two lines. A lost message ends in a
+cross, which shows the receiver that missed it. In the replay and the animation the cross is just short of the receiver
+and appears at the time of the loss, whatever its cause. For the cross in a space-time diagram see
+`desim.view.spacetime`.
 """
 
 from collections.abc import Iterator
@@ -24,10 +25,10 @@ class Delivery(NamedTuple):
     src: int
     dst: int
     created: int
-    """Time at which the sender sent it, ns; earlier than `left` if the transmitter was busy."""
+    """Time at which the message was handed to the transmitter, ns; earlier than `left` if the transmitter was busy."""
     left: int
-    """Time of transmission, or of the drop if the message was dropped from the queue, ns; after the end of the run if
-    the message was still queued then."""
+    """Start of transmission, ns. For a message dropped from the queue: time of the drop. For a message still queued at
+    the end of the run: a time after the end."""
     until: int
     """Time of arrival or loss, ns; after the end of the run if it was still in flight then."""
     cause: Cause | None
@@ -102,7 +103,7 @@ def chasing(result: Result) -> list[list[Chase]]:
 
 
 class Handover(NamedTuple):
-    """A pursuer became the only one that chases an evader: the first to do so, or the successor of another pursuer."""
+    """The start of an interval in which one pursuer chases an evader alone: the first one, or after a handover."""
 
     t: int
     """ns"""

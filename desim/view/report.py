@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PANELS = ("active_time", "capture_time", "idle_time", "crowded_time", "switches", "messages_sent")
 """The built-in metrics drawn as small multiples, if they were measured."""
 MAPPED = "active_time"
-"""The metric of the phase diagram."""
+"""The metric of the heat map."""
 MAX_FAILURES = 20
 """Maximum number of different tracebacks shown."""
 SOURCE_LINE = re.compile(r'File "[^"\n]*?((?:[^"/\\\n]+[/\\])?[^"/\\\n]+)"')
@@ -128,7 +128,7 @@ def report(study: Study) -> str:
         asked=None if made is None else wanted(made, study.commands),
         origin={} if made is None else _origin(made),
         panels=[_inline(multiples(result, [each]), f"panel-{each}", words(each)) for each in panels],
-        phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, phase diagram") if has_map else None,
+        phase=_inline(phase(result, MAPPED), "phase", f"{words(MAPPED)}, heat map") if has_map else None,
         waterfalls=list(_waterfalls(study.explanation)) if study.explanation else [],
     )
 

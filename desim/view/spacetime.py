@@ -57,7 +57,7 @@ def spacetime(
     Args:
         result: the result of a run with recorded messages.
         begin: the start of the window, s; None = the start of the run.
-        end: the end of the window, s; None = the latest end for which the messages are easy to tell apart.
+        end: the end of the window, s; None = as late as the messages stay legible.
         pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
             team of more than ten.
         size: the width and perhaps the height of the figure; a column of a paper is about 8.5 cm wide.

@@ -32,7 +32,8 @@ def test_a_file_that_cannot_be_opened_is_no_part_of_a_module(tmp_path):
 
 
 def test_no_file_is_opened_during_a_run_that_is_identified():
-    with identified_run(), pytest.raises(DataFileError, match=r"open it where the module is imported, or name it in"):
+    where = r"open it at the top level of the model's module, or list it in `depends_on`"
+    with identified_run(), pytest.raises(DataFileError, match=where):
         open_data(__file__)
     assert opened_by(__name__) == {}
 

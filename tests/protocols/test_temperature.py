@@ -108,15 +108,15 @@ def watch(tau, teammate, *, observer=0, count=3, fault=(), until=5.0):
     return seen
 
 
-def since(turns, surprises):
-    """Return how many slots have passed at each turn since the last of the surprises, or since 0 s."""
-    return [(turn - max([0.0, *(s for s in surprises if s <= turn)])) / SLOT for turn in turns]
+def since(turns, events):
+    """Return how many slots have passed at each turn since the last of the reheating events, or since 0 s."""
+    return [(turn - max([0.0, *(s for s in events if s <= turn)])) / SLOT for turn in turns]
 
 
 def eventful(me):
     """Pursuer 2 announces all the time, an action that changes, and ties with the observer. Pursuer 1:
 
-    1 to 1.9 s: announces, and is slower than the observer (a new neighbour, at the turn of 1.05 s).
+    1 to 1.9 s: announces, and is slower than the observer (a new teammate, at the turn of 1.05 s).
     2 to 2.9 s: is faster (a change of order, at 2.05 s). 3 to 3.9 s: slower again (another, at 3.05 s).
     From 4 s on it is silent: its record of 3.9 s is trusted until 4.25 s, and not at the turn of 4.35 s.
     """
@@ -128,13 +128,13 @@ def eventful(me):
             me.publish(TimedAssignment(k % 2 == 0, 1.0 if 20 <= k < 30 else 4.0))
 
 
-SURPRISES = {"neighbour": [1.05], "order": [2.05, 3.05], "silence": [4.35]}
+REHEATING = {"new_teammate": [1.05], "order": [2.05, 3.05], "silence": [4.35]}
 
 
-@pytest.mark.parametrize("listed", [each for k in range(4) for each in combinations(SURPRISES, k)], ids=repr)
+@pytest.mark.parametrize("listed", [each for k in range(4) for each in combinations(REHEATING, k)], ids=repr)
 def test_reheating_happens_only_at_the_listed_events(listed):
-    """Whatever of the three is listed; nor do teammates' actions, or one that ties and comes later, surprise."""
-    expected = since(TURNS, [turn for each in listed for turn in SURPRISES[each]])
+    """For each choice of the three; a teammate's action, or one that ties and comes later, is no reheating event."""
+    expected = since(TURNS, [turn for each in listed for turn in REHEATING[each]])
     assert watch(AdaptiveTau(reheat_on=listed), eventful) == pytest.approx(expected, abs=1e-9)
 
 
@@ -179,7 +179,7 @@ def test_teammates_known_at_the_first_turn_do_not_cause_reheating():
     assert watch(AdaptiveTau(), teammate) == pytest.approx(since(TURNS, []), abs=1e-9)
 
 
-def test_a_returning_pursuer_is_a_neighbour_again():
+def test_a_returning_pursuer_is_a_new_teammate_again():
     """Silent from 1 s to 3 s: not trusted any more at 1.35 s, received again at 3.05 s."""
 
     def teammate(me):
@@ -188,7 +188,7 @@ def test_a_returning_pursuer_is_a_neighbour_again():
             if not 10 <= k < 30:
                 me.publish(TimedAssignment(False, 4.0))
 
-    seen = watch(AdaptiveTau(reheat_on=("neighbour",)), teammate)
+    seen = watch(AdaptiveTau(reheat_on=("new_teammate",)), teammate)
     assert seen == pytest.approx(since(TURNS, [3.05]), abs=1e-9)
     seen = watch(AdaptiveTau(reheat_on=("silence",)), teammate)
     assert seen == pytest.approx(since(TURNS, [1.35]), abs=1e-9)

@@ -213,9 +213,9 @@ def test_binary_too_deep_or_too_long_files_are_no_json(kept, content):
 
 
 @pytest.mark.parametrize("content", [3, [], "run", None])
-def test_json_that_is_no_table_is_refused(kept, content):
+def test_json_that_is_no_object_is_refused(kept, content):
     path = kept(content)
-    assert errors(path) == [f"{path}: is not a run.json: should be a table"]
+    assert errors(path) == [f"{path}: is not a run.json: should be a JSON object"]
 
 
 @pytest.mark.parametrize(("number", "found"), [(None, "no format number"), (1, "format 1"), ("2", "format '2'")])
@@ -233,18 +233,18 @@ def test_json_that_is_something_else_is_refused_with_all_that_is_missing(kept):
 
 
 WRONG = {
-    "what": (3, "a text"),
+    "what": (3, "a string"),
     "seed": (True, "an integer"),
     "runs": ("2", "an integer"),
-    "scenario": ([], "a table or null"),
-    "folder": (1, "a text or null"),
-    "unrecorded": (None, "a list"),
-    "versions": ([], "a table"),
-    "platform": ("Linux", "a table"),
-    "commit": (12, "a text or null"),
+    "scenario": ([], "an object or null"),
+    "folder": (1, "a string or null"),
+    "unrecorded": (None, "an array"),
+    "versions": ([], "an object"),
+    "platform": ("Linux", "an object"),
+    "commit": (12, "a string or null"),
     "dirty": (0, "true or false or null"),
-    "code": (None, "a text"),
-    "argv": ("desim", "a list"),
+    "code": (None, "a string"),
+    "argv": ("desim", "an array"),
 }
 
 

@@ -307,7 +307,10 @@ def test_a_sweep_may_reach_to_long_latencies_unless_all_are_long_or_one_reaches_
 
 
 GEOMETRIC = {"protocol.kind": ["argmin", "voronoi"], "network.latency.value": [0.0, 0.1], "announce.heartbeat": [0.2]}
-SENSED = "it probably has no effect: argmin, voronoi, which senses positions, announces nothing (`announce.payload`)"
+SENSED = (
+    "it probably has no effect: positions are sensed, so nothing is announced (`announce.payload`)"
+    " under argmin, voronoi"
+)
 
 
 @pytest.mark.parametrize(

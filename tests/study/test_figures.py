@@ -217,7 +217,7 @@ def test_there_are_no_panels_of_nothing():
         multiples(result({"x": [1.0, 2.0]}), [])
 
 
-# Phase diagrams.
+# Heat maps.
 
 
 def written(axes):

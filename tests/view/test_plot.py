@@ -108,7 +108,7 @@ def test_of_a_file_all_is_recorded_that_is_drawn(file, tmp_path):
     [
         (("spacetime", "ran", "--from", "2"), "the run lasted 0.5 s"),
         (("spacetime", "ran", "--pursuers", "0,7"), "no pursuer 7"),
-        (("spacetime", "ran", "--pursuers", "0;1"), "numbers separated by commas"),
+        (("spacetime", "ran", "--pursuers", "0;1"), "pursuer ids separated by commas"),
         (("film", "ran", "--speed", "0.0001"), "choose a higher speed"),
         (("film", "ran", "--speed", "0"), "--speed"),
         (("film", "nowhere"), "nowhere: cannot be read"),

@@ -271,7 +271,7 @@ def test_nothing_in_the_page_is_active_or_lies_elsewhere(full):
     assert "<!DOCTYPE svg" not in full.text
     assert not re.findall(r"@import|https?:", full.text.replace(HOSTILE, ""))
     pictures = re.findall(r"<svg.*?</svg>", full.text, re.S)
-    assert len(pictures) == 8, "two costs, five metrics, a phase diagram"
+    assert len(pictures) == 8, "two costs, five metrics, a heat map"
     for svg in pictures:
         ElementTree.fromstring(svg)
         assert "#000000" not in svg
