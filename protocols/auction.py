@@ -49,7 +49,8 @@ class Auction(Rule):
     def __call__(self, me: Agent) -> Process:
         """Negotiate for one pursuer.
 
-        A pursuer that can only stay takes its turns, too, because its announcements forward the claims of others.
+        A pursuer that can only be inactive takes its turns, too, because its announcements forward the claims of
+        others.
         """
         actions = self.actions(me)
         yield from self.schedule(me, lambda: me.assign(next(actions)))

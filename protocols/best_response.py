@@ -24,7 +24,7 @@ RevisionProbability = Annotated[float, Field(gt=0, le=1, strict=True)]
 
 
 class BestResponse(LearningRule):
-    """At its turn a pursuer takes the action of highest utility; ties go to the lowest number (0: stay)."""
+    """At its turn a pursuer takes the action of highest utility; ties go to the lowest number (0: inactive)."""
 
     assumes: ClassVar[tuple[str, ...]] = (*LearningRule.assumes, "one_at_a_time")
     kind: Literal["best_response"] = "best_response"

@@ -41,9 +41,9 @@ class BinaryLogLinear(LogLinear):
 class SelectiveSAP(BinaryLogLinear):
     """The binary rule with a trial action drawn from all actions, the present one included.
 
-    The restricted set R_i holds staying and each evader that the pursuer may chase. Each action in R_i is drawn as the
-    trial action with probability 1 / max |R_i| = 1 / (M + 1). Otherwise the trial action is the present action, which
-    the pursuer then keeps.
+    The restricted set R_i holds inactivity and each evader that the pursuer may chase. Each action in R_i is drawn as
+    the trial action with probability 1 / max |R_i| = 1 / (M + 1). Otherwise the trial action is the present action,
+    which the pursuer then keeps.
     """
 
     kind: Literal["selective_sap"] = "selective_sap"  # type: ignore[assignment]

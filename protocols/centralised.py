@@ -3,7 +3,7 @@
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
 Parameters: slot (time between two decisions).
-Assumes: an omniscient centre whose orders take effect at once. It does not use the network, so it is a benchmark for
+Assumes: an omniscient planner whose orders take effect at once. It does not use the network, so it is a benchmark for
     protocols on any network.
 Messages: none.
 Robust to loss: yes, for nothing is sent.
@@ -23,14 +23,14 @@ from desim.pursuit.game import relay_pursuer
 
 
 class Centralised(Value):
-    """An omniscient centre, run by the process of pursuer 0, assigns pursuers to evaders in every slot."""
+    """An omniscient planner, run by the process of pursuer 0, assigns pursuers to evaders in every slot."""
 
     announces: ClassVar[bool] = False
     """There are no heartbeats."""
     embodied: ClassVar[bool] = False
-    """The centre is not part of a robot and does not crash with pursuer 0."""
+    """The planner is not part of a robot and does not crash with pursuer 0."""
     omniscient: ClassVar[bool] = True
-    """Pursuers move by the knowledge of the centre, whatever their sensing range."""
+    """Pursuers move by the knowledge of the planner, whatever their sensing range."""
     kind: Literal["centralised"] = "centralised"
     slot: Period = 0.01
     """Time delta between two decisions, s."""
@@ -57,7 +57,7 @@ class Centralised(Value):
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
-    """Return the evader (1 .. M) that each pursuer is to chase; pursuers that are to stay are left out.
+    """Return the evader (1 .. M) that each pursuer is to chase; pursuers that are to be inactive are left out.
 
     Args:
         phi: (M, N) capture times, s.

@@ -1,9 +1,9 @@
 """Rules: protocols that choose an action at each turn of a schedule.
 
-A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: stay, j:
-chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only stay, the generator is
-not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule, network and
-dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
+A `Rule` is a protocol with a schedule. Its `actions(me)` is a generator that yields one action per turn (0: inactive,
+j: chase evader j) and keeps the pursuer's memory in its local variables. While the pursuer can only be inactive, the
+generator is not advanced. A `LearningRule` chooses by the utilities of the actions. Any rule runs under any schedule,
+network and dissemination. Derive a new protocol from `Rule` or `LearningRule` unless it needs messages of its own.
 """
 
 from collections.abc import Collection, Iterator
@@ -43,7 +43,7 @@ class Rule(Value):
     """When each pursuer revises."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield the action of a pursuer at each of its turns: the number of the evader to chase, or 0 to stay."""
+        """Yield the action of a pursuer at each of its turns: the number of the evader to chase, or 0 (inactive)."""
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
@@ -73,7 +73,7 @@ class LearningRule(Rule):
     """Utility of an active pursuer."""
 
     def utilities(self, me: Agent) -> dict[int, float]:
-        """Return the utility of each action that a pursuer may choose, s: 0 for staying, the gain for chasing.
+        """Return the utility of each action that a pursuer may choose, s: 0 for inactivity, the gain for chasing.
 
         The gain of a pursuer that can never capture is -1e9 s (`MAX_TIME`), so that averages are finite.
         """
@@ -89,5 +89,5 @@ def current_action(me: Agent, actions: Collection[int]) -> int:
 
 
 def argmax(utilities: dict[int, float]) -> int:
-    """Return the action of highest utility; ties go to the first, so that staying wins over a chase without gain."""
+    """Return the action of highest utility; ties go to the first, so inactivity wins over a chase without gain."""
     return max(utilities, key=utilities.__getitem__)

@@ -9,10 +9,10 @@ Time: every pursuer reports at the start, and then every period with a random ph
     at once, the others when an order arrives. A changed order is sent at once; the current order is repeated every
     period.
 Prediction: if a round trip lasts m periods, the orders of m decisions are in flight. A server that ignored them would
-    assume that a pursuer just ordered to chase still stays, and its orders would oscillate for ever. The server
+    assume that a pursuer just ordered to chase is still inactive, and its orders would oscillate for ever. The server
     therefore extrapolates each pursuer's last report, using the orders sent since. Each order, the present one
     included, takes effect `me.latency` and an airtime after sending. If a pursuer does not chase the evader in the
-    meantime, the lost time is added to its phi. With constant latency and no loss this is an omniscient centre whose
+    meantime, the lost time is added to its phi. With constant latency and no loss this is an omniscient planner whose
     orders are delayed by L. At L = 0 it is the centralised benchmark, deciding at the instants of the reports.
 Assumes: links in both directions between the host and every other pursuer, and no crashes. While the host is down,
     each pursuer continues with its last order. A host that has lost its memory has lost its orders, too, and
@@ -173,7 +173,7 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
 
 
 def apply_order(me: Agent, order: Order) -> None:
-    """Chase the evader named by the order; stay if there is none or it has been captured."""
+    """Chase the evader named by the order; be inactive if there is none or it has been captured."""
     action = order.action(me.id)
     action = action if action in me.evaders() else 0
     if me.action != action:

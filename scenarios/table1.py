@@ -3,7 +3,7 @@
 In the decentralised cells pursuers exchange action messages over a complete graph with zero latency, with slot delta =
 motion step h as in Algorithm 2. According to the paper each pursuer starts "with a random action", but the published
 figures match a start with all pursuers active, so both starts are shown. A centralised cell has a single run: it
-has no random draws, and the centre decides before any pursuer moves, so the start does not matter. The initial
+has no random draws, and the planner decides before any pursuer moves, so the start does not matter. The initial
 configurations are in table1_20.toml and table1_40.toml; `python -m scenarios.find_table1` finds them.
 """
 

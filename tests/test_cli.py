@@ -1134,7 +1134,7 @@ def test_the_store_of_another_sweep_is_refused_with_the_differences(file, tmp_pa
     accepted("sweep", path, "-o", out, "-n", 1)
     store, hint = out / "sweep.sqlite", "; remove it, or choose another folder (-o)"
     assert refused("sweep", path, "-o", out, "--set", "horizon=0.6") == [
-        f"{store}: was made by another configuration: horizon was 0.5, is 0.6{hint}"
+        f"{store}: was made by another scenario: horizon was 0.5, is 0.6{hint}"
     ]
     seed = f"{store}: was made by another sweep: root seed was 5, is 6{hint}"
     assert refused("sweep", path, "-o", out, "-s", 6) == [seed]

@@ -1,4 +1,4 @@
-"""The base class of all models, a frozen validated value, and field types: lengths, times, probabilities."""
+"""The base class of all models, an immutable validated object, and field types: lengths, times, probabilities."""
 
 import ast
 import json
@@ -90,7 +90,7 @@ Flag = Annotated[bool, Field(strict=True)]
 
 
 class Value(BaseModel):
-    """A frozen model that rejects unknown keys; the string below a field is the description of the field."""
+    """An immutable model that rejects unknown keys; the string below a field is the description of the field."""
 
     model_config = ConfigDict(
         frozen=True,

@@ -93,9 +93,10 @@ class Agent(Knowledge):
     # Actions and announcements.
 
     def assign(self, action: int) -> None:
-        """Chase an evader (its number) or stay (0) from now on.
+        """Chase an evader (its number) or be inactive (0) from now on.
 
-        Call it after each decision, then `announce`. A pursuer that may not chase this evader (`Scenario.prune`) stays.
+        Call it after each decision, then `announce`. A pursuer that may not chase this evader (`Scenario.prune`) is
+        inactive.
         """
         self.global_state.set_action(self.id, action)
 

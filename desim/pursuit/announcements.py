@@ -35,7 +35,7 @@ class TimedAssignment(NamedTuple):
 
     active: int
     capture_time: float
-    """Capture time of the evader that it chases or, if it stays, the least over the evaders not yet captured, s."""
+    """Capture time of the evader that it chases or, if inactive, the least over the evaders not yet captured, s."""
 
     @classmethod
     def announced_by(cls, pursuer: int, view: View) -> Self:

@@ -1,8 +1,8 @@
 """The pursuit game with several evaders: the assignment of pursuers to evaders.
 
-Each of N pursuers chooses one of M evaders or stays: an action is 0 or the number of an evader, 1 .. M. Let phi_ij be
-the capture time of pursuer i for evader j, and r the time left. The global utility is the sum over the evaders of the
-utility of the game with one evader (`desim.pursuit.game`),
+Each of N pursuers chooses one of M evaders or is inactive: an action is 0 or the number of an evader, 1 .. M. Let
+phi_ij be the capture time of pursuer i for evader j, and r the time left. The global utility is the sum over the
+evaders of the utility of the game with one evader (`desim.pursuit.game`),
 
     Phi = sum over the chased evaders j of (r - mean of phi_ij over the pursuers that chase j).
 
@@ -10,11 +10,11 @@ Phi is an exact potential for the wonderful-life utilities. The wonderful-life u
 contribution to the term of its evader.
 
 If the capture times are distinct, every equilibrium is a matching: if several pursuers chase one evader, the one with
-the greatest capture time gains by staying. There are often many equilibria; the optimal profile, a maximum-weight
-matching, is one of them. Every equilibrium has at least a third of the optimal utility, and the bound is tight. Proof:
-let u_i be the utility of pursuer i in the equilibrium and w its utility alone on the evader that the optimal profile
-gives it. If this evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w - u_m) / 2 <= u_i.
-The sum of all w is therefore at most 3 times the sum of all u_i.
+the greatest capture time gains by becoming inactive. There are often many equilibria; the optimal profile, a
+maximum-weight matching, is one of them. Every equilibrium has at least a third of the optimal utility, and the bound is
+tight. Proof: let u_i be the utility of pursuer i in the equilibrium and w its utility alone on the evader that the
+optimal profile gives it. If this evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w -
+u_m) / 2 <= u_i. The sum of all w is therefore at most 3 times the sum of all u_i.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ from desim.config.arrays import Floats
 from desim.pursuit import game
 
 Profile = tuple[int, ...]
-"""The action of each pursuer: 0 stays, j chases evader j."""
+"""The action of each pursuer: 0 is inactive, j chases evader j."""
 
 
 def welfare(phi: ArrayLike, actions: Sequence[int], reward: float) -> float:

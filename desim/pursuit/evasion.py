@@ -1,7 +1,7 @@
 """Evasion strategies: a strategy maps the observation of an evader to a heading.
 
-A strategy is a frozen value without memory: the observation contains the previous heading and the time since it was
-chosen. No parameter depends on the motion step, so the law of motion does not change with the step.
+A strategy is an immutable object without memory: the observation contains the previous heading and the time since it
+was chosen. No parameter depends on the motion step, so the law of motion does not change with the step.
 """
 
 from cmath import rect

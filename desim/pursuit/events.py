@@ -9,7 +9,7 @@ Point = tuple[float, float]
 Evader = Annotated[int, "evader"]
 """The number of an evader, 1 .. M."""
 Action = Annotated[int, "action"]
-"""The evader that a pursuer chases, 1 .. M, or 0 if it stays."""
+"""The evader that a pursuer chases, 1 .. M, or 0 if it is inactive."""
 # Tuples with one entry for each pursuer, or for each evader.
 Points = Annotated[tuple[Point, ...], "pursuers"]
 Speeds = Annotated[tuple[float, ...], "pursuers"]
@@ -61,7 +61,7 @@ class Sampled(NamedTuple):
 
 
 class Captured(NamedTuple):
-    """An evader was captured; its pursuers stay until they decide again."""
+    """An evader was captured; its pursuers are inactive until they decide again."""
 
     t: Nanoseconds
     evader: Evader

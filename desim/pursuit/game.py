@@ -1,13 +1,13 @@
 """The pursuit game of Lee & Bakolas: utilities, equilibria and the Gibbs distribution.
 
-Each of N pursuers chooses to chase (active) or to stay (inactive). With S the set of active pursuers, phi_i the capture
+Each of N pursuers chooses to chase (active) or not (inactive). With S the set of active pursuers, phi_i the capture
 time of pursuer i and r the time left, the global utility is
 
     U_E(S) = r - mean of phi_i over S,    U_E(empty) = 0.
 
 Each pursuer maximises its wonderful-life utility U_i = U_E(S) - U_E(S without i), for which U_E is an exact potential
 (Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games"). A pursuer
-with phi_i = inf can only stay; it is never part of S.
+with phi_i = inf can only be inactive; it is never part of S.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -38,7 +38,7 @@ def gain(own: float, others: Sequence[float], reward: float) -> float:
     """Return the gain of a pursuer from being active rather than inactive, U_i(active) - U_i(inactive), s.
 
     Args:
-        own: its own capture time, s; inf gives -inf, because such a pursuer can only stay.
+        own: its own capture time, s; inf gives -inf, because such a pursuer can only be inactive.
         others: the finite capture times of the other active pursuers, s.
         reward: the time left, r, s.
     """
@@ -62,7 +62,7 @@ def is_equilibrium(
     """Return whether no pursuer gains by changing its action alone (a pure Nash equilibrium).
 
     Args:
-        phi: (N,) capture times, s; a pursuer with inf can only stay and does not count for the others.
+        phi: (N,) capture times, s; a pursuer with inf can only be inactive and does not count for the others.
         active: (N,) profile, whether each pursuer is active.
         reward: the time left, r, s.
         gain: gain from being active; `desim.pursuit.utility` has alternatives to the paper's.

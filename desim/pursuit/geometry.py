@@ -19,7 +19,7 @@ def toward(gaps: Points, speeds: Floats) -> Points:
 
     Args:
         gaps: (N,) vectors from each pursuer to its target, m.
-        speeds: (N,) speeds, m/s, 0 for pursuers that stay.
+        speeds: (N,) speeds, m/s, 0 for inactive pursuers.
     """
     return gaps * (speeds / np.maximum(lengths(gaps), SMALLEST))
 

@@ -27,7 +27,7 @@ class Guidance(Protocol):
             the motion step if the evader moves first (`motion.order`), else at the start of the step.
         evader_velocity: observed velocity of the evader, m/s: its velocity during the present step if the evader moves
             first, else during the step before; (N,) if pursuers chase different evaders.
-        speeds: (N,) speeds, m/s, 0 for pursuers that stay; no velocity exceeds them.
+        speeds: (N,) speeds, m/s, 0 for inactive pursuers; no velocity exceeds them.
     """
 
     def __call__(  # noqa: D102

@@ -45,7 +45,7 @@ class Knowledge:
 
     @property
     def action(self) -> int:
-        """The evader that it chases, 1 .. M, or 0 if it stays."""
+        """The evader that it chases, 1 .. M, or 0 if it is inactive."""
         return self._state.profile[self.id]
 
     def evaders(self) -> Sequence[int]:
@@ -142,7 +142,7 @@ class Knowledge:
         return self._beliefs.senses_others
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return the gain of chasing an evader over staying, given its beliefs, s; see `desim.pursuit.game.gain`."""
+        """Return the gain of chasing an evader over inactivity, given its beliefs, s; see `desim.pursuit.game.gain`."""
         own, rivals, times = self._beliefs.rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]

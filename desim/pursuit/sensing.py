@@ -49,7 +49,7 @@ class Sensing(Value):
     on_lost: Literal["stay", "search"] = "search"
     """Action on a lost evader. stay: it may not be chased; search: follow a spiral around its last estimated position,
     with turns 2 R_s apart, rotated for each pursuer. The spiral begins when the evader is lost, wherever the pursuer
-    is. A pursuer without any sighting stays."""
+    is. A pursuer without any sighting may not chase."""
 
     @property
     def limited(self) -> bool:

@@ -96,7 +96,7 @@ class Minimum(Value):
     """r less the least capture time of the active: a pursuer that does not have the least phi has a gain of 0.
 
     U_E(S) = r - min phi over S is an exact potential if all are heard. At tau > 0 the pursuers of larger phi are
-    indifferent, so half of them chase; only greedy rules break the tie in favour of staying.
+    indifferent, so half of them chase; only greedy rules break the tie in favour of inactivity.
     """
 
     assumes: ClassVar[tuple[str, ...]] = ("everyone_heard",)

@@ -150,7 +150,7 @@ class GlobalState(View):
     Args:
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
-        set_action: lets a pursuer chase an evader, or stay (0), from this instant on.
+        set_action: lets a pursuer chase an evader, or be inactive (0), from this instant on.
     """
 
     def __init__(self, state: WorldState, prune: Prune, set_action: Callable[[int, int], None]):

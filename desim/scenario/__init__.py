@@ -1,4 +1,4 @@
-"""An experiment as one frozen value: TOML and overrides in, a validated scenario with checks and assumptions out.
+"""An experiment as one immutable object: TOML and overrides in, a validated scenario with checks and assumptions out.
 
 Nothing here runs a simulation.
 """

@@ -1,4 +1,4 @@
-"""A scenario: a complete experiment as one frozen, validated value, from Python or from a file."""
+"""A scenario: a complete experiment as one immutable, validated object, from Python or from a file."""
 
 from collections.abc import Iterator
 from math import inf
@@ -98,7 +98,7 @@ class Team(Value):
     ] = Speeds()
     """Speeds, m/s: one number, one per pursuer, or a table { default, last }."""
     active_at_start: Probability = 1.0
-    """Probability p0 that a pursuer is active at the start, in [0, 1]; a pursuer without a choice (`prune`) stays."""
+    """Probability p0 that a pursuer is active at the start, in [0, 1]; without a choice (`prune`) it is inactive."""
     guidance: Annotated[
         Guidance, OneOf(PurePursuit, ConstantBearing, takes=("gaps", "aims", "evader_velocity", "speeds"))
     ] = PurePursuit()

@@ -78,7 +78,7 @@ class CLASS(LearningRule):
     """Probability of no change, in [0, 1]."""
 
     def actions(self, me: Agent) -> Iterator[int]:
-        """Yield an action at each turn of a pursuer: 0 to stay, j to chase evader j.
+        """Yield an action at each turn of a pursuer: 0 to be inactive, j to chase evader j.
 
         Local variables are the memory of the pursuer. It knows what `Agent` offers, and draws from `me.rng` only.
         """

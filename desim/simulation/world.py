@@ -30,9 +30,9 @@ class World:
     All players move on straight pieces that begin at a common instant: the last motion step, or the last change of an
     action within it. The next capture is predicted from these pieces; a change of an action replaces the prediction.
 
-    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it stays. A pursuer is up or
-    down (from `crash` until `recover`); while down it stands still, and afterwards it stays until its action is set. An
-    evader is at large or captured.
+    The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
+    or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
+    is set. An evader is at large or captured.
 
     Args:
         env: the clock of the simulation.
@@ -84,9 +84,9 @@ class World:
             self._env.process(self._samples(nanoseconds(self._sampling)))
 
     def set_action(self, pursuer: int, action: int) -> None:
-        """Let a pursuer chase an evader, or stay (0), from this instant on.
+        """Let a pursuer chase an evader, or be inactive (0), from this instant on.
 
-        A pursuer that is down, or may not chase this evader, stays.
+        A pursuer that is down, or may not chase this evader, is inactive.
 
         Raises:
             ValueError: if there is no such pursuer or evader.
@@ -110,7 +110,7 @@ class World:
         self._forecast.update()
 
     def recover(self, pursuer: int) -> None:
-        """Bring a pursuer up again; it stays until its action is set."""
+        """Bring a pursuer up again; it is inactive until its action is set."""
         self.state.broken[pursuer] = False
         self._forecast.update()
 

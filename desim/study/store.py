@@ -309,7 +309,7 @@ def _differs(name: str, one: Any, other: Any) -> str:
         old, new = flat(one), flat(other)
         keys = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
         texts = "; ".join(f"{key} was {old.get(key, 'not there')}, is {new.get(key, 'not there')}" for key in keys[:5])
-        return f"by another configuration: {texts}"
+        return f"by another scenario: {texts}"
     was, now = json.dumps(one), json.dumps(other)
     is_source = name.startswith(("the code of ", "the content of "))
     return f"by another {'version' if is_source else 'sweep'}: {name} was {was}, is {now}"

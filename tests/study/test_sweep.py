@@ -356,12 +356,12 @@ def test_a_shard_has_the_same_runs_for_every_order_of_the_grid(parts):
 
 
 CHANGED = {
-    "field": ({"horizon": 0.6}, {}, {}, r"by another configuration: horizon was 0\.5, is 0\.6$"),
+    "field": ({"horizon": 0.6}, {}, {}, r"by another scenario: horizon was 0\.5, is 0\.6$"),
     "two": (
         {"horizon": 0.6, "prune": "none"},
         {},
         {},
-        r"by another configuration: horizon was 0\.5, is 0\.6; prune was inf, is none$",
+        r"by another scenario: horizon was 0\.5, is 0\.6; prune was inf, is none$",
     ),
     "inside": ({"network": Links(range=3.0)}, {}, {}, r"network\.range was Infinity, is 3\.0$"),
     "seed": ({"seed": 6}, {}, {}, r"by another sweep: root seed was 5, is 6$"),
