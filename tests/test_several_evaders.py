@@ -169,7 +169,7 @@ def test_captured_and_unknown_evaders_cannot_be_chased():
 
 @pytest.mark.parametrize("payload", ["action", "time", "state"])
 def test_announcements_name_the_evader(payload):
-    """Teammates know which evader each pursuer chases, and its time of capture."""
+    """Teammates know which evader each pursuer chases, and its capture time."""
     seen = []
 
     def broadcast(me):
@@ -197,7 +197,7 @@ def test_announcements_name_the_evader(payload):
                 assert believed == {chaser: pytest.approx(phi[evader - 1][chaser])}
             known = {j: belief.active for j, belief in beliefs.items()}
             assert known == {j: j + 1 for j in range(3) if j != me}
-            # An announced time of capture is of a known evader.
+            # An announced capture time is of a known evader.
             times = {j: nan if payload == "time" and j != chaser else phi[evader - 1][j] for j in known}
             assert {j: belief.capture_time for j, belief in beliefs.items()} == pytest.approx(times, nan_ok=True)
 

@@ -1,7 +1,8 @@
 """What becomes of a message, record or mail alike, when something happens while it is on its way.
 
-A message is judged twice: as it leaves and as it arrives. In between nothing can happen to it. Faults come first at an
-instant, then arrivals, then decisions: what begins as a message leaves or arrives concerns it, what ends then does not.
+The outcome of a message is determined at transmission and at arrival. In between nothing can happen to it. Faults come
+first at an instant, then arrivals, then decisions: what begins as a message leaves or arrives concerns it, what ends
+then does not.
 
 | what happens                                                  | what becomes of the message                      |
 |---------------------------------------------------------------|--------------------------------------------------|
