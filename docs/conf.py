@@ -55,6 +55,7 @@ apidoc_modules = [
 ]
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
+autodoc_use_type_comments = False
 autodoc_default_options = {
     "show-inheritance": True,
     "ignore-module-all": True,

@@ -213,7 +213,7 @@ def test_the_running_simulator_follows_the_gibbs_law():
 def test_with_simultaneous_decisions_the_law_differs():
     """Four at every instant, each by the announcements of the instant before: not the Gibbs law, but an exact chain's.
 
-    6,000 instants: the standard error is about 0.009, and Gibbs is 12 of them away.
+    6,000 instants: the standard error is about 0.012, and Gibbs is 9 of them away.
     """
 
     def at_once(me):

@@ -91,9 +91,9 @@ def test_the_static_excess_is_that_of_two_prototypes(latency, duration, first, s
 @pytest.mark.parametrize(
     ("schedule", "runs", "duration", "expected"),
     [
-        (TokenRing(holding_time=DELTA), 20, 2.0, 0.84),
+        (TokenRing(holding_time=DELTA), 12, 2.0, 0.84),
         (SharedSeed(slot=DELTA), 40, 14.0, 1.73),
-        (Rounds(period=N * DELTA), 20, 6.0, 1.54),
+        (Rounds(period=N * DELTA), 12, 6.0, 1.54),
     ],
     ids=lambda value: getattr(value, "kind", None),
 )

@@ -79,7 +79,7 @@ def test_the_server_keeps_the_evader_although_orders_are_late_and_lost():
 
 @pytest.mark.slow
 def test_a_server_that_forgets_its_orders_loses_the_evader():
-    """Orders go to and fro between several pursuers until all are too late, and for 35 s none chases."""
+    """Orders go to and fro between several pursuers until all are too late, and for 32 s none chases."""
     forgetful = outcome(1, Forgetful(), **late(1.0))
     assert forgetful.captured == 0.0
     assert forgetful.idle > 20.0

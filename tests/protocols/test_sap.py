@@ -62,7 +62,7 @@ def test_without_a_network_every_pursuer_that_can_be_in_time_chases(deaf):
 
 @pytest.mark.slow
 def test_latency_costs_active_time():
-    """Paired over 8 seeds: half a second costs some 5 s, more than 4 standard errors; no latency costs nothing."""
+    """Paired over 8 seeds: half a second costs some 5 s, more than 5 standard errors; no latency costs nothing."""
 
     def times(latency, seeds=8):
         scenario = Scenario(protocol=SpatialAdaptivePlay(), network=Links(latency=Constant(value=latency)))
@@ -70,7 +70,7 @@ def test_latency_costs_active_time():
 
     prompt = times(0.0)
     cost = times(0.5) - prompt
-    assert cost.mean() > 4 * cost.std(ddof=1) / np.sqrt(len(cost)) > 0
+    assert cost.mean() > 5 * cost.std(ddof=1) / np.sqrt(len(cost)) > 0
     assert times(1e-9, 3) - prompt[:3] == pytest.approx(0.0, abs=0.01)
 
 
