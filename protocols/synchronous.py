@@ -1,4 +1,4 @@
-"""All pursuers revise at once in the slots of a schedule that takes turns: a baseline for the cost of taking turns.
+"""All pursuers revise at once in every slot of a schedule with turns: a baseline for the cost of taking turns.
 
 Paper: none for this combination: synchronous learning (Marden & Shamma 2012) in the slots of another schedule.
 Parameters: schedule, the other schedule.

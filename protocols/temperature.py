@@ -1,6 +1,6 @@
 """Temperatures of log-linear learning: the randomness of decisions and its cooling schedule.
 
-A temperature is called with eta = t / delta, the number of slots that have passed, and returns the *inverse*
+A temperature is a function of eta = t / delta, the number of slots that have passed. It returns the *inverse*
 temperature 1/tau in 1/s, which is 0 for an infinite temperature.
 """
 
@@ -34,7 +34,7 @@ class PaperTau(Value):
 
 
 class ConstantTau(Value):
-    """A constant temperature. In a static potential game with one revision at a time, the stationary law is Gibbs."""
+    """A constant temperature. In a static potential game with one revision at a time, the Gibbs law is stationary."""
 
     kind: Literal["constant"] = "constant"
     value: Positive = 0.1
@@ -48,7 +48,8 @@ class ConstantTau(Value):
 class LogarithmicTau(Value):
     """tau = scale / ln(eta + offset). In a static game the probability of the best profile then tends to 1.
 
-    This holds if `scale` is large enough; Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least value.
+    This holds only if `scale` is large enough: Hajek 1988, "Cooling Schedules for Optimal Annealing", gives the least
+    such value.
     """
 
     kind: Literal["logarithmic"] = "logarithmic"
@@ -96,11 +97,11 @@ class AdaptiveTau(Value):
     another pursuer now has the least capture time for an evader, as far as known."""
 
     def __call__(self, eta: float) -> float:
-        """Return 1/tau, eta slots after the last reheating event, 1/s."""
+        """Return 1/tau at eta slots after the last reheating event, 1/s."""
         return self.cooling(eta)
 
     def slots_since(self, me: Agent, slot: float) -> Iterator[float]:
-        """Yield the number of slots (of length `slot`, s) since the last reheating event at each turn."""
+        """Yield at each turn the number of slots (of length `slot`, s) since the start or the last reheating event."""
         since, known, first = me.now if me.restarts else 0.0, None, [me.id]
         while True:
             beliefs = me.beliefs()

@@ -137,7 +137,7 @@ class Sighted:
 
 
 class Watched(NamedTuple):
-    """The numbers of one run with limited sensing; see `Sighted`."""
+    """The measurements of one run with limited sensing; see `Sighted`."""
 
     captured: bool
     survival: float
@@ -163,7 +163,7 @@ def chase(strategy: str, protocol: str, latency: float = LATENCY) -> Scenario:
 
 
 def watched(radius: float, made: str, latency: float = LATENCY) -> Scenario:
-    """Return one scenario of the second table, with a sensing radius, m, an estimate and a latency, s."""
+    """Return one scenario of the second table: a sensing radius, m, an estimate of the evader, and a latency, s."""
     sensing = WATCHED.sensing.model_copy(update={"radius": radius, "estimate": made})
     return WATCHED.model_copy(update={"sensing": sensing, "network": Links(latency=Constant(value=latency))})
 
@@ -177,7 +177,7 @@ def measure_chases(options: Options, latency: float) -> list[Cell]:
 
 
 def cell(key: tuple[str, str], latency: float, runs: Sequence[Summary], *, reference: Sequence[Summary]) -> Cell:
-    """Return the results of a strategy against a protocol, and their difference to pure evasion with the same seeds."""
+    """Return the results of a strategy against a protocol, and the difference from pure evasion with equal seeds."""
     survival, active = estimate([run.end_time for run in runs]), estimate([run.active_time for run in runs])
     paired = estimate([run.end_time - other.end_time for run, other in zip(runs, reference, strict=True)])
     return Cell(
@@ -204,7 +204,7 @@ def measure_sight(options: Options, latency: float) -> list[Sighted]:
 
 
 def observe(result: Result) -> Watched:
-    """Return the numbers of one run with limited sensing."""
+    """Return the measurements of one run with limited sensing."""
     reports = [
         event
         for event in result.trace.of(Sent)
@@ -232,7 +232,7 @@ def _is_seen(sample: Sampled, radius: float) -> bool:
 
 
 def sighted(radius: float, made: str, runs: Sequence[Watched], *, reference: Sequence[Watched]) -> Sighted:
-    """Return the results of one radius and one estimate, and their difference to "hold" with the same seeds."""
+    """Return the results of one radius and one estimate, and the differences from "hold" with equal seeds."""
     survival, active = estimate([run.survival for run in runs]), estimate([run.active_time for run in runs])
     pairs = list(zip(runs, reference, strict=True))
     longer = estimate([run.survival - other.survival for run, other in pairs])

@@ -1,10 +1,10 @@
 """Several evaders: how good an assignment the team finds, and how soon all evaders are captured.
 
 With one evader the game has one equilibrium. With several it has many, some of them poor: if two pursuers should swap
-their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0,
-as the welfare of the final profile divided by the welfare of the best assignment, for several numbers of negotiation
-slots, constant temperatures and protocols. Then all players move, and the time until all evaders are captured is
-measured.
+their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0, in
+which nobody moves: as the welfare of the final profile divided by the welfare of the best assignment, for several
+numbers of negotiation slots, constant temperatures and protocols. In a second experiment all players move, and the time
+until all evaders are captured is measured.
 """
 
 from collections.abc import Sequence
@@ -123,7 +123,7 @@ def draw_cooling(axes: "Axes", games: Sequence[NegotiationSummary]) -> None:
     for name, marker, aside, colour in styles:
         line = [each for each in games if each.protocol == name]
         y = 100.0 * np.array([(each.best, each.best_low, each.best_high) for each in line])
-        x = [each.slots * aside for each in line]  # side by side
+        x = [each.slots * aside for each in line]  # error bars side by side
         error = np.abs(y[:, 1:].T - y[:, 0])
         dashes = "-" if name.endswith("slow") else ":"
         axes.errorbar(

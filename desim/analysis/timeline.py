@@ -1,9 +1,10 @@
 """The timeline of a run: the active pursuers and the capture times, piece by piece.
 
-A piece is the time between two breakpoints: changes of action, samples, crashes and recoveries of robots, captures. No
-action changes within a piece, so metrics of the actions are exact. The capture times phi are evaluated in the
-middle of the piece, at positions interpolated between the samples. They are exact in a static game; otherwise see
-`desim.analysis.hindsight` for their error. Each evader has a timeline of its own, with the same pieces.
+A piece is the time between two successive breakpoints. The breakpoints are the changes of action, samples, crashes and
+recoveries of robots, and captures. No action changes within a piece, so metrics of the actions alone are exact. The
+capture times phi are evaluated in the middle of a piece, at positions interpolated between the samples. They are exact
+in a static game; otherwise see `desim.analysis.hindsight` for their error. Each evader has its own timeline; the
+timelines of all evaders have the same pieces.
 """
 
 from collections.abc import Iterator
@@ -87,24 +88,29 @@ def _breakdowns(result: Result) -> Iterator[tuple[int, int, int]]:
 
 
 class _Counts:
-    """One integer per pursuer over time: initial values and steps, each a (time in ns, pursuer, increment), by time."""
+    """One integer counter per pursuer as a step function of time.
+
+    Args:
+        start: (N,) initial values.
+        steps: the (time (ns), pursuer, increment) of each step.
+    """
 
     def __init__(self, start: tuple[bool, ...], steps: list[tuple[int, int, int]]):
         self._start = np.array(start, np.int32)
         self.t, self._pursuer, self._by = np.array(steps, np.int64).reshape(-1, 3).T
 
     def during(self, times: Integers) -> Bools:
-        """Return (k, N) whether the integers are positive in each piece between (k + 1,) times, ns."""
-        piece = np.searchsorted(times, self.t)  # for each step, the first piece that begins then or later
+        """Return (k, N) whether each counter is positive in each of the k pieces between (k + 1,) times, ns."""
+        piece = np.searchsorted(times, self.t)  # for each step, the first piece that begins at its time or later
         rows = np.zeros((len(times), len(self._start)), np.int32)
         rows[0] = self._start
         np.add.at(rows, (np.minimum(piece, len(times) - 1), self._pursuer), self._by)
-        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row is after the end
+        found: Bools = np.cumsum(rows[:-1], axis=0) > 0  # the last row holds the steps after the last piece
         return found
 
 
 class _Path:
-    """The positions of an evader relative to all pursuers, interpolated linearly between the start and the samples."""
+    """The positions of an evader relative to all pursuers, interpolated linearly; the first sample is the start."""
 
     def __init__(self, result: Result, evader: int):
         known = samples(result)

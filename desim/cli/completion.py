@@ -1,7 +1,7 @@
-"""Completion in the shell: keys, kinds and names of examples; imports nothing that is slow to import.
+"""Shell completion of keys, kinds of protocols and names of examples, without slow imports.
 
-A shell asks on every press of Tab, so the keys are read from `keys.txt`. A test compares it with the models, and writes
-it with RENEW=1.
+A shell runs the program on every press of Tab, so the keys are read from `keys.txt`. A test compares this file with the
+models, and rewrites it if RENEW=1.
 """
 
 from importlib.metadata import entry_points
@@ -16,7 +16,7 @@ KEYS = Path(__file__).with_name("keys.txt")
 
 
 def keys(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    """Return the keys, and the settings of kinds, that begin with a text."""
+    """Return the completions KEY= and KEY.kind=KIND that begin with a text."""
     return _matching(KEYS.read_text(encoding="utf-8").split(), incomplete)
 
 

@@ -31,7 +31,7 @@ def described(
 
 
 def described_traits(traits: Traits) -> Iterator[str]:
-    """Yield lines that describe the traits of a model and their values, without those that are parameters."""
+    """Yield lines that describe the traits of a model and their values, except traits that are parameters."""
     yield "    traits:"
     fields = fields_of(type(traits))
     for name in traits.names():
@@ -41,11 +41,11 @@ def described_traits(traits: Traits) -> Iterator[str]:
 
 
 def described_at(place: Sequence[str], model: type[BaseModel]) -> Iterator[str]:
-    """Yield the lines of `described` for one key or kind below a model.
+    """Yield lines that describe one key or kind below a model, as `described` does.
 
     Args:
-        place: the path from the outermost key to the innermost. A kind may follow the key of its model: in network,
-            latency, gamma, scale, `gamma` is the kind of `latency`.
+        place: the path from the outermost key to the innermost. A kind may follow the key of its model: in
+            ("network", "latency", "gamma", "scale"), "gamma" is a kind of "latency".
         model: the outermost model.
 
     Raises:
@@ -92,7 +92,7 @@ def summary(model: Any) -> str:
 
 
 def default_of(field: FieldInfo) -> str:
-    """Return " = " and the default of a field, or of a model its kind; "" without a default or a kind."""
+    """Return " = " and the default of a field, for a model its kind; "" if there is no default or no kind."""
     if field.is_required():
         return ""
     default = field.get_default(call_default_factory=True)

@@ -59,7 +59,7 @@ class Precision(click.ParamType[tuple[str, float]]):
     name = "METRIC:HALFWIDTH"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
-        """Return the metric, which is checked when the metrics of the scenario are known, and the half width."""
+        """Return the metric and the half width; `sweep` checks both once the scenario is loaded."""
         metric, _, width = str(value).rpartition(":")
         try:
             return metric, float(width)
@@ -199,7 +199,8 @@ def merge(stores: tuple[Path, ...], out: Path) -> None:
             store.merge(part)
         store.note_command(str(Path.cwd()), sys.argv)
         count, names = len(store), [str(part.path) for part in parts]
-        root = store.read_property("root seed", int) if "root seed" in store.about else 0  # the store is empty
+        # An empty store has no root seed.
+        root = store.read_property("root seed", int) if "root seed" in store.about else 0
         provenance.write(out, provenance.document("merge", seed=root, runs=count, stores=names))
     echo(f"{count} runs are in {out / STORE}")
 
@@ -257,7 +258,7 @@ def _plan_text(
 
 
 def _write_summary(found: "SweepResult", metric: str, folder: Path, table: str) -> None:
-    """Write the table of a sweep and its figure, if matplotlib is installed, to the folder."""
+    """Write the table of a sweep to its folder, and a figure if matplotlib is installed."""
     from desim.results.run_folder import can_plot
 
     without_symlink(folder / "sweep.txt").write_text(f"{table}\n", encoding="utf-8")

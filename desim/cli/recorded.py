@@ -19,12 +19,12 @@ SAMPLES = 0.05
 
 
 def is_recorded(source: Path) -> bool:
-    """Return whether a source is results, and not a scenario file."""
+    """Return whether a source holds recorded results and is not a scenario file."""
     return source.is_dir() or source.name == TRACE or source.suffix == ".sqlite"
 
 
 def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Result":
-    """Return the run in a folder or of a scenario file; end the program if it cannot be read."""
+    """Return the run in a folder or of a scenario file; end the program if it cannot be read, or is a sweep."""
     from desim.simulation.run import Result
 
     found = results_of(source, seed, overrides)
@@ -37,7 +37,7 @@ def result_of(source: Path, seed: int | None, overrides: tuple[str, ...]) -> "Re
 
 
 def check_no_run(folder: Path) -> None:
-    """End the program if a folder has no store, but runs."""
+    """End the program if a folder contains recorded runs, but no store of a sweep."""
     if (folder / STORE).exists():
         return
     traces = [each for each in (folder / TRACE, *sorted(folder.glob(f"*/{TRACE}"))) if each.exists()]

@@ -51,15 +51,17 @@ IMPORTED = "^[^:]+:[^:]+$"
 class OneOf:
     """Annotation of a field that holds one of several models, selected by their `kind`.
 
-    The models under `group` in `protocols.KINDS` and in the entry points of other distributions are accepted too; a
-    table with a known kind imports only its model, a table without one imports them all to list them. A callable object
-    is accepted unchanged, so a script can pass its own function or model. A file selects such a callable by the kind
-    "module:name"; the module is installed or lies beside the file. Importing a module runs its code, so the file must
-    be trusted (`is_trusted`), unless `protocols.KINDS` or an entry point of a group `desim.*` refers to the same
-    "module:name".
+    A field accepts `models`, and the models that `protocols.KINDS` and the entry points of other distributions list
+    under `group`. A table with a known kind imports only the model of this kind. A table with an unknown kind, or
+    without one, imports all models, because the error message lists them.
+
+    A callable object is accepted unchanged, so a script can pass its own function or model. A file selects such a
+    callable by the kind "module:name"; the module is installed or lies beside the file. Importing a module runs its
+    code, so the file must be trusted (`is_trusted`), unless `protocols.KINDS` or an entry point of a group `desim.*`
+    refers to the same "module:name".
 
     Args:
-        models: the models of this distribution.
+        models: the models that are accepted in addition to those of `group`.
         group: the group in `protocols.KINDS`, and the entry point group.
         needs: attributes that a callable object must have.
         takes: names of the arguments that a callable object is called with.
@@ -85,11 +87,11 @@ class OneOf:
         self.number = number
 
     def choices(self) -> Mapping[str, type[BaseModel]]:
-        """Return all models by kind, those of this distribution first; imports every installed model."""
+        """Return all models by kind: first `models`, then those of `group`, sorted by kind; imports all of them."""
         return MappingProxyType(self._builtin | {kind: point.load() for kind, point in self._installed.items()})
 
     def choice(self, kind: str) -> type[BaseModel] | None:
-        """Return the model of a kind, or None."""
+        """Return the model of a kind; None if the kind is unknown."""
         if kind not in self._installed:
             return self._builtin.get(kind)
         model: type[BaseModel] = self._installed[kind].load()
@@ -213,12 +215,12 @@ def _validator(kind: Any, model: type[BaseModel]) -> SchemaValidator:
 
 
 def is_unlisted_import(kind: Any) -> bool:
-    """Return whether a kind is a "module:name" that no entry point of a group `desim.*` refers to."""
+    """Return whether a kind is a "module:name" that neither `protocols.KINDS` nor a `desim.*` entry point refers to."""
     return isinstance(kind, str) and ":" in kind and kind not in _named_by_entry_points()
 
 
 def _builtin_points(group: str) -> list[EntryPoint]:
-    """Return the kinds of a group in `protocols.KINDS` as entry points, without installation."""
+    """Return an entry point for each kind of a group in `protocols.KINDS`; they need not be installed."""
     return [EntryPoint(kind, definition, group) for kind, definition in _builtin_kinds().get(group, {}).items()]
 
 
@@ -236,7 +238,7 @@ def refusal(kind: str) -> str:
 
 @cache
 def _named_by_entry_points() -> Mapping[str, EntryPoint]:
-    """Return the entry points of the groups `desim.*` by the "module:name" of their objects."""
+    """Return all entry points of groups `desim.*`, those of `protocols.KINDS` included, by "module:name"."""
     groups = {*entry_points().groups, *_builtin_kinds()}
     points = (
         each
@@ -248,13 +250,14 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 
 
 def load_named(kind: str, folder: Path | None) -> Any:
-    """Return the object "module:name"; without an entry point, `folder` is added to `sys.path`, also for workers.
+    """Return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    The name may have dots, for example "module:Outer.Inner". The caller has to check that the text that names it is
-    trusted; see `is_unlisted_import`.
+    If no entry point refers to the object, `folder` is added to `sys.path`, which worker processes copy, and the module
+    is imported. This runs its code, so the caller must first check that the file which names the object is trusted; see
+    `is_unlisted_import`.
 
     Raises:
-        ValueError: if it cannot be imported.
+        ValueError: if the object cannot be imported.
     """
     if (point := _named_by_entry_points().get(kind)) is not None:
         return point.load()

@@ -40,7 +40,7 @@ def to_json(value: Any) -> Any:
 
 
 def json_number(value: Any) -> Any:
-    """Return a value as `to_json` does, except that NaN, the mean of no values, becomes None."""
+    """Return None for NaN, the mean of no values, and `to_json(value)` for any other value."""
     return None if isinstance(value, float) and isnan(value) else to_json(value)
 
 

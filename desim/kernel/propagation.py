@@ -1,7 +1,7 @@
 """Sampling of the losses and arrival times of each transmission from the link models.
 
-If the draws of a model are independent of the link, they are made in blocks: a broadcast then takes a slice of a list
-instead of calling numpy.
+A model whose draws are independent of the link is sampled in blocks: a broadcast then takes a slice of a list instead
+of calling numpy.
 """
 
 from math import inf
@@ -83,7 +83,7 @@ class LinkSampler:
         """Whether `in_order` is needed: latencies vary, and some link is FIFO or has its own order."""
 
     def losses(self, src: int, dst: list[int], now: int, size: int) -> list[bool] | None:
-        """Return for each receiver whether the message is lost; None if the models of these links never lose one."""
+        """Return for each receiver whether the message is lost; None means that no receiver loses it."""
         overrides = self._loss_overrides.get(src, {})
         if self._lossless:
             lost = None
@@ -99,7 +99,9 @@ class LinkSampler:
         return lost
 
     def arrivals(self, src: int, dst: list[int], now: int, airtime: int, size: int) -> Arrival:
-        """Return the arrival time (ns) at each receiver of a message transmitted now, with processing delays.
+        """Return the arrival time (ns) at each receiver of a message transmitted now.
+
+        It includes the airtime, the latency and the processing delays. One number stands for all receivers.
 
         Raises:
             ValueError: if the latency model returns an invalid latency.
@@ -140,7 +142,7 @@ class LinkSampler:
         return sum(found) / len(found) / SECOND if found else 0.0
 
     def in_order(self, src: int, dst: list[int], arrival: Arrival) -> Arrival:
-        """Return the arrival times (ns) delayed such that no message overtakes an earlier one on a FIFO link."""
+        """Return arrival times (ns), delayed on FIFO links so that no message overtakes an earlier one."""
         overrides = self._order_overrides.get(src)
         if self._order == "overtaking" and not overrides:
             return arrival
@@ -155,7 +157,7 @@ class LinkSampler:
 
 
 class _Buffer(Generic[Each]):
-    """A buffer of draws of a model whose draws are independent of the link."""
+    """A buffer of draws from a model whose draws are independent of the link."""
 
     def __init__(self, draw: "Draw", rng: np.random.Generator, convert: "Callable[[NDArray[Any]], list[Each]]"):
         self._draw, self._rng, self._convert = draw, rng, convert
@@ -224,7 +226,7 @@ def _as_nanoseconds(delays: Any) -> Any:
 
 
 def _times(answer: Any, count: int) -> Arrival:
-    """Return the answer of a latency model for `count` links in whole ns: one number, or a list with one per link."""
+    """Convert the latencies that a model returned for `count` links to whole ns: one number, or one for each link."""
     shape = np.shape(answer)
     if shape not in {(), (count,)}:
         got = shape[0] if len(shape) == 1 else f"an array of shape {shape}"
@@ -234,7 +236,7 @@ def _times(answer: Any, count: int) -> Arrival:
 
 
 def _booleans(answer: Any, count: int) -> list[bool]:
-    """Return the answer of a loss model for `count` links as a list of booleans."""
+    """Convert the losses that a model returned for `count` links to a list with one boolean per link."""
     booleans = np.asarray(answer)
     if booleans.dtype != bool or booleans.shape not in {(), (count,)}:
         raise ValueError(f"losses should be one boolean or one for each of {count} links, got {answer!r}")

@@ -1,7 +1,7 @@
 """Neighbour search by a cell list: nodes are hashed by the square cell of the plane that contains them.
 
 The side of a cell is the radius of the search plus a Verlet skin. As long as no node has moved by more than half the
-skin since the nodes were hashed, all nodes within the radius of a node are in its cell or in the eight cells around it.
+skin since it was hashed, all nodes within the radius of a node were hashed to its cell or to the eight cells around it.
 """
 
 from collections.abc import Callable, Iterable

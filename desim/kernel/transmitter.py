@@ -42,8 +42,8 @@ class Transmitter(Generic[Item]):
         leave: called when a transmission starts, with its airtime in ns.
         wait: called when a transmission has to wait.
         drop: called when a waiting transmission is dropped.
-        lag: the sum of the processing delays of sender and receiver, ns. Both are counted after a reception, so
-            `transmitted` is called this long after the reception ends.
+        lag: the sum of the processing delays of sender and receiver, ns. A message arrives this long
+            after the end of its reception; `transmitted` is called when it arrives.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Transmitter(Generic[Item]):
     def transmitted(self, node: int, received: int, airtime: int) -> bool:
         """Return whether a node transmitted during the reception of a message, from received - airtime to received, ns.
 
-        `received` is the end of the reception, which precedes the call by `lag`.
+        `received` is the end of the reception; the method is called `lag` after it.
         """
         return any(begin < received and end > received - airtime for begin, end in self._intervals[node])
 

@@ -11,10 +11,13 @@ contribution to the term of its evader.
 
 If the capture times are distinct, every equilibrium is a matching: if several pursuers chase one evader, the one with
 the greatest capture time gains by becoming inactive. There are often many equilibria; the optimal profile, a
-maximum-weight matching, is one of them. Every equilibrium has at least a third of the optimal utility, and the bound is
-tight. Proof: let u_i be the utility of pursuer i in the equilibrium and w its utility alone on the evader that the
-optimal profile gives it. If this evader is free, w <= u_i, because i does not deviate; if pursuer m chases it, (w -
-u_m) / 2 <= u_i. The sum of all w is therefore at most 3 times the sum of all u_i.
+maximum-weight matching, is one of them.
+
+Every equilibrium has at least a third of the optimal global utility, and the bound is tight. Proof: let u_i be the
+utility of pursuer i in the equilibrium, and w_i its utility if it chased, alone, the evader that the optimal profile
+assigns to it. Pursuer i does not gain by deviating to this evader. Hence w_i <= u_i if no other pursuer chases the
+evader. If pursuer m chases it, (w_i - u_m) / 2 <= u_i, or w_i <= 2 u_i + u_m. Each m occurs for one i only, so the sum
+of all w_i is at most 3 times the sum of all u_i.
 """
 
 from collections.abc import Mapping, Sequence
@@ -70,7 +73,7 @@ def equilibria(phi: ArrayLike, reward: float) -> list[Profile]:
 
 
 def profiles(pursuers: int, evaders: int) -> list[Profile]:
-    """Return all (M + 1)^N profiles in lexicographic order, the action of pursuer 0 first."""
+    """Return all (M + 1)^N profiles in lexicographic order: the action of the last pursuer changes fastest."""
     return list(product(range(evaders + 1), repeat=pursuers))
 
 
@@ -113,7 +116,7 @@ def optimum(phi: ArrayLike, reward: float) -> float:
 
 
 def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> dict[int, int]:
-    """Return the greedy assignment: take pairs in order of (phi, pursuer, evader) if both are still free.
+    """Return the greedy assignment: pairs in order of (phi, pursuer, evader), each taken if both are still free.
 
     Args:
         phi: for each evader the capture times of pursuers, s; nan if unknown.
@@ -131,7 +134,7 @@ def greedy_assignment(phi: Mapping[int, Mapping[int, float]], reward: float) -> 
 
 
 def _games(phi: ArrayLike, actions: Sequence[int]) -> list[tuple[list[float], list[bool]]]:
-    """Return the single-evader game of each evader: the capture time (s) of each pursuer, and which pursuers chase."""
+    """Return for each evader its single-evader game: the capture times (s) of all pursuers, and whether each chases."""
     times = _times(phi)
     return [(column.tolist(), [action == j for action in actions]) for j, column in enumerate(times.T, start=1)]
 

@@ -1,7 +1,8 @@
 """The state of the pursuit at one instant.
 
 A point of the plane is a complex number x + iy: the heading from p to q is (q - p) / |q - p|, and a rotation by an
-angle a is a product with e^(ia). Either is one array operation on a whole team. Files, traces and results have [x, y].
+angle a is a product with e^(ia). Both are single array operations for a whole team. Files, traces and results
+contain [x, y].
 """
 
 from collections.abc import Sequence
@@ -41,7 +42,7 @@ class State:
 
 
 def lengths(vectors: Points) -> Floats:
-    """Return the (k,) absolute values, equal to those of `abs`; the rounding of `np.abs` depends on the processor."""
+    """Return the (k,) absolute values, rounded as by `abs`; the rounding of `np.abs` depends on the processor."""
     found: Floats = np.hypot(vectors.real, vectors.imag)
     return found
 

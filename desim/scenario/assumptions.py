@@ -173,7 +173,7 @@ ASSUMPTIONS: Mapping[str, Assumption] = MappingProxyType(
 
 
 def violations(scenario: "Scenario") -> Iterator[tuple[str, str]]:
-    """Yield the key and the reason of each assumption of protocol, schedule and utility that a scenario violates."""
+    """Yield (key, reason) for each violated assumption of the protocol, its schedule and its utility."""
     protocol = scenario.protocol_traits
     parts = {"": protocol, "schedule": Assuming.of(protocol.schedule), "utility": Assuming.of(protocol.utility)}
     for key, part in parts.items():

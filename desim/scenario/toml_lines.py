@@ -12,7 +12,7 @@ KeyPath = tuple[str | int, ...]
 def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the line on which each key of a valid TOML text is first set or occurs in a table header."""
     lines: dict[KeyPath, int] = {}
-    lengths: dict[KeyPath, int] = {}  # of arrays of tables
+    lengths: dict[KeyPath, int] = {}  # number of tables so far, by array of tables
     header: KeyPath = ()
     for first, statement in _statements(text):
         tables = tomllib.loads(statement)
@@ -27,7 +27,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 def unreadable(text: str) -> int | None:
-    """Return the line of the first complete statement of a TOML text that `tomllib` cannot read; None without one."""
+    """Return the line of the first statement of a TOML text that `tomllib` cannot read; None if there is none."""
     return next((line for line, statement in _statements(text) if not _is_readable(statement)), None)
 
 
@@ -65,7 +65,10 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _header(tables: dict[str, Any], is_array: bool, lengths: dict[KeyPath, int]) -> KeyPath:
-    """Return the place of a table header, below the last table of each array of tables on its path."""
+    """Return the place of a table header, which refers to the last table so far of each array of tables on its path.
+
+    A header [[...]] adds a table to its array: `lengths`, the number of tables in each array, is updated.
+    """
     place: KeyPath = ()
     node: Any = tables
     while node:

@@ -25,10 +25,10 @@ from desim.simulation.run_end import RunEnd
 
 
 class World:
-    """The physics of a run: it sets actions, moves players, captures evaders and records what happens.
+    """The physics of a run: it sets actions, moves players, captures evaders and records these events.
 
     All players move on straight pieces that begin at a common instant: the last motion step, or the last change of an
-    action within it. The next capture is predicted from these pieces; a change of an action replaces the prediction.
+    action within it. The next capture is predicted from these pieces, and predicted again whenever new pieces begin.
 
     The action of a pursuer is the number of the evader that it chases, 1 .. M, or 0 if it is inactive. A pursuer is up
     or down (from `crash` until `recover`); while down it stands still, and afterwards it is inactive until its action
@@ -39,7 +39,7 @@ class World:
         scenario: the experiment.
         state: the true state of the world at the start; see `initial_state`.
         views: (N,) the view of each pursuer, which determines the evaders that it may chase.
-        trace: receives its events.
+        trace: receives the events of the world.
         end: the end of the run.
         sensor: the sensors of a team with limited sensing.
 
@@ -73,7 +73,7 @@ class World:
         self.eavesdropper = Eavesdropper(state.profile) if listens else None
 
     def begin(self) -> None:
-        """Record the start, and start motion, sampling and the horizon."""
+        """Record the start, start motion and sampling, and schedule the end of the run at the horizon."""
         state = self.state
         self._trace.append(Started(0, *self._places(), tuple(state.speeds.tolist()), tuple(state.profile)))
         self._at(state.horizon, Phase.CAPTURE + 1, lambda _: self._end.finish("horizon"))
@@ -86,7 +86,7 @@ class World:
     def set_action(self, pursuer: int, action: int) -> None:
         """Let a pursuer chase an evader, or be inactive (0), from this instant on.
 
-        A pursuer that is down, or may not chase this evader, is inactive.
+        If the pursuer is down, or may not chase this evader, its action becomes 0.
 
         Raises:
             ValueError: if there is no such pursuer or evader.
@@ -133,7 +133,7 @@ class World:
             self._forecast.update()
 
     def _set_actions(self, actions: Actions) -> None:
-        """Set the actions of all pursuers, without new velocities."""
+        """Set the actions of all pursuers; their velocities stay the same."""
         self.state.set_actions(actions)
         self._steering.set_actions(actions)
 
@@ -151,7 +151,7 @@ class World:
         self._at(state.step_end, Phase.MOTION, self._move)
 
     def _capture(self, body: EvaderBody, capturer: int) -> None:
-        """Capture an evader; the last one ends the run."""
+        """Capture an evader; end the run if enough evaders are captured (`capture.captures_to_end`)."""
         self._trace.append(Captured(self._env.now, body.number, capturer))
         self.state.capture(body)
         self._steering.set_actions(self.state.actions)
@@ -160,7 +160,7 @@ class World:
             self._end.finish("captured", capturer)
 
     def _samples(self, period: int) -> Generator[simpy.Event, None, None]:
-        """Record positions at every multiple of a period."""
+        """Record positions at every multiple of a period, ns."""
         for when in count(0, period):
             yield Instant(self._env, when, Phase.SAMPLE)
             self.sample()
@@ -175,7 +175,10 @@ class World:
 
 
 def initial_state(env: Clock, scenario: Scenario, seed: int) -> WorldState:
-    """Return the state of the world at the start of a run; the initial actions are not pruned yet."""
+    """Return the state of the world at the start of a run.
+
+    A pursuer may be assigned an evader here that it may not chase; `World` makes it inactive.
+    """
     team, radius = scenario.team, scenario.capture.radius
     starts = [evader.start(seed, index) for index, evader in enumerate(scenario.evaders)]
     players = Kinematics(env, complex_points(np.vstack([team.start(seed), *starts])), static=scenario.motion.static)

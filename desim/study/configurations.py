@@ -1,4 +1,4 @@
-"""The configurations of a sweep: all combinations of the values of a grid, each valid and distinct."""
+"""The configurations of a sweep: all combinations of the values of a grid, all valid and distinct."""
 
 import json
 import re
@@ -59,8 +59,8 @@ def configurations(source: Source, grid: SweepGrid | None = None) -> list[Config
     """Return all configurations of a grid (by default the scenario's own); the last key changes fastest.
 
     Raises:
-        ScenarioError: if keys or values are invalid (the message lists them), there are no configurations, or two are
-            the same.
+        ScenarioError: if keys or values are invalid (the message lists them), there are no or too many configurations,
+            or two are the same or have the same name.
     """
     if grid is not None:
         source = _with_grid(source, grid)
@@ -116,7 +116,7 @@ def _check_distinct(found: Sequence[Configuration], source: Source, grid: SweepG
 
 
 def with_place(error: ScenarioError, source: Source, settings: Iterable[str] = ()) -> ScenarioError:
-    """Return an error, whose text begins with a dotted key, prefixed with the place that sets or sweeps this key."""
+    """Return an error prefixed with the place that sets or sweeps its key, the dotted key at the start of its text."""
     key = str(error).partition(":")[0]
     above = [each for each in settings if f"{key}.".startswith(f"{each}.")]
     swept = [f"{source.where(('sweep', 'grid', each))}: sweep.grid" for each in above]
@@ -169,8 +169,8 @@ def without_metrics(scenario: Scenario) -> Scenario:
 def _with_cause(line: str, among: Sequence[Settings], grid: SweepGrid) -> str:
     """Return the line of a validation error followed by the settings that cause it, unless the line names them.
 
-    `among` holds the settings of all configurations with this error. A key is a cause if the error occurs with some of
-    its values but not with all.
+    `among` holds the settings of all configurations with this error. A setting is a cause if the error does not occur
+    with every value of its key.
     """
     taken = {key: each for key, each in among[0].items() if _is_needed([one[key] for one in among], grid[key])}
     if re.search(": sweep.grid: ", line) and len(taken) < 2:

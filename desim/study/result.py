@@ -54,7 +54,7 @@ class Group:
         return [value for value in self.values(metric) if value is not None]
 
     def in_words(self, without: Sequence[str] = ()) -> str:
-        """Return the settings as one line of text, without those of the keys in `without`."""
+        """Return the settings as one line of text, except those of the keys in `without`."""
         return in_words({key: each for key, each in self.settings.items() if key not in without})
 
     @property
@@ -84,9 +84,9 @@ class SweepResult:
         configurations: Sequence[str] | None = None,
         failed: Mapping[tuple[str, int], Row] = MappingProxyType({}),
     ) -> Self:
-        """Return the result from a store, of all configurations or of those with given hashes.
+        """Return the result of the runs in a store, for all configurations or for those with given hashes.
 
-        The rows of `failed`, by configuration and replication, take the place of those in the store.
+        The rows of `failed`, by (configuration hash, replication), replace the rows of the same runs in the store.
 
         Raises:
             StoreError: if the store is empty or damaged.
@@ -132,7 +132,7 @@ class SweepResult:
             metric: the name of the metric.
             reference: the position of the reference in `groups`; or the values of some keys, such as
                 {"protocol": "sap"}: each configuration is compared with the one that has these values and is otherwise
-                equal; see `setting`. None = the same with the first value of the first key with several values.
+                equal; see `setting`. None = the first value of the first key that has several values.
 
         Raises:
             ValueError: if the configurations do not share their seeds, the sweep has no numeric metric of this name, or
@@ -179,12 +179,13 @@ class SweepResult:
         return list({repr(group.settings[key]): group.settings[key] for group in self.groups}.values())
 
     def setting(self, key: str, value: Any) -> Any:
-        """Return the value of a key of the grid that equals a given value, or has its text or alone its kind.
+        """Return the value of a key of the grid that a given value selects.
 
-        "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
+        A value of the key is selected if it equals the given value, has the same text, or is the only one of this kind.
+        For example, "cbba" is the text of `CBBA()`, and the kind of `CBBA(schedule=Poisson(rate=5.0))`.
 
         Raises:
-            ValueError: if the grid has no such key, or the key does not take the value.
+            ValueError: if the grid has no such key, the key does not take the value, or it takes several of this kind.
         """
         there = self.values(key)
         for each in there:
@@ -207,17 +208,17 @@ class SweepResult:
         return self.first_along(self._compared_by)
 
     def first_along(self, key: str | None) -> list[int]:
-        """Return for each configuration the position in `groups` of the first that differs in one key at most."""
+        """Return for each configuration the position in `groups` of the first one that differs at most in `key`."""
         first = dict[str, int]()
         others = (repr({each: value for each, value in group.settings.items() if each != key}) for group in self.groups)
         return [first.setdefault(other, k) for k, other in enumerate(others)]
 
     def warnings(self, metrics: Sequence[str] = SHOWN) -> list[str]:
-        """Return a warning for each key of the grid on which neither the captures nor any of some metrics depend.
+        """Return a warning for each key of the grid on which neither `captured` nor any of the given metrics depends.
 
         Such a key makes no difference, bit for bit, between runs with the same seed and all else equal: with all values
         of the other keys, or with one value of another key, for example one protocol. There is no warning if seeds are
-        independent, or if a run failed. `SweepPlan.warnings` are those before the runs.
+        independent, or if a run failed. `SweepPlan.warnings` returns the warnings that need no runs.
         """
         metrics = [metrics] if isinstance(metrics, str) else metrics
         if self.failed or not self.common:
@@ -255,7 +256,8 @@ class SweepResult:
             y: the name of the metric.
             kind: means: the mean by configuration, or the paired difference from a reference, over a key; phase: the
                 mean over two keys as a heat map.
-            options: options of `desim.study.figures.means`: x, by, against, labels, xlabel, ylabel, size.
+            options: for means, the options of `desim.study.figures.means`: x, by, against, labels, xlabel, ylabel,
+                size; phase has none.
 
         Raises:
             ValueError: if the sweep has no such metric, key or value.
@@ -435,7 +437,7 @@ def _cell(value: Any) -> Any:
 
 
 def _metric_values(row: Row, measured: Sequence[str]) -> dict[str, Any]:
-    """Return metrics of a run by name, None if missing; one that is a dict, as JSON text."""
+    """Return metrics of a run by name; a missing metric is None, a dict becomes JSON text."""
     values = {name: row.value(name) for name in measured}
     return {name: json.dumps(each) if isinstance(each, dict) else each for name, each in values.items()}
 
@@ -447,7 +449,7 @@ def _pairs(one: Group, other: Group) -> list[tuple[Row, Row]]:
 
 
 def _equal(pairs: Sequence[tuple[Group, list[tuple[Row, Row]]]], metrics: Sequence[str]) -> int:
-    """Return the number of pairs of runs; 0 if those of a pair differ in the capture or in one of some metrics."""
+    """Return the number of pairs of runs; 0 if the runs of any pair differ in `captured` or one of the metrics."""
     inner = [pair for _, each in pairs for pair in each]
     same = all(one.value(name) == other.value(name) for one, other in inner for name in ("captured", *metrics))
     return len(inner) if same else 0
@@ -470,7 +472,7 @@ def text(value: Any) -> str:
 
 
 def kind_of(value: str) -> str:
-    """Return the kind of a model that is given as text, such as sap of sap(tau=...)."""
+    """Return the kind of a model that is given as text; for example, the kind of "sap(tau=...)" is "sap"."""
     return value.partition("(")[0]
 
 

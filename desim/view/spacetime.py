@@ -1,8 +1,8 @@
-"""The space-time diagram of a run: a line per pursuer, time to the right, each message an arrow from send to arrival.
+"""The space-time diagram of a run: a line per pursuer, time to the right, messages as arrows from sending to arrival.
 
 After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. A message lost at
-transmission has no arrival time: it is drawn ending just short of its receiver, with the mean latency of the messages
-that arrive. A message lost at arrival ends on the line of its receiver.
+transmission or in the queue has no arrival time: its line ends just short of that of its receiver, with the mean
+latency of the messages that are not lost. A message lost on arrival ends on the line of its receiver.
 """
 
 from collections.abc import Sequence
@@ -50,17 +50,17 @@ def spacetime(
     pursuers: Sequence[int] | None = None,
     size: str = "17cm",
 ) -> Figure:
-    """Draw the messages among pursuers in a window of time, their decisions, and the faults.
+    """Draw the messages among pursuers in a window of time, the decisions of these pursuers, captures and faults.
 
     The default window and pursuers give a legible number of messages.
 
     Args:
         result: the result of a run with recorded messages.
         begin: the start of the window, s; None = the start of the run.
-        end: the end of the window, s; None = as late as the messages stay legible.
+        end: the end of the window, s; None = the end of the run, or earlier so that the messages stay legible.
         pursuers: the pursuers to draw, from top to bottom; None = all, or the six with the most changes of action in a
             team of more than ten.
-        size: the width and perhaps the height of the figure; a column of a paper is about 8.5 cm wide.
+        size: the width and, optionally, the height of the figure; a column of a paper is about 8.5 cm wide.
 
     Raises:
         ValueError: if messages were not recorded, a pursuer does not exist or is given twice, the window is empty, or
@@ -126,8 +126,10 @@ def _window(
 ) -> tuple[Interval, list[Delivery]]:
     """Return the window (ns) and the deliveries among the pursuers shown that are in flight in it.
 
-    At most `most` messages can be told apart. Without an end, the window holds about half as many; messages transmitted
-    at the same time stay together.
+    Without an end, the window holds about `most` / 2 messages; messages transmitted at the same time stay together.
+
+    Raises:
+        ValueError: if there are more than `most` messages, the number that can be told apart.
     """
     among = set(shown)
     first, last = nanoseconds(begin or 0.0), ended(result).t if end is None else nanoseconds(min(end, 1e9))
@@ -151,13 +153,13 @@ def _window(
 
 
 def _mean_latency(own: Sequence[Delivery]) -> float:
-    """Return the mean latency of the messages that arrive, s; 0 if none does."""
+    """Return the mean latency of the messages that are not lost, s; 0 if there are none."""
     times = [each.until - each.left for each in own if each.cause is None]
     return float(np.mean(times)) / SECOND if times else 0.0
 
 
 def _draw_pursuers(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw a line for each pursuer, thick while it is active, with the number of its evader if there are several."""
+    """Draw a line for each pursuer, thick while it is active; label chases by evader if there are several evaders."""
     chases_of, several = chasing(result), len(started(result).evaders) > 1
     for row in rows.values():
         axes.plot([t / SECOND for t in window], [row, row], color=GREY, lw=0.6, zorder=1)
@@ -195,12 +197,12 @@ def _draw_outages(axes: Axes, result: Result, rows: dict[int, int], window: Inte
 
 
 def _hue(evader: int, several: bool) -> str:
-    """Return the colour of the pursuers of an evader."""
+    """Return the colour in which the chases of an evader are drawn."""
     return EvaderStyle.of(evader, 2 if several else 1).alone
 
 
 def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Interval) -> None:
-    """Draw the captures: the time, the capturing pursuer and, if there are several evaders, the captured one."""
+    """Draw the captures: the time, the capturing pursuer and, if there are several evaders, the captured evader."""
     several = len(started(result).evaders) > 1
     for t, evader, capturer in result.trace.of(Captured):
         if window.begin <= t <= window.end:
@@ -223,7 +225,7 @@ def _draw_captures(axes: Axes, result: Result, rows: dict[int, int], window: Int
 
 
 def _draw_messages(axes: Axes, own: Sequence[Delivery], rows: dict[int, int], latency: float, evaders: int) -> None:
-    """Draw messages that arrive as arrows, and lost messages as dotted lines to a cross."""
+    """Draw lost messages as dotted lines to a cross, and all others as arrows."""
 
     def kind(each: Delivery) -> tuple[str, str]:
         announced = announced_action(each.body)
