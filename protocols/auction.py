@@ -1,8 +1,9 @@
 """Auctions in which each evader is one task: the common part of `cbaa` and `cbba`.
 
-A bid is -phi, so the pursuer with the least capture time bids highest; ties go to the lower id. A pursuer bids for
-one evader at a time: among the evaders for which it outbids all others, the one that it would capture first. Its
-announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
+A bid is -phi, where phi is the capture time, so the pursuer with the least phi bids highest; ties go to the lower id. A
+pursuer bids for one evader at a time: among the evaders for which it outbids all others, the one that it would capture
+first. Its announcement, the claim, carries the winner and the winning bid that the pursuer knows for each evader.
+
 Bids change with positions. Where positions are sensed (payload "action"), each bid is updated before it is compared
 (`bid_updater`), so at any instant all pursuers rank bids alike. Otherwise a bid is as old as the announcement that
 carries it. An old bid of an active pursuer is too low, because its phi has fallen since. If the phi of two active

@@ -30,7 +30,7 @@ from protocols.rule import Rule
 
 
 class Claim(NamedTuple):
-    """The winner list z and the winning-bid list y of a pursuer: (M,) each, or plain numbers for one evader."""
+    """The action of a pursuer, its winner list z and its winning-bid list y: (M,) each, or numbers for one evader."""
 
     active: int
     winner: int | tuple[int, ...]

@@ -19,7 +19,7 @@ Waiting = Generator[Any, Any, bool]
 
 
 class RetransmissionTimer:
-    """The time-outs of one pursuer's requests; call the timer with the number of the attempt.
+    """The time-outs of one pursuer's requests; call the timer with the number of attempts without an answer so far.
 
     Args:
         me: the sender of the requests.
@@ -37,7 +37,7 @@ class RetransmissionTimer:
 
 
 def arrival_or_timeout(me: Agent, port: str, until: float) -> Waiting:
-    """Wait for a message at a port, or until a time on the local clock, s; return False if a message came first."""
+    """Wait for a message at a port or a time on the local clock, s; return whether the time has been reached."""
     alarm = me.at(max(until, me.now))
     yield me.arrival(port) | alarm
     return bool(alarm.processed)

@@ -47,7 +47,7 @@ class SpatialAdaptivePlay(LogLinear):
 
 
 def categorical(chances: list[float], rng: np.random.Generator) -> int:
-    """Return an index drawn with the given probabilities, from one random number of `rng`."""
+    """Return an index drawn with the given probabilities, using one random number of `rng`."""
     uniform = rng.random()
     for which in range(len(chances) - 1, 0, -1):
         if uniform < chances[which]:

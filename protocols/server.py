@@ -133,8 +133,8 @@ class Server(Value):
 
         Args:
             me: the host.
-            orders: for each pursuer that has reported, the orders since its report as (time of effect in ns, action),
-                by ascending time.
+            orders: for each pursuer that has reported, the order in effect at its last report, if any, and the later
+                ones, as (time of effect in ns, action), by ascending time.
             delay: delay of an order from sending to effect, s.
         """
         now = nanoseconds(me.now)
@@ -154,7 +154,7 @@ class Server(Value):
 
 
 def since(sent: int, orders: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the order in effect for a pursuer at a time (ns), and the later ones."""
+    """Return the order in effect for a pursuer at a time (ns), if any, and the later ones."""
     return orders[max(sum(begun <= sent for begun, _ in orders) - 1, 0) :]
 
 
@@ -163,7 +163,8 @@ def idle(reported: int, ordered: Sequence[tuple[int, int]], evader: int, now: in
 
     Args:
         reported: the action that the pursuer reported.
-        ordered: the orders after its report as (time of effect in ns, action), by ascending time.
+        ordered: the order in effect at its report, if any, and the later ones, as (time of effect in ns, action), by
+            ascending time.
         evader: the number of the evader.
         now: the present time, ns.
         effect: the time at which an order sent now takes effect, ns.

@@ -33,7 +33,10 @@ class _WithToken(Value):
     """Number of transmissions of the token to a neighbour before the neighbour is given up."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return holding_time + L + A, s; A is the airtime of a full token. A slot without a hop lasts holding_time."""
+        """Return the length of a slot with a hop, s: holding_time + L + A, where A is the airtime of a full token.
+
+        A slot without a hop lasts holding_time.
+        """
         return self.holding_time + hop_time(me)
 
     def without_serial_decisions(self) -> dict[str, Any]:

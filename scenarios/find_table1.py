@@ -36,6 +36,8 @@ FIRST_SEED = 1_000_000
 def centralised_times(pursuers: Points, evaders: Points, team: Scenario, delta: float) -> NDArray[np.float64]:
     """Return the (M,) active times of Algorithm 3, sampled every delta, for M configurations at once, s.
 
+    The time is inf if there is no capture by the horizon.
+
     Args:
         pursuers: (M, N) positions x + iy, m.
         evaders: (M,) positions, m.

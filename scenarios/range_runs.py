@@ -50,7 +50,7 @@ REFERENCE = "component"
 
 @dataclass(frozen=True)
 class Games:
-    """Statistics of the games of t = 0 of one team at one range."""
+    """Statistics of the games of one team at one range, at t = 0."""
 
     team: str
     range: float
@@ -95,7 +95,7 @@ def scenario(team: str, range: float, protocol: str) -> Scenario:  # noqa: A002
 
 
 def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.DiGraph[int]"]:
-    """Return the game of t = 0: (N,) capture times, s; the pursuers that each pursuer hears; and the graph of links."""
+    """Return the game at t = 0: (N,) capture times, s; the pursuers that each pursuer hears; and the graph of links."""
     at, evader = base.team.start(seed), base.evaders[0].start(seed)
     phi = capture_time(evader, at, base.team.all_speeds(), base.evaders[0].speed, base.capture.radius).tolist()
     graph = Topology(base.network.graph(N), base.network.range, lambda: at).graph()
@@ -103,7 +103,7 @@ def game(base: Scenario, seed: int) -> tuple[list[float], list[list[int]], "nx.D
 
 
 def games(team: str, range: float, options: Options) -> Games:  # noqa: A002
-    """Enumerate the games of t = 0 of a team at one range."""
+    """Return the statistics of the games of a team at one range, at t = 0."""
     base = scenario(team, range, "local mean")
     seeds = seeds_from(options.seed, options.runs * GAMES_PER_RUN)
     unsettled, components, independent = 0, [], []

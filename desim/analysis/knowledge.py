@@ -1,7 +1,8 @@
-"""The newest record that each pursuer had of each other, over time.
+"""The newest record that each pursuer had of every other pursuer, over time.
 
-A reader knows the newest record of a source that has reached it, directly or over several hops, whatever the order of
-arrival.
+The source of a record is the pursuer that created it; a reader receives it directly or over several hops. Of each
+source, a reader keeps the record with the highest sequence number that has arrived. An older record that arrives later
+is ignored.
 """
 
 from dataclasses import dataclass
@@ -30,9 +31,9 @@ PIECE = np.dtype(
         ("active", np.int32),  # action of the source as received: the evader that it chases, or 0
         ("presumed", np.bool_),  # whether it is an initial belief, not a record received
         ("begin", np.int64),  # time of arrival, ns
-        ("after", np.int64),  # of the events at `begin`, those after this position in the trace saw it
+        ("after", np.int64),  # at `begin`, only events after this position in the trace saw the record
         ("until", np.int64),  # time at which it was superseded or lost with the memory, or the run ended, ns
-        ("before", np.int64),  # of the events at `until`, those before this position still saw it
+        ("before", np.int64),  # at `until`, only events before this position saw the record
         ("superseded", np.bool_),  # whether it ended with a newer record
     ]
 )
@@ -42,7 +43,7 @@ FIRST, LAST = -1, int(np.iinfo(np.int64).max)
 
 @remembered
 def knowledge(result: Result) -> Pieces:
-    """Return the newest record that each pursuer had of each other over time; O(n log n) in the records received.
+    """Return the newest record that each pursuer had of every other over time; O(n log n) in the records received.
 
     A record that is newer than the known one counts from its arrival until a newer one arrives or the reader loses its
     memory. A body without an attribute `active` does not change the known action.
@@ -59,7 +60,7 @@ def knowledge(result: Result) -> Pieces:
     for reader in range(len(profile)):
         mine = receptions.between(edges[reader], edges[reader + 1])
         bounds = [0, *memory_losses.get(reader, []), end]
-        # Faults come first at an instant: a record that arrives at the end of a life belongs to the next one.
+        # At an instant faults come first, so a record that arrives as the memory is lost belongs to the next period.
         arrived = [0, *np.searchsorted(mine.arrival, bounds[1:-1]), len(mine.arrival)]
         for k, ((begin, until), span) in enumerate(zip(pairwise(bounds), pairwise(arrived), strict=True)):
             warm = k == 0 and result.scenario.announce.warm_start
@@ -106,7 +107,7 @@ class _Receptions:
 
 @dataclass(frozen=True, slots=True)
 class _Life:
-    """A period in which a reader keeps its memory, with its initial beliefs."""
+    """A period in which a reader keeps its memory, with the initial beliefs of the reader."""
 
     reader: int
     begin: int
@@ -150,7 +151,7 @@ class _Life:
 
 
 def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Receptions]:
-    """Return the records sent, and their receptions up to the end of the run, ns."""
+    """Return the records sent, and their receptions up to `end`, ns."""
     records: list[Record] = []
     fates: list[tuple[int, int]] = []
     carried: list[tuple[int, int, int, int, int]] = []  # receivers, transmission, place, first record, records
@@ -174,14 +175,14 @@ def _messages(result: Result, size: int, end: int) -> tuple[_Announcements, _Rec
 
 
 class _Clocks:
-    """The errors of the nodes' clocks. The time stamp of a forwarded record is by the clock of its source."""
+    """The errors of the nodes' clocks. The time stamp of a forwarded record is a reading of its source's clock."""
 
     def __init__(self, result: Result, size: int):
         self._errors = clock_errors(result.scenario.fault, size, result.seed)
         self._right = not any(offset or drift for offset, drift in self._errors)
 
     def true_records(self, event: Broadcast | Sent) -> tuple[Record, ...]:
-        """Return the records that a transmission carries, forwarded or its own, with their true time stamps."""
+        """Return the records that a transmission carries, forwarded or the sender's own, with true time stamps."""
         relays = relayed_records(event.body) is not None
         return tuple(map(self._corrected, records_in(event))) if relays and not self._right else records_in(event)
 

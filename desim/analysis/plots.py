@@ -88,7 +88,7 @@ def styled(figsize: tuple[float, float], *, font: float = 9.0) -> Iterator[Figur
 
 
 class _StyledFigure(Figure):
-    """A figure whose files are in the common style, whoever writes them: with TrueType in a PDF, for example."""
+    """A figure that any caller saves in the common style: with TrueType fonts in a PDF, for example."""
 
     def savefig(self, *args: Any, **options: Any) -> None:
         """Write the figure; see `matplotlib.figure.Figure.savefig`."""
@@ -99,7 +99,7 @@ class _StyledFigure(Figure):
 class _SettledLayout(ConstrainedLayoutEngine):
     """A constrained layout that is computed anew only if the size or a text of the figure has changed.
 
-    Repeated layouts of one figure differ by rounding errors, and its files would, too.
+    Repeated layouts of one figure differ by rounding errors, so its files would differ, too.
     """
 
     _known: object = None
@@ -111,13 +111,13 @@ class _SettledLayout(ConstrainedLayoutEngine):
 
 
 def _extent(figure: Figure) -> object:
-    """Return the size of a figure, in, and its texts with their sizes, in points."""
+    """Return the size of a figure, inches, and its texts with their font sizes, points."""
     texts = figure.findobj(Text)
     return tuple(figure.get_size_inches()), [(each.get_text(), each.get_fontsize()) for each in texts]
 
 
 def as_it_is(text: str) -> dict[str, Any]:
-    """Return the arguments of a title that show a text without mathematics, on several lines if it is too long."""
+    """Return the keyword arguments of a title without mathematics; a long title is wrapped unless it contains "$"."""
     return {"parse_math": False, "wrap": "$" not in text}  # to wrap a text, matplotlib reads "$" as mathematics
 
 
@@ -129,7 +129,7 @@ LENGTHS = 1.0, 100.0
 
 
 def size_of(text: str) -> tuple[float, float | None]:
-    """Return the width and the height, in, of a size such as "8.5cm", "8.5cmx6cm", "85x60mm" or "3.5in".
+    """Return the width and the height, inches, of a size such as "8.5cm", "8.5cmx6cm", "85x60mm" or "3.5in".
 
     The height is None if only a width is given.
 
@@ -169,7 +169,7 @@ def save(figure: Figure, path: Path, *, dpi: int = 150) -> list[Path]:
 
 
 def html_image(figure: Figure, name: str) -> str:
-    """Return a figure as an image of HTML, a PNG of twice the resolution of the page; `name` is its description."""
+    """Return a figure as an HTML image: a PNG at twice the resolution of the page, with `name` as alternative text."""
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=2 * 72)
     width = 72.0 * figure.get_figwidth()

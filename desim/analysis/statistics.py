@@ -1,7 +1,7 @@
 """Means with their uncertainty, and the number of runs for a target precision.
 
-All intervals are 95 % intervals, unless a function takes another confidence. A *look* checks in the course of a study
-whether its runs so far suffice.
+All intervals are 95 % intervals, unless a function takes another confidence. A *look* is an interim check whether the
+runs of a study suffice.
 
 The table shows how often intervals cover a known mean, in %. The first three columns are for fixed numbers of values,
 from 200,000 simulated samples each (s.e. at most 0.11). The last two are for sequential studies, 40,000 each (s.e. at

@@ -1,4 +1,4 @@
-"""`desim plot`: pictures of a recorded run or sweep, or of a scenario that is run for them."""
+"""`desim plot`: pictures of a recorded run or sweep, or of a scenario, which is run first."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ NAMES = {"perfetto": "trace.perfetto"}
 
 
 class Ids(click.ParamType[tuple[int, ...]]):
-    """Ids of pursuers: 0,3,17."""
+    """A parameter type: ids of pursuers, such as 0,3,17."""
 
     name = "i,j,..."
 
@@ -47,7 +47,7 @@ class Ids(click.ParamType[tuple[int, ...]]):
 
 
 class Pair(click.ParamType[tuple[str, str]]):
-    """Two texts: NAME=TEXT."""
+    """A parameter type: two texts, NAME=TEXT."""
 
     name = "NAME=TEXT"
 
@@ -161,7 +161,7 @@ def _draw(
     """Draw a result, and write the files.
 
     Raises:
-        ValueError: if the result lacks what is to be drawn.
+        ValueError: if the result lacks the data for the picture.
     """
     from desim.simulation.run import Result
 
@@ -217,7 +217,11 @@ def _draw_sweep(result: "SweepResult", kind: str, source: Path, out: Path | None
 
 
 def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str, str]:
-    """Return the value and the text of a --label, split at the equals sign that ends a value of the sweep."""
+    """Return the value and the text of a --label, of which `first` and `second` are the parts around the first "=".
+
+    A value of the sweep may contain "=", so the label is split after the shortest text that is such a value. If there
+    is none, it is split at the first "=".
+    """
     from desim.study.result import text
 
     values = {text(each) for key in result.keys for each in result.values(key)}
@@ -227,7 +231,7 @@ def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str
 
 
 def _check_options(kind: str) -> None:
-    """Refuse the options of other kinds."""
+    """Raise a usage error if the command line has an option of another kind of picture."""
     context = click.get_current_context()
     everything = {**OF_RUNS, **OF_SWEEPS}
     names = {each.name: each.opts[-1] for each in context.command.params}

@@ -98,10 +98,11 @@ def resolve_path(path: Any, info: "ValidationInfo") -> Path:
 
 
 def path_in(folder: Path, path: Any, *, is_trusted: bool) -> Path:
-    """Return a path named in a file of a folder.
+    """Return a path that a file in a folder names, relative to the folder.
 
     Raises:
-        ValueError: if the path is not a string, is not a regular file, or leads out of the folder of an untrusted file.
+        ValueError: if the value is not a path, the path exists and is not a regular file, or it leads out of the folder
+            and the file that names it is not trusted.
     """
     if not isinstance(path, str | Path):
         raise ValueError(f"file should be a path (got {path!r})")

@@ -166,7 +166,7 @@ class RandomFaults(Value):
     """Lower and upper bound of both coordinates of the centres of jamming discs, m."""
 
     def __call__(self, size: int, horizon: float, rng: np.random.Generator) -> Iterator[Fault]:
-        """Yield the faults that start before the horizon, s, ordered by start time."""
+        """Yield the faults that start before `end` and the horizon, s, ordered by start time."""
         t, end = 0.0, min(self.end, horizon)
         while (t := t + rng.exponential(1.0 / self.rate)) < end - MIN_FAULT_DURATION:
             duration = max(rng.exponential(self.mean_duration), MIN_FAULT_DURATION)

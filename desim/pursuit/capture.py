@@ -1,7 +1,7 @@
-"""Capture times: the time a pursuer needs to capture the evader under an assumed motion of the evader.
+"""Capture times: the time that a pursuer needs to capture an evader whose motion is assumed.
 
-Lee & Bakolas, "Time-of-Capture": phi_i for an evader that flees straight from pursuer i, and for an evader of constant
-velocity. A pursuer with phi_i = inf can never capture it.
+The evader either flees straight from pursuer i or has a constant velocity (Lee & Bakolas, "Time-of-Capture"). The
+capture time phi_i is inf if pursuer i can never capture the evader.
 """
 
 from math import inf
@@ -67,7 +67,7 @@ class RadialTime:
 def intercept_time(
     evader: ArrayLike, evader_velocity: ArrayLike, pursuers: ArrayLike, speeds: ArrayLike, radius: float
 ) -> Floats:
-    """Return the (N,) or (K, N) least time in which each pursuer can capture an evader of constant velocity, s.
+    """Return the (N,) or (K, N) least times in which each pursuer can capture an evader of constant velocity, s.
 
     The smallest t >= 0 with |x_e + w t - x_i| <= v_i t + eps (Lee & Bakolas, "Time-of-Capture", any u_e); inf if
     there is none. Numerically stable for any sign of |w| - v_i.

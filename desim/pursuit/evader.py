@@ -24,13 +24,13 @@ class EvaderController:
     """The perception and the decisions of one evader in one run.
 
     Args:
-        strategy: chooses its heading.
-        rng: random stream of its decisions, used by nothing else.
-        speed: its speed, m/s.
+        strategy: the evasion strategy, which chooses the heading.
+        rng: random stream of the evader's decisions, used by nothing else.
+        speed: speed of the evader, m/s.
         speeds: (N,) speeds of the pursuers, m/s.
         radius: capture radius, m.
-        sensing_range: range up to which it senses pursuers, m.
-        reaction_delay: age of the state that it perceives, s.
+        sensing_range: range up to which the evader senses pursuers, m.
+        reaction_delay: age of the positions and actions of pursuers as the evader perceives them, s.
     """
 
     def __init__(
@@ -53,14 +53,14 @@ class EvaderController:
         self._since: int | None = None
 
     def heading(self, state: State, handover: bool = False) -> complex:
-        """Return its heading in a state, of length at most 1; calls must be in the order of time.
+        """Return the heading of the evader, of length at most 1; calls must be in order of time.
 
         Args:
             state: the true state.
             handover: whether an announcement of a change of action is in flight.
 
         Raises:
-            ValueError: if its strategy returns a longer heading.
+            ValueError: if the strategy returns a longer heading.
         """
         if self._is_pure_evasion:  # the evader of the paper: the same result, several times faster
             return away(state)
@@ -83,7 +83,7 @@ class EvaderController:
 
 
 class DelayedState:
-    """Delayed perception: a call returns the state with the pursuers as they were a delay (ns) earlier.
+    """Delayed perception: a call returns the present state, but with the pursuers as they were `delay` (ns) earlier.
 
     Positions are interpolated linearly between two successive states; the actions are those of the earlier one. The
     first state also stands for all times before it.
@@ -174,7 +174,7 @@ class EvaderBody:
         return self._state
 
     def capture_times(self, now: int) -> tuple[float, ...]:
-        """Return the capture time of each pursuer at `now` (ns), s; inf once it has been captured."""
+        """Return the capture time of each pursuer at `now` (ns), s; inf once the evader has been captured."""
         if self.captured is not None:
             return (inf,) * self._size
         state = self.state(now)
@@ -183,7 +183,7 @@ class EvaderBody:
         return self._times
 
     def capture_times_of(self, pursuers: Collection[int], now: int) -> list[float]:
-        """Return the capture times of some pursuers at `now` (ns), s; inf once it has been captured."""
+        """Return the capture times of some pursuers at `now` (ns), s; inf once the evader has been captured."""
         if len(pursuers) > MAX_SCALAR_SIZE or self.captured is not None:
             times = self.capture_times(now)
             return [times[pursuer] for pursuer in pursuers]
@@ -202,10 +202,10 @@ class EvaderBody:
         return tuple(self._radial_time(distances).tolist())
 
     def choose_velocity(self, state: State, *, handover: bool) -> complex:
-        """Return the velocity that it chooses in the present state, m/s; 0 once it has been captured.
+        """Return the velocity that the evader chooses in the present state, m/s; 0 once it has been captured.
 
         Args:
-            state: as `state` returns it.
+            state: the present state, from the method `state`.
             handover: whether an announcement of a change of action is in flight.
         """
         if self.captured is not None:
@@ -215,7 +215,7 @@ class EvaderBody:
     def contact(
         self, now: int, until: int, broken: NDArray[np.bool_], test: Literal["segment", "sample"]
     ) -> tuple[float, int] | None:
-        """Return the first capture if all velocities stay constant until an instant; None if there is none.
+        """Return the first capture up to `until` if all velocities stay constant; None if there is none.
 
         Args:
             now: the present, ns.
@@ -230,7 +230,8 @@ class EvaderBody:
             return None
         state, duration = self.state(now), seconds(until - now)
         gap = state.distances.item(state.nearest) - self._radius
-        # No motion leads to a capture up to this time, with a margin for rounding. Within the radius it is past.
+        # Up to this time no velocities lead to a capture, with a margin for rounding. It is a past time if a pursuer is
+        # within the radius.
         self._safe_until = now - 1 + int(0.999 * gap / self._closing_bound * SECOND)
         if until <= self._safe_until:
             return None

@@ -1,4 +1,4 @@
-"""Views of the world: the knowledge of a pursuer about the evaders, with or without a sensing limit."""
+"""Views of the world without a sensing limit; `desim.pursuit.sensing` has the view with one."""
 
 from cmath import isnan
 from collections.abc import Callable, Collection, Sequence
@@ -50,7 +50,7 @@ class View:
         self._options_at: Sequence[int] | None = None  # the evaders at large to which these options belong
 
     def sees(self, evader: int) -> bool:
-        """Return whether it sees an evader now."""
+        """Return whether the pursuer sees an evader now."""
         return True
 
     def estimate(self, evader: int) -> EvaderEstimate | None:
@@ -65,7 +65,7 @@ class View:
     def capture_times(self, evader: int) -> tuple[float, ...]:
         """Return the capture time of each pursuer for an evader at its estimated position, s.
 
-        It is inf if the evader has been captured or is unknown.
+        All are inf if the evader has been captured or is unknown.
         """
         state, body = self.state, self.state.body(evader)
         if self.unlimited or body.captured is not None or self.sees(evader):
@@ -98,7 +98,7 @@ class View:
         return self.state.body(evader).capture_time_over(pursuer, distance)
 
     def may_chase(self, pursuer: int, evader: int) -> bool:
-        """Return whether a pursuer may choose to chase an evader, which must be at large, known and not pruned."""
+        """Return whether a pursuer may choose to chase an evader: it is at large, known and not excluded by `prune`."""
         body = self.state.body(evader)
         if body.captured is not None or not (self.unlimited or self.estimate(evader) is not None):
             return False
@@ -129,7 +129,7 @@ class View:
             age: time since it was at that position, ns.
             evader: the evader that it chased.
             exact: whether to retrace the pursuer's path, possible only in an unlimited view; otherwise the pursuer is
-                assumed to head straight for the present position of the evader.
+                assumed to head straight for the evader's present position, as estimated.
             ended: time since the chase ended, at most `age`, ns; a later call with the same start must not give an
                 earlier end of the chase.
         """
@@ -150,7 +150,7 @@ class GlobalState(View):
     Args:
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
-        set_action: lets a pursuer chase an evader, or be inactive (0), from this instant on.
+        set_action: called with a pursuer and its action from this instant on: the evader to chase, or 0 for inactive.
     """
 
     def __init__(self, state: WorldState, prune: Prune, set_action: Callable[[int, int], None]):

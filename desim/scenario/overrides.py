@@ -75,9 +75,9 @@ class Source:
         return replace(self, tables=_copied(self.tables), origins=dict(self.origins))
 
     def over(self, base: Self) -> Self:
-        """Return this source with the keys that it lacks taken from a base; both are texts, without overrides.
+        """Return this source with the keys that it lacks taken from a base; neither may have overrides.
 
-        Tables are merged key by key, any other value replaces that of the base. When the kind of a table changes, the
+        Tables are merged key by key; any other value replaces that of the base. When the kind of a table changes, the
         keys of the base that the new kind does not have are left out.
         """
         lines, files = dict(base.lines or {}), dict.fromkeys(base.lines or {}, base.name) | base.files
@@ -91,11 +91,11 @@ class Source:
         return merged
 
     def _lay(self, tables: dict[str, Any], above: KeyPath) -> Iterator[KeyPath]:
-        """Put tables over the present ones at a place, and yield the place of every value that is replaced."""
+        """Merge tables into the present ones at the place `above`, and yield the place of every value that is set."""
         present = value_at(self.tables, above)
         if "kind" in tables and tables["kind"] != present.get("kind"):
             self._remove_misfits(above, tables["kind"])
-            present["kind"] = tables["kind"]  # first: the models of the tables below follow from it
+            present["kind"] = tables["kind"]  # first, because it determines the models of nested tables
         for key, value in tables.items():
             if isinstance(value, dict) and isinstance(present.get(key), dict):
                 yield from self._lay(value, (*above, key))
@@ -245,7 +245,7 @@ def _table(value: Any, info: FieldInfo) -> Any:
 
 
 def _replaced(model: Any, parts: list[str], value: Any) -> Any:
-    """Return a copy of a model with a new value of a key of the model or of a nested model."""
+    """Return a copy of a model with a new value at a dotted key, given as its parts."""
     name, *rest = parts
     if not isinstance(model, Value) or name not in type(model).model_fields:
         raise ScenarioError(f"{type(model).__name__} has no key {name!r}")
@@ -299,7 +299,7 @@ def _parsed(text: str) -> Any:
 
 
 def _parsed_list(text: str) -> list[Any]:
-    """Return the values of a text, separated by commas; a comma within a list, a table or a string separates nothing.
+    """Return the values of a text, separated by commas; a comma within a list, a table or a string is no separator.
 
     Raises:
         ScenarioError: if one of them is empty, or begins like a TOML value but is not valid.

@@ -1,6 +1,6 @@
-"""Commented starting files for a scenario, or for a model or metric of a user with a scenario that uses it.
+"""Templates of commented starting files: a scenario, or a user's own model or metric with a scenario that uses it.
 
-In the templates NAME stands for the name of the module, the scenario and the metric, and CLASS for that of the class.
+NAME stands for the name of the module, the scenario and the metric, CLASS for the name of the class.
 """
 
 import ast
@@ -258,7 +258,7 @@ def starting_files(template: str, name: str) -> dict[str, str]:
         name: the name of the scenario and of the module; an identifier.
 
     Raises:
-        ValueError: if the name cannot be that of a module beside the scenario.
+        ValueError: if the name is not an identifier, or that of an installed module, or one that the template uses.
     """
     if not name.isidentifier() or iskeyword(name):
         raise ValueError(f"{name!r} should be an identifier: letters, digits and _, my_{template} for instance")
@@ -274,7 +274,7 @@ def starting_files(template: str, name: str) -> dict[str, str]:
 
 
 def _is_installed(name: str) -> bool:
-    """Return whether a module of this name is found before a file in the folder of a scenario."""
+    """Return whether an installed module of this name would hide one in the folder of a scenario."""
     if name in sys.stdlib_module_names:
         return True
     spec = find_spec(name)

@@ -11,7 +11,7 @@ from desim.pursuit.world_state import WorldState
 
 
 class CaptureForecast:
-    """Predicts the first capture before the end of the motion step; each `update` replaces the prediction.
+    """The predicted first capture up to the end of the motion step; each `update` replaces the prediction.
 
     Args:
         env: the clock of the simulation.

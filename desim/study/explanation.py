@@ -41,10 +41,10 @@ class Saving:
         return cls(mean(differences), sum(abs(each) > NOTHING for each in differences))
 
     def excludes_0(self, confidence: float = 0.95) -> bool:
-        """Return whether the t interval with a confidence excludes 0, so that the saving is not due to chance.
+        """Return whether the t interval with a given confidence excludes 0, that is, whether the saving is significant.
 
-        A saving as large as the half width of the interval is found in half of all studies with as many runs; one that
-        is much smaller is not seen.
+        A true saving as large as the half width of the interval is detected in half of all studies with as many runs, a
+        much smaller one rarely.
         """
         return abs(self.mean.mean) > max(self.mean.half_width_at(confidence), NOTHING)
 
@@ -100,12 +100,12 @@ class Cost:
 
     @property
     def interacts(self) -> bool:
-        """Whether the parts do not add up to the whole: the corrected interval of the interaction excludes 0."""
+        """Whether the parts do not add up to the whole: the Bonferroni interval of the interaction excludes 0."""
         return self.interaction.excludes_0(self.confidence)
 
     @property
     def undetected(self) -> dict[str, float]:
-        """The parts that differ in some run but cannot be told from 0, each with the half width of its 95 % interval.
+        """The parts that differ in some run but are not significant, each with the half width of its 95 % interval.
 
         The half width is the size of an effect that half of all studies with as many runs would find.
         """
@@ -184,7 +184,7 @@ class Explanation:
         return rows
 
     def remarks(self) -> list[str]:
-        """Return notes on the sign, absent imperfections, what so many runs do not show, interactions, failed seeds."""
+        """Return notes on signs, absent imperfections, undetected effects, interactions and failed seeds."""
         remarks = [self._signs()]
         remarks += [f"absent: {', '.join(self.absent)}"] if self.absent else []
         unseen = [note for metric, cost in self.costs.items() for note in _unseen(words(metric), cost)]
@@ -199,7 +199,7 @@ class Explanation:
         return remarks + ([f"{self.failed} seeds are left out because a run failed"] if self.failed else [])
 
     def _signs(self) -> str:
-        """Return for each metric whether a positive cost is good or bad."""
+        """Return a note that says for each metric whether a positive cost is good or bad."""
         kinds = {"worse": "+ is worse", "better": "+ is better", None: "+ may be better or worse"}
         named = {
             text: ", ".join(words(metric) for metric, cost in self.costs.items() if cost.more_is == kind)
@@ -208,7 +208,7 @@ class Explanation:
         return "; ".join(f"{text}: {names}" for text, names in named.items() if names)
 
     def _interaction(self, metric: str, cost: Cost) -> Iterator[str]:
-        """Yield the note on the interaction of the parts of a cost, if they interact in some run."""
+        """Yield the note on whether the parts of a cost interact, if the interaction is not 0 in every run."""
         unit, number_of = f" {cost.unit}".rstrip(), len(self.costs)
         interval = f"the {100 * cost.confidence:.4g} % interval" + f" (99 % over {number_of} metrics)" * (number_of > 1)
         rest = cost.interaction.mean
@@ -243,7 +243,7 @@ class Explanation:
 
 
 def _unseen(metric: str, cost: Cost) -> Iterator[str]:
-    """Yield the note on the parts of a cost that cannot be told from 0, each with its half width."""
+    """Yield the note on the parts of a cost that differ in some run but are not significant, with half widths."""
     unit = f" {cost.unit}".rstrip()
     found = ", ".join(f"{name} (+-{number(width)}{unit})" for name, width in cost.undetected.items())
     if found and cost.together.mean.count > 1:
@@ -251,7 +251,7 @@ def _unseen(metric: str, cost: Cost) -> Iterator[str]:
 
 
 def _unchanging(metric: str, cost: Cost) -> Iterator[str]:
-    """Yield the note on the parts of a cost that make no difference in any run, and on what so many runs may miss."""
+    """Yield the note on the parts of a cost that differ in no run, and on the share of seeds that may still differ."""
     if cost.unchanging:
         most = 100 * wilson(0, cost.together.mean.count)[1]
         names = ", ".join(cost.unchanging)

@@ -71,20 +71,20 @@ def means(
         result: the result of a sweep.
         metric: the name of the metric.
         x: the key on the abscissa; None = the first key that takes several numbers. If no key does, each configuration
-            has a row.
+            has a row; with `by`, the first other key with several values is on the abscissa instead.
         by: the key or keys whose values are lines; each combination of the other keys has a panel. By default all keys
             but `x` name the lines, in one panel.
         against: values of some keys, such as {"protocol": "sap"}: the differences from the configuration that has them
             and is otherwise equal are drawn instead of the means; see `SweepResult.differences`.
-        labels: texts by value, or by a kind that only one value has, such as {"sap": "SAP (ours)"}; of a key, the title
-            of the legend; with mathematics between dollar signs, as `xlabel`.
+        labels: the text for each value, or for a kind that only one value has, such as {"sap": "SAP (ours)"}. The text
+            for a key is the title of the legend. Mathematics is between dollar signs, as in `xlabel`.
         xlabel: the label of the abscissa.
         ylabel: the label of the ordinate.
         size: the width and perhaps the height, such as "8.5cm" or "8.5cmx6cm". A figure with a size has no title, which
-            belongs into the caption. A figure can also be resized later with `set_size_inches`.
+            belongs in the caption. A figure can also be resized later with `set_size_inches`.
 
     Raises:
-        ValueError: if the sweep has no such metric, key, value or reference, or the size is none.
+        ValueError: if the sweep has no such metric, key, value or reference, or the size is invalid.
     """
     keys = (by,) if isinstance(by, str) else tuple(by)
     values = {text(each) for key in (*result.keys, *keys) for each in result.values(key)}
@@ -308,7 +308,7 @@ def _is_swept_number(result: SweepResult, key: str) -> bool:
 def _draw_lines(
     axes: Axes, result: SweepResult, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
 ) -> None:
-    """Draw lines of estimates over a key; the values of a key that are not numbers are apart, without lines."""
+    """Draw estimates over a key, joined by lines if its values are numbers, and at equal distances if not."""
     given = result.values(abscissa)
     is_number = _is_swept_number(result, abscissa)
     values = sorted(given) if is_number else given
@@ -345,7 +345,7 @@ def _lines(
 
 
 def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several: bool) -> str:
-    """Return the label of a setting or, without one, its text, with its key if settings of several keys are named."""
+    """Return the label of a setting or, without a label, its value, with its key if a name has several settings."""
     value = text(group.settings[key])
     for name in (value, kind_of(value)):
         if name in labels:
@@ -354,7 +354,7 @@ def _named(key: str, group: Group, labels: Mapping[str, str], is_one_of_several:
 
 
 def _add_legend(figure: Figure, by: Sequence[str], labels: Mapping[str, str]) -> None:
-    """Add a legend if there are several lines: into the only panel, or below several panels."""
+    """Add a legend if there are several lines or panels: into the only panel, or below several panels."""
     panels = [axes for axes in figure.axes if axes.axison]
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     if len(found) > 1 or (found and len(panels) > 1):
@@ -459,7 +459,7 @@ UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(
 
 @cache
 def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key; None if it has none, or different units in different kinds of its tables."""
+    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table."""
     from desim.scenario.scenario import Scenario
 
     fields: list[FieldInfo] = []
