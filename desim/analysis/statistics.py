@@ -148,8 +148,8 @@ def next_look(values: Sequence[float | None], target: float, *, at_most: int, fi
 
     The half width is that of the t interval, or of the Wilson interval for truth values (captured or not). A missing
     value (None or nan) counts as a run, but not for the mean. A study ends only with `at_most` runs, or with at least
-    `first_look` values that are not missing. If all values are equal numbers, the t interval has width 0, and the look
-    ends the study.
+    `first_look` values that are not missing; until then the prediction is the number of runs that gives so many. If all
+    values are equal numbers, the t interval has width 0, and the look ends the study.
 
     The runs should be independent and in the order of their seeds; in the order in which they end, short runs would
     come first. The coverage is nominal only in the limit of a small target.

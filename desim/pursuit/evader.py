@@ -113,7 +113,7 @@ MAX_SCALAR_SIZE = 16
 class EvaderBody:
     """An evader in the world: its position and velocity, the capture times of the pursuers, and its capture.
 
-    It is at large until `captured` is set; from then on it stands still and all capture times are inf.
+    It is at large until `captured` is set. From then on it stands still, and its present capture times are inf.
 
     Args:
         number: 1 .. M, the action of a pursuer that chases it.
@@ -194,11 +194,11 @@ class EvaderBody:
         return list(map(self._radial_time.of, pursuers, distances))
 
     def capture_time_over(self, pursuer: int, distance: float) -> float:
-        """Return the capture time of a pursuer at a distance (m), s."""
+        """Return the capture time of a pursuer at a distance (m) from the evader at large, s."""
         return self._radial_time.of(pursuer, distance)
 
     def capture_times_over(self, distances: Floats) -> tuple[float, ...]:
-        """Return the capture time of each pursuer, given (N,) distances (m), s."""
+        """Return the capture time of each pursuer, s, given (N,) distances (m) from the evader at large."""
         return tuple(self._radial_time(distances).tolist())
 
     def choose_velocity(self, state: State, *, handover: bool) -> complex:
