@@ -1,4 +1,4 @@
-"""The centralised benchmark: at most one pursuer chases an evader, the one of least capture time.
+"""The centralised benchmark: at most one pursuer chases an evader, the one with the least capture time.
 
 Paper: Lee & Bakolas, "Relay Pursuit of an Evader by a Heterogeneous Group of Pursuers Using Potential Games",
     Algorithm 3; for several evaders, the optimal assignment (`desim.pursuit.assignment`).
@@ -36,7 +36,7 @@ class Centralised(Value):
     """Time delta between two decisions, s."""
 
     def __call__(self, me: Agent) -> Process:
-        """Assign to each evader at most one pursuer that would be in time."""
+        """In every slot, assign to each evader at most one pursuer, which can capture it before the horizon."""
         if me.id != 0:
             return
         for k in count():
@@ -57,11 +57,11 @@ class Centralised(Value):
 
 
 def matching(phi: Sequence[Sequence[float]], reward: float) -> dict[int, int]:
-    """Return the evader (1 .. M) that each pursuer is to chase; pursuers that are to be inactive are left out.
+    """Return the evader (1 .. M) that each active pursuer is to chase; inactive pursuers are absent.
 
     Args:
         phi: (M, N) capture times, s.
-        reward: the time that is left, s.
+        reward: the time left to the horizon, s.
     """
     if len(phi) == 1:
         first = relay_pursuer(phi[0], reward)

@@ -3,16 +3,16 @@
 Paper: Ricart & Agrawala 1981, "An Optimal Algorithm for Mutual Exclusion in Computer Networks", here among neighbours.
     A pursuer that wants to decide sends a request to all neighbours. A neighbour replies at once, unless it has an
     older request of its own (Lamport 1978); then it replies after its decision. Replies carry the replier's action.
-Parameters: rate (requests per second of an idle pursuer), attempts (before a neighbour is left out), min_timeout
-    (before a request is retransmitted).
-Assumes: symmetric links; that a neighbour that does not answer `attempts` requests has crashed or is out of range. Only
-    neighbours exclude each other, and a pursuer knows only their actions to be up to date.
+Parameters: rate (requests per second of an idle pursuer), attempts (unanswered requests after which a neighbour is left
+    out), min_timeout (least time before a request is retransmitted).
+Assumes: symmetric links; a neighbour that does not answer `attempts` requests has crashed or is out of range. Mutual
+    exclusion holds only between neighbours, and a pursuer has up-to-date knowledge of their actions only.
 Messages: 2 d_i per decision of a pursuer with d_i neighbours. A decision takes at least 2 L. If it takes longer than
     expected, requests are retransmitted, and neighbours that defer their reply answer with `Deferred`.
     The transmission queues are stable while the channel can carry 2 d_i messages per decision.
-Robust to loss: yes. Requests are retransmitted until they are answered. The oldest request waits only for neighbours
-    that do not answer, and these are left out after `attempts` requests, so no pursuer waits for ever. A neighbour that
-    was left out still gets requests, and its replies are awaited again once it has answered one.
+Robust to loss: yes. Requests are retransmitted until they are answered. The pursuer with the oldest request waits
+    only for neighbours that do not answer. These are left out after `attempts` requests, so no pursuer waits for ever.
+    A neighbour that was left out still gets requests. Once it answers one, its replies are awaited again.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ class Deferred(NamedTuple):
 
 
 class LocalMutex(Value):
-    """After an exponential wait, a pursuer asks all neighbours for permission to revise (Ricart and Agrawala)."""
+    """After an exponentially distributed wait, a pursuer requests permission to revise from all neighbours."""
 
     spreads_to: ClassVar[Literal["neighbours"]] = "neighbours"
     """Replies carry the replier's announcement, and requests are retransmitted until the replies arrive."""
@@ -69,10 +69,10 @@ class LocalMutex(Value):
     """Least time after which a request is retransmitted, s; the time-out is 5/4 of a round trip if that is longer."""
 
     def mean_slot(self, me: Agent) -> float:
-        """Return (1 / rate + 2 L + A) / N, s, and at least (d + 1) L / N: one decision per L in each neighbourhood.
+        """Return the mean time between two decisions of the team, s: (1 / rate + 2 L + A) / N, at least (d + 1) L / N.
 
-        d is the mean degree of the team, so that all pursuers compute the same value; A is the airtime of requests to d
-        neighbours and of their replies.
+        The lower bound is one decision per L in each neighbourhood. d is the mean degree of the team, so that all
+        pursuers compute the same value; A is the airtime of requests to d neighbours and of their replies.
         """
         degree, latency = me.mean_degree, me.latency
         return max(1.0 / self.rate + 2.0 * latency + request_airtime(me, degree), (degree + 1) * latency) / me.team_size
@@ -82,7 +82,7 @@ class LocalMutex(Value):
         return {"kind": "poisson", "rate": self.rate}
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
-        """Revise whenever all neighbours have granted a request."""
+        """Revise each time all neighbours have granted a request; neighbours that are left out do not count."""
         section = CriticalSection(me, self.attempts, self.min_timeout)
         rng = me.stream("mutex")
         while True:
@@ -102,8 +102,8 @@ def request_airtime(me: Agent, neighbours: float) -> float:
 class CriticalSection:
     """The mutual exclusion as run by one pursuer.
 
-    It is idle (`idle`: grants every request), waiting (`enter`: grants requests older than its own and defers others),
-    or inside (from the end of `enter` to `leave`, which grants the deferred requests).
+    The pursuer is idle (`idle`), waiting (`enter`) or inside (from the end of `enter` to `leave`). An idle pursuer
+    grants every request. A waiting pursuer grants requests older than its own and defers the others until `leave`.
     """
 
     def __init__(self, me: Agent, attempts: int, min_timeout: float):
@@ -113,7 +113,7 @@ class CriticalSection:
         self._own_request: Stamp | None = None  # stamp of its own request
         self._missing: dict[int, int] = {}  # by neighbour without a reply: number of unanswered requests
         self._deferred: dict[int, Stamp] = {}  # by neighbour that waits for a reply: stamp of its request
-        self._silent: set[int] = set()  # neighbours that did not answer in time
+        self._silent: set[int] = set()  # neighbours that are left out
 
     def idle(self, until: float) -> Process:
         """Answer requests, without sending any, until a time on the local clock, s."""
@@ -121,7 +121,7 @@ class CriticalSection:
             pass
 
     def enter(self) -> Process:
-        """Send a request to all neighbours, and wait until those that are not silent have replied."""
+        """Send a request to all neighbours, and wait until all have replied that are not left out."""
         self._ask()
         attempt = 0
         while self._missing:
@@ -141,7 +141,7 @@ class CriticalSection:
         self._deferred.clear()
 
     def _ask(self) -> None:
-        """Send a new request to all neighbours."""
+        """Reply to all deferred requests, and send a new request to all neighbours."""
         self.leave()
         me = self._me
         # The clock keeps the time stamps increasing even after a loss of memory.
@@ -185,7 +185,10 @@ class CriticalSection:
                 self._missing[src] = 0
 
     def _process_request(self, src: int, stamp: Stamp) -> None:
-        """Reply to a request, or defer the reply if this pursuer's own request is older."""
+        """Reply to a request, or defer the reply if this pursuer's own request is older.
+
+        If another request of this neighbour is already deferred, answer with `Deferred`.
+        """
         self._highest = max(self._highest, stamp[0])
         if self._own_request is None or stamp < self._own_request:
             self._reply(src, stamp)

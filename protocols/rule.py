@@ -47,7 +47,7 @@ class Rule(Value):
         raise NotImplementedError(f"{type(self).__name__} has no rule: write its actions(me)")
 
     def __call__(self, me: Agent) -> Process:
-        """Negotiate for one pursuer.
+        """Run the schedule of one pursuer; at each turn, assign the next action of `actions`.
 
         Raises:
             TypeError: if `actions` is not a generator.
@@ -75,7 +75,7 @@ class LearningRule(Rule):
     def utilities(self, me: Agent) -> dict[int, float]:
         """Return the utility of each action that a pursuer may choose, s: 0 for inactivity, the gain for chasing.
 
-        The gain of a pursuer that can never capture is -1e9 s (`MAX_TIME`), so that averages are finite.
+        A gain is at least -1e9 s (`-MAX_TIME`), also if the pursuer can never capture, so that averages are finite.
         """
         utilities = {0: 0.0}
         for evader in me.options()[1:]:
@@ -84,10 +84,10 @@ class LearningRule(Rule):
 
 
 def current_action(me: Agent, actions: Collection[int]) -> int:
-    """Return the action of a pursuer, or 0 if it may no longer choose that action."""
+    """Return the current action of a pursuer, or 0 if it is not among the actions that it may choose."""
     return me.action if me.action in actions else 0
 
 
 def argmax(utilities: dict[int, float]) -> int:
-    """Return the action of highest utility; ties go to the first, so inactivity wins over a chase without gain."""
+    """Return the action of highest utility; ties go to the first, so inactivity is preferred to a chase of gain 0."""
     return max(utilities, key=utilities.__getitem__)

@@ -1,4 +1,4 @@
-"""Costs of large teams, whole runs, recording and starting, in time and memory; some have a limit.
+"""Costs of large teams, whole runs, recording and start-up, in time and memory; some have a limit.
 
 Peak memory is measured in a separate process.
 """
@@ -84,7 +84,7 @@ class Drifting(PositionSource):
 def disk(size: int, seed: int) -> tuple[float, float]:
     """Simulate nodes on a disk graph that broadcast once a second.
 
-    Return the CPU time per message sent, s (one message per receiver), and the memory per node, B.
+    Return the CPU time per message sent, s (one message per receiver), and the rise of peak memory per node, B.
     """
     before, env = memory("VmRSS"), Clock()
     places = Drifting(env, size, sqrt(pi * size / DEGREE), seed)
@@ -121,7 +121,7 @@ def disk_graphs(options: Options) -> list[Cost]:
 
 
 def large_team(count: int, horizon: float) -> Scenario:
-    """Return a pursuit on a complete graph without a capture before the horizon."""
+    """Return a scenario with a complete graph, so large that no evader is captured before the horizon."""
     return Scenario(
         name="large_team",
         horizon=horizon,
@@ -151,7 +151,7 @@ def complete(options: Options) -> list[Cost]:
 
 
 def table_1(_: Options) -> list[Cost]:
-    """Measure the command of the Table I study with two worker processes."""
+    """Measure the time of the command of the Table I study with two worker processes."""
     with TemporaryDirectory() as folder:
         arguments = ["--runs", str(TABLE1_RUNS), "--jobs", "2", "--out", folder]
         before = os.times()
@@ -165,7 +165,10 @@ def table_1(_: Options) -> list[Cost]:
 
 
 def loop(options: Options) -> list[Cost]:
-    """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages."""
+    """Measure the time per slot of a run of Table I, relative to a bare loop of Algorithm 2 without messages.
+
+    The motion step h is one slot delta, or ten.
+    """
     fine = decentralised(configuration(40), SLOT)
     coarse = fine.model_copy(update={"motion": Motion(step=10 * SLOT)})
     variants: dict[str, Callable[[int], int]] = {

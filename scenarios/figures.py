@@ -1,10 +1,10 @@
 """Draw the figures of Lee & Bakolas: initial configuration, trajectories, and individual utilities over time.
 
 The figures show the configurations of Table I, N = 20 and 40: decentralised (Algorithm 2) for three slots delta, and,
-except for the utilities, centralised (Algorithm 3). They are drawn for the run of the first seed; the table has means
-over all seeds.
-The utility of a pursuer is its wonderful-life utility at the actions that are actually played,
-U_E(S) - U_E(S without i), which is 0 for an inactive pursuer.
+except for the utilities, centralised (Algorithm 3). Each figure shows the run of the first seed; the table has
+means over all seeds.
+The utility of a pursuer i is its wonderful-life utility for the true actions S, U_E(S) - U_E(S without i). It is 0 for
+an inactive pursuer.
 """
 
 from dataclasses import asdict, dataclass
@@ -142,7 +142,7 @@ def draw_trajectories(results: "Mapping[str, Result]") -> "Figure":
 
 
 def draw_utilities(results: "Mapping[str, Result]") -> "Figure":
-    """Draw the individual utilities over time, one panel below the other, each with its own scale."""
+    """Draw the individual utilities over time, one panel per run, each with its own vertical scale."""
     from desim.analysis import plots
 
     with plots.styled((plots.COLUMN, 4.4), font=7) as figure:
@@ -177,7 +177,7 @@ def _label_handovers(axes: "Axes", chain: "Sequence[tuple[int, int]]", found: In
 
 
 def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> None:
-    """Draw the time up to `until` (s) enlarged, in the empty part of a panel."""
+    """Draw the utilities up to a time (`until`, s) enlarged, in the empty part of a panel."""
     inset = axes.inset_axes((0.36, 0.22, 0.62, 0.5))
     draw_utility_panel(inset, found)
     inset.set_xlim(0.0, until)
@@ -186,7 +186,7 @@ def _draw_beginning(axes: "Axes", found: IndividualUtilities, until: float) -> N
 
 
 def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
-    """Draw the utility of each pursuer while it is active, bold if it is alone; one line stands for all inactive."""
+    """Draw the utility of each active pursuer, bold if only it is active, and one line at 0 for the inactive ones."""
     from desim.analysis import palette
 
     times, active, utilities = found
@@ -204,7 +204,7 @@ def draw_utility_panel(axes: "Axes", found: IndividualUtilities) -> None:
 
 
 def pictures(count: int, seed: int) -> "Iterator[tuple[str, Figure]]":
-    """Yield the name and the figure of each picture for N pursuers."""
+    """Yield each figure for a number of pursuers, with its name."""
     results = {name: trace_index(run(scenario, seed)) for name, scenario in panels(count).items()}
     yield f"configuration_{count}", draw_initial(results["centralised"])
     yield f"trajectories_{count}", draw_trajectories(results)

@@ -1,11 +1,11 @@
 """How much range do pursuers need? Active time by communication range, and games of neighbours without equilibrium.
 
-A pursuer receives announcements of the pursuers within range R. The study compares five rules: the paper's utility over
-the active neighbours only; the same over the whole network component, by flooding; a penalty for each active neighbour;
-and the heuristics `local_min` and `argmin_known`. For the games of t = 0 it also gives the number of components, the
-size of the greedy independent set, and the share of games without a pure equilibrium under the utility of the active
-neighbours, by enumeration of all profiles. There are two teams: that of the paper, in which only the fast pursuer and
-those near the evader can capture it in time, and one in which most pursuers can.
+A pursuer receives announcements from the pursuers within range R. The study compares five rules: the paper's utility
+over the active neighbours only; the same over the whole network component, by flooding; a penalty for each active
+neighbour; and the heuristics `local_min` and `argmin_known`. For the games at t = 0, the study also gives the number of
+components, the size of a greedy independent set, and the share of games without a pure equilibrium if the utility is
+that over the active neighbours. All profiles are enumerated. There are two teams: in that of the paper, only the fast
+pursuer and those near the evader can capture it in time; in the other, most pursuers can.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ def _tables(team: str, pursuits: Sequence[Pursuits], static: Sequence[Games], ru
 
 
 def picture(pursuits: Sequence[Pursuits], static: Sequence[Games]) -> "Figure":
-    """Draw the active time by protocol, and below it the statistics of the games of t = 0."""
+    """Draw the active time by protocol, and below it the statistics of the games at t = 0."""
     from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 6.4)) as figure:
@@ -79,7 +79,7 @@ def draw_pursuits(axes: "Axes", pursuits: Sequence[Pursuits]) -> None:
 
     for k, (colour, name) in enumerate(zip(palette.SERIES, PROTOCOLS, strict=False)):
         line = [each for each in pursuits if each.protocol == name]
-        x = [each.range * 1.03 ** (k - 2) for each in line]  # side by side
+        x = [each.range * 1.03 ** (k - 2) for each in line]  # shifted, so that error bars do not overlap
         y, error = [each.active_time for each in line], [each.half_width for each in line]
         axes.errorbar(x, y, error, color=colour, marker="o", ms=3, lw=1.0, elinewidth=0.7, label=name)
     axes.set(xscale="log")
@@ -108,7 +108,7 @@ def draw_games(axes: "Axes", static: Sequence[Games]) -> None:
 
 @study("range", __doc__, runs=20)
 def main(options: Options) -> None:
-    """Measure, enumerate and show."""
+    """Run the pursuits, enumerate the games, and show the results."""
     pursuits = measure(options)
     static = [games(team, range_, options) for team in TEAMS for range_ in RANGES]
     document = {"pursuits": [asdict(each) for each in pursuits], "games": [asdict(each) for each in static]}

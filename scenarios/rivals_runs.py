@@ -69,7 +69,7 @@ class Cell:
 
 
 def contender(kind: str) -> object:
-    """Return a protocol of a kind whose pursuers decide once per `PERIOD`."""
+    """Return a protocol of a kind; its period, or the mean time between decisions of its schedule, is `PERIOD`."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings = {key: PERIOD for key in ("slot", "period") if key in fields}
     schedule = {"schedule": Poisson(rate=1.0 / PERIOD)} if "schedule" in fields else {}
@@ -92,7 +92,7 @@ def scenario(world: str, protocol: str, latency: float) -> Scenario:
 
 
 def measure(options: Options) -> list[Cell]:
-    """Run each protocol in each world at each latency."""
+    """Run each protocol in each world at each latency; return their results."""
     protocols = [*PROTOCOLS.choices(), SILENT]
     keys = [(world, protocol, latency) for world in WORLDS for latency in LATENCIES for protocol in protocols]
     runs = dict(zip(keys, options.measure([scenario(*key) for key in keys], "rivals", measured), strict=True))
@@ -111,7 +111,7 @@ def measure(options: Options) -> list[Cell]:
 def measured(result: Result) -> tuple[Summary, float | None]:
     """Return the summary of a run and its time to relay, s.
 
-    To be the relay pursuer it must be alone for 2 (L + `PERIOD`), whatever the protocol.
+    The window in which the relay pursuer must chase alone is 2 (L + `PERIOD`) with every protocol.
     """
     latency = result.scenario.network.latency
     assert isinstance(latency, Constant)
@@ -126,14 +126,14 @@ def cell(
     silent: Sequence[tuple[Summary, float | None]],
     prompt: Sequence[tuple[Summary, float | None]],
 ) -> Cell:
-    """Return the results of one protocol, and their differences to other runs with the same seeds.
+    """Return the results of one protocol, and their differences from other runs with the same seeds.
 
     Args:
         key: world, protocol and latency.
         found: the summary and the time to relay of each run.
-        reference: those of Spatial Adaptive Play.
-        silent: those of a team without announcements.
-        prompt: those of the same protocol without delay.
+        reference: the same for Spatial Adaptive Play.
+        silent: the same for a team without announcements.
+        prompt: the same for this protocol at latency 0.
     """
     runs = [run for run, _ in found]
     relays = [time for _, time in found if time is not None]

@@ -1,4 +1,4 @@
-"""Metrics: functions that compute a number from the trace of a run; and `Summary`, the metrics of one run.
+"""Metrics, functions that compute a number from the trace of a run; and `Summary`, the metrics of one run.
 
 A built-in metric is an entry in `Summary`: its name, its function, its unit and its note in the table of a run. Tables,
 JSON, stores and stopping rules follow from the entry. Only `network_regret` has no entry, because it executes another
@@ -87,7 +87,7 @@ __all__ = [
 
 
 def captured(result: Result) -> bool:
-    """Return whether the evader was captured; with several, whether `capture.captures_to_end` (by default all) were."""
+    """Return whether the evader was captured; of several, whether `capture.captures_to_end` (by default all) were."""
     return ended(result).reason == "captured"
 
 
@@ -97,7 +97,7 @@ def capture_time(result: Result) -> float | None:
 
 
 def end_time(result: Result) -> float:
-    """Return the time at which the run ended, s: the (last) capture, the horizon, or the request of a watcher."""
+    """Return the time at which the run ended, s: that of the (last) capture, the horizon, or the stop by a watcher."""
     return seconds(ended(result).t)
 
 
@@ -108,12 +108,12 @@ def mean_capture_time(result: Result) -> float:
 
 
 def capture_times(result: Result) -> dict[str, float]:
-    """Return the time of capture of each captured evader, s, in order of time."""
+    """Return the capture time of each captured evader, s, by its number (a string), in order of time."""
     return {str(each.evader): seconds(each.t) for each in captures(result)}
 
 
 def capturers(result: Result) -> dict[str, int]:
-    """Return the pursuer that captured each captured evader, in order of time."""
+    """Return the pursuer that made each capture, by the number of the evader (a string), in order of time."""
     return {str(each.evader): each.capturer for each in captures(result)}
 
 
@@ -142,7 +142,7 @@ class Metric(NamedTuple):
     """Whether a greater value is better or worse for the pursuers; None: neither, or not known."""
 
     def __call__(self, result: Result) -> Any:
-        """Return the value for a run; None if it was not recorded or is not defined."""
+        """Return the value for a run; None if it is undefined or a recording that it needs is missing."""
         value = self.of(result) if self.given is None or self.given(result) else None
         return None if isinstance(value, float) and isnan(value) else value
 
@@ -338,8 +338,8 @@ def summary(result: Result, metrics: Metrics = MappingProxyType({})) -> Summary:
         metrics: further metrics by name: functions of a result that return a number, True, False or None.
 
     Raises:
-        ValueError: if a metric has the name of another, or one that is not an identifier.
-        MetricError: if a metric that is not built in fails, or returns something else.
+        ValueError: if the name of a metric is already taken or is not an identifier.
+        MetricError: if a user's metric fails, or returns a value of another type.
     """
     return measured(users_metrics(result.scenario.record.metrics, metrics), result)
 
@@ -356,7 +356,7 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
     """Return the value of a user's metric.
 
     Raises:
-        MetricError: if it raises an exception, or returns something else than a number, a truth value or None.
+        MetricError: if the metric raises an exception, or does not return a number, True, False or None.
     """
     where = f"metric {name!r} of {result.scenario.name!r} with seed {result.seed}"
     try:
@@ -370,10 +370,10 @@ def _checked(name: str, metric: Metric, result: Result) -> bool | int | float | 
 
 
 def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType({})) -> UsersMetrics:
-    """Return the metrics that a scenario names (its `record.metrics`), and more, each with its name.
+    """Return the metrics that a scenario names (its `record.metrics`) and further ones (`more`), each with its name.
 
     Raises:
-        ValueError: if a metric is not a function, or has the name of another, or one that is not an identifier.
+        ValueError: if a metric is not a function, or if its name is already taken or is not an identifier.
     """
     found: dict[str, Metric] = {}
     given: list[tuple[Any, Any]] = [*((each.name, each.of) for each in named), *more.items()]
@@ -393,7 +393,7 @@ def users_metrics(named: Sequence[NamedMetric], more: Metrics = MappingProxyType
 
 
 def check_numeric(metric: str, own: Iterable[str] = ()) -> None:
-    """Raise ValueError unless a name is that of a built-in metric with `is_number` or of a user's metric (`own`)."""
+    """Raise ValueError unless a metric is a built-in one with `is_number` or one of a user (`own`); all are names."""
     numeric = [*(name for name, each in METRICS.items() if each.is_number), *own]
     if metric not in numeric:
         close = get_close_matches(metric, numeric, n=1)
@@ -407,14 +407,14 @@ def plain(numbers: Summary) -> dict[str, Any]:
 
 
 def _formatted(value: Any) -> str:
-    """Return a value of a summary as text, fractions with six significant digits."""
+    """Return a value of a summary as text, floats with six significant digits."""
     if isinstance(value, Mapping):
         return ", ".join(f"{key}: {_formatted(each)}" for key, each in value.items())
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def more_is(name: str, own: Mapping[str, Metric]) -> Literal["better", "worse"] | None:
-    """Return whether more of a metric is better or worse; `own` are the metrics that are not built in, by name."""
+    """Return whether a greater value of a metric is better or worse; `own` are the user's metrics by name."""
     return (METRICS[name] if name in METRICS else own[name]).more_is
 
 

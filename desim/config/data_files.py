@@ -27,13 +27,14 @@ def open_data(path: str | Path) -> BytesIO:
 
         DELAYS = np.loadtxt(open_data(Path(__file__).with_name("delays.txt")))
 
-    A sweep then never takes results of another version of the file from its store. If a parameter of a model names the
-    file, declare the file in `depends_on` instead, an attribute or a method of the model that gives a tuple of paths.
+    A sweep then never reuses stored results of another version of the file. If a parameter of a model names the file,
+    declare the file in `depends_on` instead: an attribute of the model with a tuple of paths, or a method that returns
+    one.
 
     Raises:
         OSError: if the file cannot be read.
-        DataFileError: if it is called during a run of a sweep, an explanation or a study. The hash of the run is
-            computed before the run starts.
+        DataFileError: if it is called during a run of a sweep, an explanation or a study, because the hash of the run
+            is computed before the run starts.
     """
     if _identified.get():
         raise DataFileError(
@@ -79,5 +80,5 @@ def identified_run() -> Iterator[None]:
 
 
 def content_hash(content: bytes) -> str:
-    """Return a hash of 16 hexadecimal digits."""
+    """Return the first 16 hexadecimal digits of the SHA-256 hash of a content."""
     return hashlib.sha256(content).hexdigest()[:16]

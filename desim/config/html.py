@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 
 def html_table(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text as an HTML table; the first row is its head."""
+    """Return rows of text as an HTML table; the first row is the header."""
     head, *body = rows
     lines = "".join([_row(head, "th"), *(_row(row, "td") for row in body)])
     return f"<table><caption>{_text(title)}</caption>{lines}</table>"

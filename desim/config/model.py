@@ -1,4 +1,4 @@
-"""The base class of all models, an immutable validated object, and field types: lengths, times, probabilities."""
+"""`Value`, the immutable and validated base class of all models, and the types of fields: lengths, times, ..."""
 
 import ast
 import json
@@ -112,7 +112,7 @@ class Value(BaseModel):
         return repr(self)
 
     def given(self) -> dict[str, Any]:
-        """Return the fields that differ from their defaults, by name."""
+        """Return the fields without a default, and those that differ from their defaults, by name."""
         return {
             name: getattr(self, name)
             for name, field in type(self).model_fields.items()
@@ -120,7 +120,7 @@ class Value(BaseModel):
         }
 
     def __repr_args__(self) -> Iterator[tuple[str, Any]]:
-        """Yield what `repr` shows: the fields that differ from their defaults."""
+        """Yield the fields that `repr` shows; see `given`."""
         yield from self.given().items()
 
     def plain(self) -> dict[str, Any]:
@@ -173,7 +173,7 @@ def docs_of(model: type) -> Docs:
 
 
 def annotated(model: type) -> list[str]:
-    """Return the names that a class itself annotates, without evaluating the annotations."""
+    """Return the names annotated in a class, without those of its base classes; the annotations are not evaluated."""
     if sys.version_info >= (3, 14):
         return [*get_annotations(model, format=Format.FORWARDREF)]
     return [*get_annotations(model)]

@@ -1,4 +1,4 @@
-"""The packages that are installed beside `desim`, `protocols` and `scenarios`: where they are, and what hides them.
+"""The packages installed beside `desim`, which are `protocols` and `scenarios`: their folders, and their visibility.
 
 A folder or module of the same name that comes first in `sys.path`, such as one beside a script, hides a package.
 """
@@ -13,16 +13,16 @@ PACKAGES = ("protocols", "scenarios")
 
 
 class HiddenPackageError(ImportError):
-    """A package that is installed beside `desim` is hidden by another one of the same name."""
+    """Raised when another package or module of the same name hides a package that is installed beside `desim`."""
 
 
 def folder_of(package: str) -> Path:
-    """Return the folder of a package that is installed beside `desim`, whatever `sys.path` has first."""
+    """Return the folder of a package that is installed beside `desim`, even if another package hides it."""
     return _SITE / package
 
 
 def check_visible(package: str) -> None:
-    """Raise HiddenPackageError if another package or module of the same name would be imported; nothing is imported."""
+    """Raise HiddenPackageError if an import would find another package or module; the package is not imported."""
     ours = folder_of(package)
     spec = find_spec(package)
     if spec is None or spec.origin is None or not ours.is_dir():
@@ -39,16 +39,16 @@ def check_visible(package: str) -> None:
 
 
 class _HiddenModuleFinder:
-    """Explains why a module of `PACKAGES` is not found; comes last in `sys.meta_path`, so only if none has found it."""
+    """The last finder in `sys.meta_path`: explains why no other finder has found a module of `PACKAGES`."""
 
     def find_spec(self, name: str, path: object = None, target: ModuleType | None = None, /) -> None:
-        """Raise HiddenPackageError if the module is one of a package that is hidden."""
+        """Raise HiddenPackageError if the module belongs to a hidden package."""
         package = name.partition(".")[0]
         if package in PACKAGES and (_SITE / name.replace(".", "/")).with_suffix(".py").is_file():
             check_visible(package)
 
 
 def explain_hidden_packages() -> None:
-    """Let the import of a module in a hidden package raise HiddenPackageError instead of "No module named"."""
+    """Make the import of a module of a hidden package raise HiddenPackageError instead of "No module named"."""
     if not any(isinstance(each, _HiddenModuleFinder) for each in sys.meta_path):
         sys.meta_path.append(_HiddenModuleFinder())

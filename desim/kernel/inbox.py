@@ -29,10 +29,10 @@ Letter = tuple[int, int, Message]
 
 
 class Inbox:
-    """The messages of a node that are in flight or wait to be read.
+    """The messages to one port of a node that are in flight or wait to be read.
 
-    A message is in flight until its arrival time, then waiting, then removed by `drain`. Waiting for `arrival`
-    does not consume the message, so no message is lost if a process stops waiting at a time-out.
+    A message is in flight until its arrival time, and then waits until `drain` removes it. The event of `arrival` does
+    not consume a message, so no message is lost if a process stops waiting at a time-out.
     """
 
     __slots__ = ("_env", "_letters", "_priority", "_sorted", "_waited_for", "_wake_time")
@@ -84,12 +84,15 @@ class Inbox:
         return self._letters
 
     def _expect_first(self) -> None:
-        """Schedule a wake-up at the first arrival."""
+        """Schedule a wake-up at the first arrival, or trigger the event at once if a message is waiting."""
         if self._letters:
             self._expect(self._in_order()[0][0])
 
     def _expect(self, arrival: int) -> None:
-        """Schedule a wake-up at an arrival time (ns), unless an earlier one is scheduled."""
+        """Schedule a wake-up at an arrival time (ns), unless an earlier one is scheduled.
+
+        If the message has already arrived, trigger the event at once.
+        """
         if arrival <= self._env.now:
             self._trigger()
         elif arrival < self._wake_time:

@@ -1,6 +1,6 @@
 """Reception models: the probability that a message is received as a function of distance and range.
 
-The range is the only length in every model, so a study can vary reception by sweeping the range alone.
+All other parameters are independent of the unit of length, so a study can scale any model by its range alone.
 """
 
 from math import inf, log

@@ -24,7 +24,7 @@ Limits = Mapping[str, Any]
 
 
 class TraceFile:
-    """A watcher that writes every event, messages included, to a file when it happens, and stores none in memory.
+    """A watcher that writes each event to a file as it happens, messages included, and stores none in memory.
 
         with TraceFile("trace.jsonl") as file:
             run(scenario, seed, file)
@@ -55,9 +55,9 @@ class TraceFile:
 
 
 def line_of(event: Event) -> str:
-    """Return an event as one line of JSON (with Infinity and NaN): its type, and its fields, with times in seconds.
+    """Return an event as one line of JSON (with Infinity and NaN): its type and its fields, with times in seconds.
 
-    `LOST` is null.
+    The arrival time of a lost message, `LOST`, is null.
     """
     text, fields = _line_layout(type(event))
     for value, (key, write) in zip(event, fields, strict=True):
@@ -70,8 +70,8 @@ def events_of(
 ) -> Iterator[Event]:
     """Yield the events of a trace file line by line, so that a long trace need not fit in memory.
 
-    Each value is validated by the annotation of its field. A list becomes a tuple, and an object in a body becomes
-    a named tuple. A body that was sent as a named tuple equals the one read, although their types differ.
+    Each value is validated against the annotation of its field. A list becomes a tuple, and an object in a body becomes
+    a named tuple. A named tuple that was sent as a body equals the one that is read, although their types differ.
 
     Args:
         lines: the lines of the file.
@@ -113,7 +113,7 @@ def _line_layout(kind: Any) -> tuple[str, tuple[Written, ...]]:
 
 
 def _writer(hint: Any) -> Callable[[Any], str]:
-    """Return the function that writes a field of a type."""
+    """Return the function that converts the value of a field to JSON, given the type of the field."""
     is_time = any(each in {Nanoseconds, Arrival} for each in (hint, *get_args(hint)))
     return _time_json if is_time else _body_json if hint is Body else _as_json
 
@@ -175,7 +175,7 @@ def _as_read(hint: Any, limits: Limits) -> Any:
 
 
 def _reason(error: Exception) -> str:
-    """Return an error message of one line."""
+    """Return the message of an error; of a validation error, its first fault on one line."""
     if not isinstance(error, ValidationError):
         return str(error)
     fault = error.errors(include_url=False, include_input=False)[0]

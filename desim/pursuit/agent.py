@@ -1,7 +1,7 @@
 """The agent: the interface through which a protocol controls one pursuer.
 
 An agent senses its own position, the evaders within `sensing.radius` and, if `announce.payload` is "action", the
-positions of its teammates. It learns their actions only from delivered messages, apart from the initial actions
+positions of its teammates. It learns the actions of teammates only from delivered messages, except the initial actions
 (`announce.warm_start`).
 """
 
@@ -34,7 +34,7 @@ class Agent(Knowledge):
     A protocol yields the events that `at`, `sleep`, `arrival` and `after_decisions` return. No other method waits.
 
     Attributes:
-        rng: random stream of its decisions.
+        rng: random stream of the decisions of the pursuer.
         restarts: number of restarts without memory after a crash.
         global_state: the true state of the world and the actions of all pursuers, bypassing sensing and network; for
             omniscient benchmarks only.
@@ -43,7 +43,7 @@ class Agent(Knowledge):
         pursuer: its id.
         env: the clock of the simulation.
         view: its view of the world.
-        global_state: see the attribute; the actions of this pursuer are set through it, too.
+        global_state: see the attribute; `assign` also sets the action of this pursuer through it.
         network: the network that carries its messages.
         seed: seed of its random streams.
         announcements: the content and the times of its announcements.
@@ -67,21 +67,21 @@ class Agent(Knowledge):
         self.global_state = global_state
         self.restarts = 0
         self._env, self._seed, self._announcements = env, seed, announcements
-        # The body set by `set_payload`; None: the payload is that of `announce.payload`.
+        # The body set by `set_payload`; None: the standard body, which depends on `announce.payload`.
         self._payload: Any = None
-        # The result of `_news` at the last announcement; None: the next announcement is due.
+        # The result of `_news` at the last announcement; None: an announcement is due in any case.
         self._announced: Any = (self.action,) if announcements.warm_start else None
         self._streams: dict[str, np.random.Generator] = {}
 
     def recovered(self, *, restarted: bool) -> None:
-        """Register a recovery. The crash may have suppressed the last announcement, so the next one is due."""
+        """Register a recovery. An announcement is due, because the crash may have suppressed the last one."""
         self._announced = None
         if restarted:
             self._payload = None
             self.restarts += 1
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return the random stream of this pursuer and name; later calls, also after a restart, continue it."""
+        """Return the random stream of this pursuer with a name; it continues in later calls, also after a restart."""
         if name not in self._streams:
             self._streams[name] = stream(self._seed, name, self.id)
         return self._streams[name]
@@ -95,15 +95,15 @@ class Agent(Knowledge):
     def assign(self, action: int) -> None:
         """Chase an evader (its number) or be inactive (0) from now on.
 
-        Call it after each decision, then `announce`. A pursuer that may not chase this evader (`Scenario.prune`) is
-        inactive.
+        Call it after each decision, then call `announce`. A pursuer that is down or may not chase this evader
+        (`may_chase`) becomes inactive.
         """
         self.global_state.set_action(self.id, action)
 
     def announce(self) -> None:
         """Announce its action after a revision, if `announce.trigger` asks for it.
 
-        Call it after every `assign`: it sends only when due. Use `broadcast` to send in any case.
+        Call it after every `assign`: it sends an announcement only if one is due. Use `broadcast` to send in any case.
         """
         trigger = self._announcements.trigger
         if trigger == "revision" or (trigger in {"change", "both"} and self._news() != self._announced):
@@ -123,7 +123,7 @@ class Agent(Knowledge):
         self._payload = body
 
     def set_initial_belief(self) -> None:
-        """Give all teammates its current announcement as their initial belief, without a transmission."""
+        """Set the initial belief of all teammates to its current announcement, without a transmission."""
         self._network.set_initial_belief(self.id, self.announcement(), self._clock.stamp)
 
     def announcement(self) -> Any:
@@ -137,7 +137,7 @@ class Agent(Knowledge):
         return LocatedAssignment.announced_by(self.id, self._view)
 
     def record(self, body: Any) -> Record:
-        """Return its next record with this body, for a dissemination that does not use `publish`."""
+        """Return its next record, with this body, for a dissemination model that does not use `publish`."""
         return self._network.next_record(self.id, body, self._clock.stamp)
 
     def publish(self, body: Any) -> None:
@@ -156,9 +156,9 @@ class Agent(Knowledge):
     def send(self, dst: int | None, body: Any, port: str = "") -> None:
         """Send a message to a teammate, or to all neighbours (None), into the inbox of a port.
 
-        Use it for events, each of which wakes a receiver that waits at this port (`arrival`, `mail`). A body
-        that contains a list, a dict or an array is copied at sending: changing it afterwards has no effect on the
-        message. All receivers get the same object and must not change it.
+        Use it for events: each message wakes a receiver that waits at this port (`arrival`, `mail`). A body that
+        contains a list, a dict or an array is copied at sending, so later changes have no effect on the message. All
+        receivers get the same object and must not change it.
 
         Raises:
             ValueError: if the receiver is the sender, or there is no such teammate.
@@ -171,7 +171,7 @@ class Agent(Knowledge):
 
     # Events to wait for.
 
-    # The events of one instant happen by phase, and those of one phase by pursuer id.
+    # Simultaneous events are ordered by phase, and events of one phase by pursuer id.
 
     def at(self, time: float, phase: Phase = Phase.DECISION) -> simpy.Event:
         """Return an event at a time on the local clock, s, rounded to nanoseconds; a time in the past counts as now.
@@ -207,7 +207,7 @@ class Agent(Knowledge):
         self.sleep(duration, phase).callbacks.append(happen)
 
     def after_decisions(self) -> simpy.Event:
-        """Return an event at the present instant, after all decisions of this instant."""
+        """Return an event that happens at the present instant, after all decisions of this instant."""
         return self.sleep(0.0, Phase.HEARTBEAT)
 
     def arrival(self, port: str = "", phase: Phase = Phase.DECISION) -> simpy.Event:
@@ -217,7 +217,7 @@ class Agent(Knowledge):
     def repeat(self, act: Callable[[], object], period: float, name: str) -> Process:
         """Call a function once per period (s, on the local clock), after all decisions of the same instant.
 
-        The first call is after a random fraction of the period, drawn from the stream `name`.
+        The first call happens after a random fraction of the period, drawn from the stream `name`.
         """
         first = self.now + self.stream(name).uniform(0.0, period)
         for k in count():

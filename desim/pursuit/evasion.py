@@ -1,7 +1,7 @@
 """Evasion strategies: a strategy maps the observation of an evader to a heading.
 
 A strategy is an immutable object without memory: the observation contains the previous heading and the time since it
-was chosen. No parameter depends on the motion step, so the law of motion does not change with the step.
+was chosen. No parameter refers to the motion step, so a strategy needs no change if the step changes.
 """
 
 from cmath import rect
@@ -90,7 +90,7 @@ class MaxMin(Fleeing):
     """Number of candidate headings, evenly spaced and including that of pure evasion."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the u of greatest min_i phi_i(u); ties go to the first counter-clockwise from pure evasion."""
+        """Return the u with the greatest min_i phi_i(u); ties go to the first counter-clockwise from pure evasion."""
         fled_from = self.fled_from(state)
         straight = away(fled_from)
         if not straight:
@@ -129,7 +129,7 @@ class VoronoiVertex(Fleeing):
     """Share by which another vertex must be farther than the vertex ahead before the evader turns to it."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading to the farthest vertex, or to the vertex ahead if that is almost as far."""
+        """Return the heading to the farthest vertex, or to the vertex ahead if it is almost as far."""
         fled_from = self.fled_from(state)
         if not len(fled_from.pursuers):
             return 0j
@@ -144,7 +144,7 @@ class VoronoiVertex(Fleeing):
 
 
 class Diffusion(Value):
-    """Wander, independently of the pursuers: the angle is uniform at first and then follows a Brownian motion."""
+    """Move randomly, independently of the pursuers: the initial angle is uniform, and it follows a Brownian motion."""
 
     kind: Literal["diffusion"] = "diffusion"
     sigma: Annotated[float, Field(ge=0, le=1e6, strict=True), Unsigned] = 0.5
@@ -165,7 +165,7 @@ class ConstantHeading(Value):
     """Angle from the x axis, rad; if absent, a uniform random draw per seed."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading."""
+        """Return the heading at the given angle; without one, the present heading, which is random at first."""
         return rect(1.0, self.angle) if self.angle is not None else unit(state.heading) or random_heading(rng)
 
 
@@ -198,7 +198,7 @@ class Listener(Value):
     """The strategy at all other times."""
 
     def __call__(self, state: EvaderObservation, rng: np.random.Generator) -> complex:
-        """Return the heading of the strategy that applies."""
+        """Return the heading of the strategy for a handover or of the other one."""
         return (self.during_handover if state.handover else self.normally)(state, rng)
 
 
@@ -212,7 +212,7 @@ def unit(vector: complex) -> complex:
 
 
 def random_heading(rng: np.random.Generator) -> complex:
-    """Return a heading of uniform random direction."""
+    """Return a heading in a uniformly distributed random direction."""
     return rect(1.0, rng.uniform(0.0, 2.0 * pi))
 
 
@@ -228,7 +228,7 @@ def away(state: State) -> complex:
 
 
 def first_captures(state: EvaderObservation, headings: Points) -> Floats:
-    """Return the (K,) least intercept times over all pursuers, one for each of (K,) constant headings, s."""
+    """Return the least intercept time over all pursuers for each of (K,) constant headings of the evader, (K,), s."""
     evader, pursuers = coordinates(np.array([state.evader]))[0], coordinates(state.pursuers)
     velocities = state.speed * coordinates(headings)
     times: Floats = intercept_time(evader, velocities, pursuers, state.speeds, state.radius).min(axis=1)
@@ -242,7 +242,7 @@ def voronoi_cell(state: State, arena: tuple[float, float]) -> list[complex]:
     for pursuer in state.distances.argsort():
         middle = complex(state.offsets[pursuer]) / -2.0
         if abs(middle) >= max(map(abs, cell)):
-            break  # no farther pursuer bounds the cell
+            break  # neither this pursuer nor a farther one cuts the cell
         cell = _clipped(cell, middle)
     return cell
 

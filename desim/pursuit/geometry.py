@@ -1,6 +1,6 @@
 """Geometry of straight motion: velocities towards a target, first contact, and distance.
 
-Plain functions of arrays, usable without a clock.
+All are pure functions of arrays, independent of the simulation.
 """
 
 from math import inf
@@ -15,7 +15,7 @@ SMALLEST = 1e-290
 
 
 def toward(gaps: Points, speeds: Floats) -> Points:
-    """Return the (N,) velocities that close each gap at its speed, m/s; 0 for a gap of 0.
+    """Return the (N,) velocities along each gap with the given speeds, m/s; 0 for a gap of 0.
 
     Args:
         gaps: (N,) vectors from each pursuer to its target, m.
@@ -25,9 +25,10 @@ def toward(gaps: Points, speeds: Floats) -> Points:
 
 
 def first_contact(offsets: Points, velocities: Points, radius: float, duration: float) -> tuple[float, int] | None:
-    """Return the first time, and the row, at which a straight relative motion comes within a radius of the origin.
+    """Return the first time at which one of N straight relative motions is within a radius of the origin, and its row.
 
-    The smallest root of |p + s q| = eps over 0 <= s <= duration, 0 if |p| <= eps. Ties go to the lowest row.
+    The time is the smallest root of |p + s q| = eps in 0 <= s <= duration, or 0 if |p| <= eps. Ties go to the lowest
+    row.
 
     Args:
         offsets: (N,) relative positions p at s = 0, m.
@@ -43,7 +44,7 @@ def first_contact(offsets: Points, velocities: Points, radius: float, duration: 
     c = lengths(offsets) ** 2 - radius**2
     discriminant = b**2 - a * c
     times = np.full(len(a), inf)
-    # Approaching and passing within the radius: the smaller root, in the form without cancellation.
+    # Motions that approach and pass within the radius: the smaller root, in the form without cancellation.
     meets = (b < 0.0) & (discriminant >= 0.0)
     np.divide(c, np.sqrt(np.maximum(discriminant, 0.0)) - b, out=times, where=meets)
     times[c <= 0.0] = 0.0

@@ -1,7 +1,7 @@
-"""Kinematics: the positions of all players. All begin a new straight piece of their path at the same instant.
+"""Kinematics: the positions of all players, whose paths are piecewise straight with common breakpoints.
 
-A position is a closed form, origin + velocity * (t - since). Nothing is integrated, and the position of one player is
-computed without those of the others.
+A position is given in closed form, origin + velocity * (t - since), without numerical integration. The position of one
+player is computed without those of the others.
 """
 
 from collections.abc import Iterable, Sequence
@@ -71,6 +71,6 @@ class Kinematics:
         return self._origins[players] + self.velocities[players] * ((self._env.now - self._since) / SECOND)
 
     def set_velocities(self, velocities: Points) -> None:
-        """Begin new straight pieces at the present positions and instant, with (K,) velocities, m/s."""
+        """Begin a new straight piece of each path, at the present position and instant, with (K,) velocities, m/s."""
         self._origins, self._since = self.positions(), self._env.now
         self.velocities = velocities

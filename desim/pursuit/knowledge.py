@@ -66,16 +66,16 @@ class Knowledge:
         return self._state.evader_count
 
     def capture_time(self, evader: int = 1) -> float:
-        """Return its own capture time phi_i of an evader, s."""
+        """Return its own capture time phi_i of an evader, s; inf if the evader is captured or its position unknown."""
         (time,) = self._view.capture_times_of([self.id], evader)
         return time
 
     def time_left(self, ahead: float = 0.0) -> float:
-        """Return the time r left to the horizon by its local clock, s, as it will be `ahead` s from now."""
+        """Return the time r that will be left to the horizon in `ahead` s, by its local clock, s."""
         return self._state.time_left(self._clock.stamp + nanoseconds(ahead))
 
     def may_chase(self, evader: int = 1) -> bool:
-        """Return whether it may choose to chase an evader (`Scenario.prune`)."""
+        """Return whether it may choose to chase an evader: one at large, of known position, and not pruned."""
         return self._view.may_chase(self.id, evader)
 
     def position(self) -> complex:
@@ -88,7 +88,7 @@ class Knowledge:
         return self._state.speed(self.id)
 
     def evader(self, evader: int = 1) -> complex:
-        """Return the position of an evader, m."""
+        """Return the position of an evader, m: sensed or, if it is out of range, estimated; nan if unknown."""
         return self._view.evader(evader)
 
     @property
@@ -103,8 +103,8 @@ class Knowledge:
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
-        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is
-        nan if neither the time nor the teammate's position is announced or sensed.
+        A teammate whose last announcement arrived more than `belief_timeout` ago is believed inactive. The time is nan
+        if it is not announced, and the teammate's position is neither announced nor sensed.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))
@@ -125,14 +125,14 @@ class Knowledge:
         return self._beliefs.about_teammates(period, evader, orders)
 
     def trusted(self) -> dict[int, Record]:
-        """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago."""
+        """Return the newest announcement of each teammate, if it arrived at most `belief_timeout` ago."""
         return self._beliefs.trusted()
 
     def team_estimate(self, evader: int = 1) -> TeamEstimate:
         """Return its estimate of the positions, speeds and capture times of itself and its teammates.
 
-        Positions are sensed, or extrapolated from trusted announcements (`announce.reckoning`, `trusted`). Capture
-        times refer to the given evader.
+        Positions are sensed, or extrapolated from `trusted` announcements (`announce.reckoning`). Capture times refer
+        to the given evader.
         """
         return self._beliefs.team_estimate(evader)
 
@@ -142,7 +142,7 @@ class Knowledge:
         return self._beliefs.senses_others
 
     def gain(self, utility: Utility = PAPER, evader: int = 1) -> float:
-        """Return the gain of chasing an evader over inactivity, given its beliefs, s; see `desim.pursuit.game.gain`."""
+        """Return its believed gain from chasing an evader instead of inactivity, s; see `desim.pursuit.game.gain`."""
         own, rivals, times = self._beliefs.rivals(evader)
         counted = None if utility.scope == "heard" else self.counted_teammates(utility.scope)
         others = [phi for j, phi in zip(rivals, times, strict=True) if phi < inf and (counted is None or j in counted)]
@@ -160,7 +160,7 @@ class Knowledge:
     def counted_teammates(self, scope: Scope) -> Collection[int]:
         """Return the ids whose actions count in its utility: all, those it hears directly, or those of its component.
 
-        If positions are not sensed, the scope is ignored and all count.
+        If it does not sense the positions of teammates, the scope is ignored and all count.
         """
         if scope == "heard" or not self.senses_others:
             return range(self.team_size)

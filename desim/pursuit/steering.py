@@ -1,4 +1,4 @@
-"""Steering: the velocities of all players, at each motion step and when an action changes within one."""
+"""Steering: the velocities of all players, set at each motion step and when an action changes within a step."""
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class Steering:
         self._players.set_velocities(velocities)
 
     def _all_velocities(self) -> Points:
-        """Return the (N,) velocities of the pursuers at the start of a step as if all evaders were in range, m/s."""
+        """Return the (N,) velocities of the pursuers at the start of a step, as if all evaders were sensed, m/s."""
         actions, segments = self._actions, [target.path.last for target in self._targets]
         pursuers, paces = self._players.positions()[: len(actions)], self._paces
         if len(segments) == 1:

@@ -1,6 +1,6 @@
 """The true state of a pursuit: positions, velocities and actions of all players.
 
-Views read it; the world changes it.
+Views read the state; the world changes it.
 """
 
 from collections.abc import Sequence
@@ -106,7 +106,7 @@ class WorldState:
             body.set_chasers(np.equal(actions, body.number))
 
     def capture(self, body: EvaderBody) -> None:
-        """Capture an evader: it stands still, and its pursuers are inactive until their actions are set."""
+        """Mark an evader as captured: it stands still, and its pursuers are inactive until their actions are set."""
         body.captured = self.now
         self.at_large = tuple(each for each in self.at_large if each != body.number)
         chasing = self.actions == body.number

@@ -1,4 +1,4 @@
-"""The signals that ask a program to end: SIGINT (Ctrl-C), SIGTERM (`kill`, batch systems) and SIGHUP (terminal)."""
+"""The signals that ask a program to end: SIGINT (Ctrl-C), SIGTERM (`kill`, batch systems), SIGHUP (closed terminal)."""
 
 import signal
 import sys
@@ -35,7 +35,8 @@ def exit_code(error: KeyboardInterrupt) -> int:
 def raising() -> Iterator[None]:
     """Make SIGTERM and SIGHUP raise Terminated in the main thread.
 
-    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed.
+    A signal that already has a handler, or is ignored (as SIGHUP under nohup), is not changed. In another thread, this
+    has no effect.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

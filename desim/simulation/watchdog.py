@@ -25,7 +25,7 @@ class TimedOut(BaseException):
 
 
 def checked_limit(limit: float) -> float:
-    """Return a time limit, s; raise ValueError if it is not a valid one."""
+    """Return a time limit, s; raise ValueError if it is not valid."""
     if not 0.0 < limit <= TIMEOUT_MAX:
         raise ValueError(f"should be a time > 0 s (got {limit:g})")
     return limit
@@ -39,7 +39,7 @@ def within(limit: float) -> Iterator[None]:
     Python instructions, also in an endless loop; a call into C finishes first. Other code may swallow the exception:
     pydantic's serialiser drops it or raises another one. The watching thread therefore raises it again while the block
     lasts, but not while an earlier one is propagating, so that clean-up is not interrupted. A block that exceeds its
-    limit always ends with TimedOut, whatever it raises or returns, except KeyboardInterrupt and GeneratorExit.
+    limit always ends with TimedOut, unless it raises KeyboardInterrupt or GeneratorExit.
 
     Raises:
         ValueError: if the limit is not a valid time, s.
@@ -93,7 +93,7 @@ def place_of(error: BaseException) -> str:
 
 
 def short(file: str) -> str:
-    """Return the path of a source file relative to the parent of its folder."""
+    """Return the name of a source file after that of its folder: "kernel/clock.py"."""
     return "/".join(Path(file).parts[-2:])
 
 

@@ -1,7 +1,7 @@
 """The imperfections of a scenario, and functions that remove them one by one.
 
-Two properties are not imperfections: the graph, which defines which pursuers are linked, and the decision rate where
-pursuers take no turns.
+Two properties do not count as imperfections: the graph, which defines the links between pursuers, and the decision rate
+of pursuers that take no turns.
 """
 
 from collections.abc import Callable, Mapping
@@ -60,8 +60,8 @@ def without_faults(scenario: Scenario) -> Scenario:
 def without_serial_decisions(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers take no turns: no decision waits for those of teammates.
 
-    If messages of the schedule, such as a token, carry the actions, pursuers instead announce each change of action
-    immediately and repeat it with every heartbeat. A scenario without turns is returned unchanged.
+    If messages of the schedule, such as a token, carry the actions, pursuers then announce each change of action
+    immediately instead, and repeat it with every heartbeat. A scenario without turns is returned unchanged.
     """
     protocol: object = scenario.protocol
     schedule = scenario.schedule_traits
@@ -78,8 +78,8 @@ def without_serial_decisions(scenario: Scenario) -> Scenario:
 def without_staleness(scenario: Scenario) -> Scenario:
     """Return the scenario in which pursuers announce actions at once, sense positions and know the initial actions.
 
-    Announcements are repeated, and beliefs about silent teammates expire. A protocol that reads announcements only for
-    positions then senses these, and so needs no messages.
+    Announcements are repeated, and beliefs about silent teammates expire. A protocol that uses announcements only for
+    positions then senses the positions instead and needs no messages.
     """
     ideal = {"payload": "action", "trigger": "both", "belief_timeout": "auto", "warm_start": True}
     return scenario.model_copy(update={"announce": scenario.announce.model_copy(update=ideal)})
@@ -113,13 +113,13 @@ def _with_network(scenario: Scenario, **ideal: Any) -> Scenario:
 
 
 def _links_without(network: Links, key: str) -> tuple[Any, ...]:
-    """Return the links with their own models, without the model named `key`; drop links that have no model left."""
+    """Return the links with models of their own, without the model `key`; drop links that have no model left."""
     bare = [link.model_copy(update={key: None}) for link in network.link]
     return tuple(link for link in bare if (link.latency, link.loss, link.order) != (None, None, None))
 
 
 def _graph_without(scenario: Scenario, key: str) -> Any:
-    """Return the graph without one property of its edges."""
+    """Return the graph of a scenario, without one property (`key`) of its edges."""
     made = scenario.network.graph(scenario.team.count).copy()  # a graph model may return one shared object
     own = [data for _, _, data in made.edges(data=True) if key in data]
     for data in own:

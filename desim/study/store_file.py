@@ -1,4 +1,4 @@
-"""The SQLite file of a store: its tables, its journal, and the checks of what is read.
+"""The SQLite file of a store: its tables, its journal, and the checks of its content.
 
 Each row has a checksum. Opening a file checks its schema, its structure and each row, so a store that was damaged or
 edited is refused. The checksums detect accidents; they do not protect against forgery.
@@ -211,7 +211,8 @@ def _address(path: Path, read_only: bool) -> str:
     """Return the URI with which SQLite opens a file.
 
     A file that is not writable is opened as immutable, because SQLite cannot open it otherwise if it has a write-ahead
-    log. If its journal has content, it is opened read-only, because SQLite ignores the journal of an immutable file.
+    log. If the journal has content, the file is opened read-only instead, because SQLite ignores the journal of an
+    immutable file.
     """
     options = "rwc"
     if read_only:
@@ -295,7 +296,7 @@ def _known_schema(metrics: tuple[str, ...] = ()) -> Mapping[str, tuple[str, str 
 def _check_schema(path: Path | None, there: Mapping[str, tuple[str, str | None]], database: sqlite3.Connection) -> None:
     """Raise StoreError unless a database has exactly the schema of a store.
 
-    Otherwise a trigger, or a view in place of a table, could run SQL of the file's author in every command.
+    Another schema could contain a trigger, or a view in place of a table, that runs SQL of the file's author.
     """
     known = _known_schema()
     if "about" not in there:

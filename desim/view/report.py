@@ -142,11 +142,11 @@ def _waterfalls(found: Explanation) -> Iterator["Markup"]:
 
 
 def findings(study: Study) -> Iterator[str]:
-    """Yield what was found, in sentences: the greatest cost of an imperfection, and the greatest paired difference.
+    """Yield the findings as sentences: the greatest cost of an imperfection, and the greatest paired difference.
 
-    Each is that of the first metric of the tables. Whether it is distinguishable from 0 is judged at 5 % in all,
-    however many differences there are (Bonferroni); the interval given is that of the one difference, as in the tables.
-    There is no sentence if nothing can be compared.
+    A cost refers to the first metric of the explanation, a difference to the first measured metric of the tables. The
+    test for a difference from 0 has a level of 5 % for all costs or all differences together (Bonferroni). The interval
+    shown is that of the single difference, as in the tables. If nothing can be compared, there is no sentence.
     """
     if study.explanation:
         yield from _greatest_cost(study.explanation)
@@ -155,7 +155,7 @@ def findings(study: Study) -> Iterator[str]:
 
 
 def _greatest_cost(explanation: Explanation) -> Iterator[str]:
-    """Yield which imperfection changes the first metric of an explanation most."""
+    """Yield a sentence about the imperfection that changes the first metric of an explanation most."""
     cost = next(iter(explanation.costs.values()))
     parts = [(name, saving.mean) for name, saving in cost.parts.items() if saving.mean.count > 1]
     if not parts:
@@ -171,7 +171,7 @@ def _greatest_cost(explanation: Explanation) -> Iterator[str]:
 
 
 def _greatest_difference(study: Study) -> Iterator[str]:
-    """Yield which key of the grid changes the first metric of the tables most."""
+    """Yield a sentence about the key of the grid that changes the first measured metric of the tables most."""
     result = study.result
     metric = next((each for each in (*SHOWN, *result.units) if each in study.measured), None)
     if not result.common or metric is None:
@@ -201,9 +201,10 @@ def _greatest_difference(study: Study) -> Iterator[str]:
 
 
 def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, tuple[int, Estimate]]:
-    """Return, for the configurations without the first value of a key, the one with it that is else equal.
+    """Return the paired difference of each configuration from its reference, by its position in `groups`.
 
-    The values are its position in `groups` and the paired difference from it.
+    The reference has the first value of a key and is otherwise equal. Each value is the position of the reference and
+    the difference. References themselves are absent.
     """
     others = result.first_along(key)
     found = {other: result.differences(metric, reference=other) for other in set(others)}
@@ -211,7 +212,7 @@ def _differences_along(result: SweepResult, key: str, metric: str) -> dict[int, 
 
 
 def _excludes_0(found: Estimate, count: int) -> bool:
-    """Return whether a mean, one of `count`, differs from 0 at a level of 5 % / count."""
+    """Return whether one of `count` means differs from 0 at a level of 5 % / `count` (two-sided t test)."""
     from scipy.special import stdtrit
 
     return bool(abs(found.mean) > stdtrit(found.count - 1, 1.0 - 0.025 / count) * found.standard_error)
