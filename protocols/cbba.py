@@ -87,7 +87,7 @@ def decision(
 ) -> Verdict:
     """Return the action of receiver i, with winner z_i, on a claim z_k of sender k (Choi et al. 2009, Table I).
 
-    A key of the table is (winner according to k, winner according to i); m and n are different pursuers, not i or k.
+    A key of the table is (winner according to k, winner according to i); m and n are two pursuers other than i and k.
     """
     higher = Bid(z_k, y_k).rank > Bid(z_i, y_i).rank
     newer_of_theirs, newer_of_mine = (m != NO_WINNER and s_k[m] > s_i[m] for m in (z_k, z_i))

@@ -9,8 +9,8 @@ Parameters: slot (time between two decisions), hysteresis; for Argmin the measur
 Time: all pursuers compute the owner of an evader, the pursuer of least measure, at the instants k * slot of their
     clocks. Ties go to the lowest id. With a hysteresis of 0.1, another pursuer takes over only if its measure is more
     than 10 % below the present owner's. A pursuer that would be late (phi >= r) is never an owner.
-    Owners of several evaders are assigned greedily: the pair (pursuer, evader) of least measure first, then the other
-    pursuers and evaders likewise.
+    With several evaders, owners are assigned greedily: first the pair (pursuer, evader) of least measure, then the pair
+    of least measure among the other pursuers and evaders, and so on.
 Assumes: positions or capture times known to all. No crashes: where positions are sensed, no pursuer notices that the
     owner has stopped. With hysteresis all pursuers must store the same present owner, which requires equal clocks.
     Voronoi: equal speeds, so that the nearest pursuer is the fastest to capture.
@@ -55,7 +55,7 @@ class Geometric(Value):
         return ("no_crashes", "equal_clocks") if self.hysteresis else ("no_crashes",)
 
     def measure(self, me: Agent, evader: int) -> Measure:
-        """Return the measure by which pursuers are compared for an evader; the measure is called once per slot."""
+        """Return the function that measures the pursuers for an evader; the function is called once per slot."""
         raise NotImplementedError
 
     def __call__(self, me: Agent) -> Process:
@@ -126,8 +126,8 @@ class Argmin(Geometric):
 class Velocity:
     """A velocity estimated from positions at irregular times by a low-pass filter: dw/dt = (dx/dt - w) / T.
 
-    It starts at the mean velocity between the first two positions, and is 0 before the second. It is constant while the
-    position is unknown (nan).
+    The estimate is 0 until two successive positions are known, then starts at the mean velocity between them. It is
+    constant while the position is unknown (nan).
     """
 
     def __init__(self, time_constant: float):
@@ -136,7 +136,7 @@ class Velocity:
         self._velocity: complex | None = None
 
     def __call__(self, now: float, place: complex) -> complex:
-        """Return the velocity estimate, m/s, after an observation of the evader at a time, s, and a position, m."""
+        """Return the velocity estimate, m/s, updated with the position of the evader (m) at time now (s)."""
         if isnan(place.real):
             self._seen = None
             return self._velocity or 0j
@@ -156,13 +156,13 @@ def owners(
     present: Mapping[int, Collection[int | None]],
     hysteresis: float,
 ) -> dict[int, int]:
-    """Return the owner of each evader; a pursuer owns one evader at most. See `first`.
+    """Return the owner of each evader that has one; a pursuer owns at most one evader (see `first`).
 
     Args:
         ids: (n,) ids of the pursuers, ascending.
         measures: for each evader, (n,) measures of the pursuers.
         present: for each evader, its present owner or owners.
-        hysteresis: share by which a pursuer must be better than the present owner.
+        hysteresis: share by which the measure of a pursuer must be below that of the present owner to take over.
     """
     found: dict[int, int] = {}
     while measures:
@@ -182,8 +182,8 @@ def first(ids: Sequence[int], measures: Floats, present: Collection[int | None],
     Args:
         ids: (n,) ids of the pursuers, ascending.
         measures: (n,) measures of the pursuers; inf for a pursuer that cannot be the owner.
-        present: the present owner, or several, of which the one of least measure counts.
-        hysteresis: share by which the pursuer of least measure must be better to take over.
+        present: the present owners; if there are several, the one of least measure counts.
+        hysteresis: share by which the least measure must be below that of the present owner to take over.
     """
     best = int(measures.argmin())  # ties: the lowest id
     if measures[best] == inf:

@@ -1,7 +1,7 @@
 """Schedules: when each pursuer revises its action.
 
-A schedule is called with an agent and a function `revise`, and returns a process that waits, calls `revise`, lets the
-pursuer announce its action, and waits again. `mean_slot(me)` is delta, the mean time between two revisions in the whole
+A schedule is called with an agent and a function `revise`. It returns a process that repeatedly waits, calls `revise`,
+and lets the pursuer announce its action. `mean_slot(me)` is delta, the mean time between two revisions in the whole
 team.
 
 Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchronous learning of Blume 1993. Rounds:
@@ -10,7 +10,7 @@ Paper: SharedSeed: the order of Lee & Bakolas, Algorithm 2. Poisson: the asynchr
 Parameters: for each, the period or rate of revisions.
 Assumes: for SharedSeed and Rounds, equal clocks; for Poisson and Periodic, nothing.
 Messages: none.
-Robust to loss: yes, for nothing is sent.
+Robust to loss: yes, because a schedule uses no messages.
 """
 
 from collections.abc import Callable, Iterator
@@ -66,7 +66,7 @@ class SharedSeed(Value):
 
 
 class Poisson(Value):
-    """Each pursuer revises at the ticks of its own Poisson clock: asynchronous, no messages, i.i.d. order."""
+    """Each pursuer revises at the ticks of its own Poisson clock, so the order of revisions is i.i.d. and uniform."""
 
     kind: Literal["poisson"] = "poisson"
     rate: Rate = 5.0
@@ -86,9 +86,10 @@ class Poisson(Value):
 
 
 class Rounds(Value):
-    """In every round all pursuers revise, or each with a probability; they announce after all decisions of the round.
+    """In every round each pursuer revises with probability `participation`; announcements follow all decisions.
 
-    The Gibbs law does not hold, but in the relay game this schedule settles fastest: all pursuers revise at once.
+    The stationary distribution is not the Gibbs distribution, but in the relay game this schedule settles fastest,
+    because all pursuers revise at once.
     The theorem of Marden & Shamma 2012 on independent revisions does not apply: there the probability of revising
     tends to 0 with tau, as exp(-m / tau), while `participation`, q, is constant.
     """
@@ -120,8 +121,8 @@ class Rounds(Value):
 class Periodic(Value):
     """Each pursuer revises at the ticks of its own timer with a random phase.
 
-    Use some jitter. An evader may chatter between its two nearest pursuers: it flees from one in every second
-    motion step and from the other in between. Without jitter, a timer whose period is an even number of motion steps is
+    Use some jitter. An evader may chatter between its two nearest pursuers: it flees from one of them in even motion
+    steps and from the other in odd ones. Without jitter, a timer whose period is an even number of motion steps is
     synchronous with the evader and may sample the same state for seconds.
     """
 
@@ -136,7 +137,7 @@ class Periodic(Value):
         return self.period / me.team_size
 
     def __call__(self, me: Agent, revise: Callable[[], None]) -> Process:
-        """Revise after each wait of about a period."""
+        """Revise after waits of one period, varied by the jitter; the first wait is the random phase."""
         rng = me.stream("periodic")
         yield me.sleep(rng.uniform(0.0, self.period))
         while True:
@@ -159,7 +160,7 @@ class Periodic(Value):
 def ticks(me: Agent, period: float, first: int = 0, phase: float = 0.0) -> Iterator[float]:
     """Yield the instants phase + k * period, k = first, first + 1, ..., on the local clock, s.
 
-    Past instants are skipped, such as those during a crash.
+    Instants in the past, such as those during a crash, are skipped.
     """
     for k in count(first):
         tick = phase + k * period

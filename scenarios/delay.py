@@ -1,11 +1,11 @@
 """Measure the cost of latency: the scaling law of excess active time, and a heat map over latency and slot.
 
-The law: if all pursuers start active and decide greedily, the excess active time int (n - 1)+ dt is
-g_N(L lambda) N^2 delta, with the one-way latency L, the decision rate lambda of a pursuer and delta = 1 / (N lambda).
-First g is measured on static games, for several schedules. Then the sum of active times of the moving pursuit is
-predicted, without any fit, over a grid of latencies and slots: it is the active time of the centralised benchmark plus
-g N^2 delta. Where the prediction exceeds about 30 s, the evader is captured before the excess has decayed, so the
-measured sum is lower.
+The law: if all pursuers start active and decide greedily, the excess active time is g_N(L lambda) N^2 delta. The excess
+is the integral of max(n - 1, 0) over time, where n is the number of active pursuers. L is the one-way latency, lambda
+the decision rate of a pursuer, and delta = 1 / (N lambda). First, g is measured on static games, for several schedules.
+Then the sum of active times of the moving pursuit is predicted, without any fit, over a grid of latencies and slots: it
+is the active time of the centralised benchmark plus g N^2 delta. Where the prediction exceeds about 30 s, the evader is
+captured before the excess has decayed, so the measured sum is lower.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ from scenarios.delay_runs import (
 
 
 def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
-    """Return the law, and the active times over latency and slot, as text."""
+    """Return two tables as text: the measured law, and the active times over latency and slot."""
     at = {(point.schedule, point.delay): point for point in points}
     rows = [("L lambda", *SCHEDULES)]
     for delay in DELAYS:
@@ -57,7 +57,7 @@ def table(points: Sequence[Point], cells: Sequence[Cell], runs: int) -> str:
 
 
 def picture(points: Sequence[Point], cells: Sequence[Cell]) -> "Figure":
-    """Draw the law for each schedule, and the heat map with the prediction of the law."""
+    """Return a figure of the law for each schedule, and of the heat map with the prediction of the law."""
     from desim.analysis import palette, plots
 
     with plots.styled(figsize=(9.0, 3.9)) as figure:

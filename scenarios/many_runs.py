@@ -79,7 +79,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class NegotiationSummary:
-    """The results of the static games of one size under one protocol."""
+    """The results of the static games of one size, protocol, number of slots and temperature."""
 
     pursuers: int
     evaders: int
@@ -132,19 +132,19 @@ class PursuitSummary:
 
 
 def slow(slots: int) -> GeometricTau:
-    """Return a temperature that falls from `HOT` to `COLD` over a number of slots, except the last share `SETTLING`."""
+    """Return a temperature that falls from `HOT` to `COLD` over the first 1 - `SETTLING` of a number of slots."""
     ratio = (COLD / HOT) ** (1.0 / ((1.0 - SETTLING) * slots))
     return GeometricTau(first=HOT, ratio=ratio, floor=COLD)
 
 
 def cooled(name: str, slots: int) -> Temperature | None:
-    """Return the temperature of a contender, None if it has none; slow cooling takes a number of slots."""
+    """Return the temperature of a contender; None without one. `slots` is the duration of slow cooling."""
     cooling = CONTENDERS[name][1]
     return None if cooling is None else slow(slots) if cooling == "slow" else FAST
 
 
 def protocol(kind: str, slot: float, tau: Temperature | None = None) -> Any:
-    """Return a protocol with a slot, s; if it has a schedule, one pursuer decides in each slot."""
+    """Return a protocol of a kind with a slot, s; if it has a schedule, one pursuer decides in each slot."""
     fields = PROTOCOLS.choices()[kind].model_fields
     settings: dict[str, Any] = {"slot": slot} if "slot" in fields else {}
     if "schedule" in fields:
@@ -158,7 +158,7 @@ def moving_game(pursuers: int, evaders: int, kind: str, tau: Temperature | None 
 
 
 def static_game(pursuers: int, evaders: int, kind: str, slots: int, tau: Temperature | None = None) -> Scenario:
-    """Return the static game of t = 0, negotiated for a number of slots."""
+    """Return the game of `moving_game` with all players at rest, negotiated for a number of slots."""
     return _game(pursuers, evaders, kind, protocol(kind, HORIZON / slots, tau), Motion(static=True))
 
 
@@ -201,7 +201,7 @@ def chase(result: Result) -> Chase:
 
 
 def run_static_games(options: Options) -> list[NegotiationSummary]:
-    """Run static games: all protocols at each size; at size `HARD` the SAP variants by slots and temperature."""
+    """Run static games: all protocols at each size, and at size `HARD` the SAP variants by slots and temperature."""
     by_size: list[Key] = [(size, name, BUDGET, None) for size in SIZES for name in CONTENDERS]
     hard: list[Key] = [(HARD, name, slots, None) for slots in BUDGETS for name in COOLED]
     hard += [(HARD, kind, BUDGET, tau) for tau in TEMPERATURES for kind in ("sap", "selective_sap")]
@@ -246,7 +246,7 @@ def run_pursuits(options: Options) -> list[PursuitSummary]:
 def summarize_pursuits(
     size: tuple[int, int], name: str, candidate: Sequence[Chase], reference: Sequence[Chase]
 ) -> PursuitSummary:
-    """Return the results of pursuits, and their difference to the reference with the same seeds."""
+    """Return the results of pursuits, with the paired difference to the reference runs with the same seeds."""
     captured = estimate([each.captured for each in candidate])
     duration = estimate([each.duration for each in candidate])
     paired = estimate([each.duration - other.duration for each, other in zip(candidate, reference, strict=True)])

@@ -1,8 +1,8 @@
 """Age of information and errors of beliefs.
 
 The age of information of a reader about a source is the time since the source announced the newest record that the
-reader has received (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). Over time it is a
-sawtooth, which drops at each reception of a newer record (`desim.analysis.knowledge`).
+reader has received (Kaul, Yates & Gruteser 2012, "Real-Time Status: How Often Should One Update?"). The age grows at
+rate 1 and drops at each reception of a newer record, so it is a sawtooth (`desim.analysis.knowledge`).
 
 These metrics need the messages of a run: `record.messages = true`.
 """
@@ -40,7 +40,8 @@ class Ages:
 def ages(result: Result) -> Ages:
     """Return the ages of information of all pairs.
 
-    A pair counts from its first reception on; after a reader has lost its memory, from the next reception on.
+    A pair counts from its first reception on. After a reader has lost its memory, its pairs count again from their next
+    reception on.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -86,10 +87,10 @@ def age_at_decision(result: Result) -> float:
 def belief_error(result: Result) -> float:
     """Return the share of ordered pairs in which the source's action differs from the last one the reader received.
 
-    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start readers know all
+    It is averaged over time, in [0, 1]; nan if there are no pairs or no time passed. At the start, readers know all
     actions or, without `announce.warm_start`, take all pursuers for inactive. The time-out of beliefs
-    (`announce.belief_timeout`) plays no part: the metric judges records received, not conclusions from them. With
-    several evaders, a record is wrong if it names an evader that the source does not chase, such as one captured since.
+    (`announce.belief_timeout`) has no effect on this metric, which compares the received records only. With several
+    evaders, a record is wrong if it names an evader that the source does not chase, such as one captured since.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -102,10 +103,10 @@ def belief_error(result: Result) -> float:
 
 
 def believed_leaders(result: Result) -> float:
-    """Return the number of active pursuers whose last records show no other active pursuer, averaged over time.
+    """Return the number of active pursuers whose newest records show no other active pursuer, averaged over time.
 
-    With several evaders, only pursuers of the same evader count. nan if no time passed; see `belief_error` for the
-    beliefs at the start.
+    With several evaders, a pursuer counts if its records show no other pursuer of the evader that it chases. The result
+    is nan if no time passed. For the beliefs at the start see `belief_error`.
 
     Raises:
         ValueError: if messages were sent and not recorded.
@@ -123,7 +124,7 @@ def believed_leaders(result: Result) -> float:
 
 
 def _split(known: Pieces, role: str, size: int) -> Iterator[Pieces]:
-    """Yield the pieces of each reader, or of each source, by id."""
+    """Yield the pieces of each reader, or of each source, in order of id."""
     ordered = known[np.argsort(known[role], kind="stable")]
     edges = np.searchsorted(ordered[role], np.arange(size + 1))
     yield from (ordered[first:last] for first, last in pairwise(edges))
@@ -148,7 +149,7 @@ class _TrueActions:
 
 
 def _true_actions(result: Result) -> Iterator[_TrueActions]:
-    """Yield the true actions of each pursuer, by id."""
+    """Yield the true actions of each pursuer, in order of id."""
     actions = [[(0, active)] for active in started(result).active]
     for change in changes(result):
         actions[change.pursuer].append((change.t, action(change)))
@@ -160,7 +161,7 @@ def _true_actions(result: Result) -> Iterator[_TrueActions]:
 
 
 def _at_decisions(result: Result, pieces: Pieces) -> tuple[Floats, Integers]:
-    """Return, for each piece, the sum of the ages at its reader's decisions in it, s, and the number of decisions."""
+    """Return the sum of the ages, s, at the reader's decisions during each piece, and the number of these decisions."""
     decisions: list[list[tuple[int, int]]] = [[] for _ in started(result).active]
     for place, event in enumerate(result.trace):
         if isinstance(event, Decided):

@@ -1,4 +1,4 @@
-"""Invariants of every pursuit: watchers of one run that raise AssertionError if an invariant is broken.
+"""Invariants of pursuits: watchers of one run that raise AssertionError if an invariant is broken.
 
     result = watched(scenario, seed)
     result = run(scenario, seed, MotionWatcher(scenario), PotentialWatcher(scenario))
@@ -36,7 +36,8 @@ ROUNDING = 1e-9
 def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> Result:
     """Run a scenario as `run` does, with the watchers whose invariants hold in every run, and return the result.
 
-    They are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`. Use it in tests of a protocol or a model.
+    These watchers are `Conservation`, `ActiveTimeWatcher` and `MotionWatcher`. Use this function in tests of a protocol
+    or a model.
 
     Raises:
         AssertionError: if an invariant is broken.
@@ -50,7 +51,7 @@ def watched(scenario: Scenario, seed: int | None = None, *watchers: Watcher) -> 
 class ActiveTimeWatcher:
     """A watcher with a stopwatch for each pursuer, which runs while the pursuer is active.
 
-    `judge` compares the metrics of a run with the stopwatches.
+    After the run, `judge` compares the metrics of active time and energy with the stopwatches.
 
     Attributes:
         profile: (N,) actions of the pursuers, as in `Decided`.
@@ -111,9 +112,9 @@ class ActiveTimeWatcher:
 class MotionWatcher:
     """A watcher of the positions of all players, at every sample of the trajectory (`record.trajectory`).
 
-    Positions are continuous, and no player exceeds its speed: between two samples a pursuer moves at most v_i times the
-    time for which it was active, and an evader at most v_e times the time for which it was at large. In a static game
-    no player moves.
+    The invariant is that positions are continuous and no player exceeds its speed. Between two samples a pursuer moves
+    at most v_i times the time for which it was active, and an evader at most v_e times the time for which it was at
+    large. In a static game no player moves.
 
     Args:
         scenario: the scenario of the run.
@@ -156,19 +157,19 @@ class MotionWatcher:
 
 
 class PotentialWatcher:
-    """A check that no decision lowers the potential, which holds under the assumptions below.
+    """A watcher that checks that no decision lowers the potential; the invariant needs the assumptions below.
 
     The potential is the global utility Phi of the profile, with the capture times and the time left at the instant
     of the decision (`desim.pursuit.assignment.welfare`). With the utility `mean`, a change of action changes the
     pursuer's utility and Phi by the same amount. Therefore no decision lowers Phi if
 
-    - it is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
+    - each decision is a best or better reply: `best_response`, `better_reply`, or log-linear learning as tau -> 0;
     - pursuers decide one at a time, under neither `synchronous` nor `rounds`;
     - the beliefs of pursuers are true: an ideal complete network, a warm start, every change announced, no time-out of
       beliefs, no faults, exact clocks, and all players sensed (payload "action" or, in a static game, any payload).
 
-    Motion does not matter, because positions do not change at an instant; the potential may fall between decisions.
-    In a static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
+    Players may move, because positions do not change at an instant; the potential may fall between decisions. In a
+    static game all decisions are judged; otherwise only those at the instants of samples of the trajectory.
 
     Args:
         scenario: the scenario of the run.
@@ -207,7 +208,7 @@ class PotentialWatcher:
             self._judge(event.t)
 
     def _judge(self, t: int) -> None:
-        """Judge the pending decisions made at time t (ns), when positions are known, and drop all earlier ones."""
+        """Judge the pending decisions made at time t (ns), at which positions are known; discard earlier decisions."""
         left = seconds(self._horizon - (0 if self._static else t))
         for event, before, after in self._pending:
             if event.t == t:

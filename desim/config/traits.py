@@ -1,9 +1,12 @@
 """Optional attributes of models: a class of traits lists them in one place, with types, defaults and descriptions.
 
-A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. It
-has the traits that it has attributes for, own or inherited, and the defaults of all others. No base class is needed.
+A protocol, a schedule or a link model is any callable: a frozen model, an object of a user's class, or a function. Each
+of its attributes, own or inherited, with the name of a trait sets this trait; all other traits have their defaults. No
+base class is needed.
+
 An attribute of a function or a class whose name is one letter off that of a trait is an error, because its value would
-have no effect, unless the trait is there, too. Attributes set in `__init__`, or on a partial, are not checked.
+have no effect. It is allowed if the same function or class also has the trait. Attributes set in `__init__`, or on a
+partial, are not checked.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -22,9 +25,9 @@ SHORTEST = 5
 
 
 class Parameter(BeforeValidator):
-    """Marks a trait that is a parameter of some models; it has no effect if its value is of another type.
+    """Marks a trait that is a parameter of some models; a value of another type counts as absent (None).
 
-    Its name is not checked for typing errors: a model rejects unknown parameters itself.
+    The name of the trait is not checked for typing errors, because a model rejects unknown parameters itself.
 
     Args:
         types: the types of the parameter.
@@ -58,7 +61,7 @@ class Traits(Value):
 
     @classmethod
     def check(cls, value: Any) -> None:
-        """Raise ValueError if a value has an attribute one letter off a trait, or a trait of an invalid value."""
+        """Raise ValueError if an object has an attribute one letter off a trait, or a trait with an invalid value."""
         cls.of(value)
         names = tuple(cls.names())
         is_function = isinstance(value, FunctionType)
@@ -88,8 +91,8 @@ class Traits(Value):
 
 
 def attributes(value: Any, names: Iterable[str]) -> dict[str, Any]:
-    """Return those of some attributes that an object has, by name."""
-    if isinstance(value, BaseModel):  # whose search for an attribute that it lacks is slow
+    """Return the values of the named attributes by name; attributes that the object lacks are left out."""
+    if isinstance(value, BaseModel):  # `hasattr` is slow for an attribute that a model lacks
         known = _names_in(value.__class__)
         names = [name for name in names if name in known or name in value.__dict__]
     return {name: getattr(value, name) for name in names if hasattr(value, name)}
@@ -109,7 +112,7 @@ def name_of(value: Any) -> str:
 def _misspelt(traits: tuple[str, ...], names: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield (attribute, trait) for each name of an attribute that is one letter off a trait.
 
-    If there is an attribute of the right name, too, the similar one means something else; so does a private one.
+    Private attributes are ignored, and so are attributes similar to a trait that is among the names.
     """
     for trait in traits:
         if len(trait) >= SHORTEST and trait not in names:
@@ -125,7 +128,7 @@ def _misspelt_in(traits: tuple[str, ...], model: type) -> tuple[tuple[str, str],
 
 
 def is_one_letter_off(word: str, other: str) -> bool:
-    """Return whether a letter too many, missing or wrong, or two swapped letters, make one word of another."""
+    """Return whether two words differ by one inserted, deleted or replaced letter, or by two swapped neighbours."""
     begin = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(word, other, strict=False)))
     shorter, longer = sorted((word[begin:], other[begin:]), key=len)
     if len(shorter) < len(longer):

@@ -1,7 +1,7 @@
 """The clock of a simulation, in integer nanoseconds, and the order of simultaneous events.
 
 Seconds (float) are used only at the interfaces. With integers, 3 x 0.1 s and 30 x 0.01 s are the same instant, so
-rounding never separates simultaneous events. Those of different phases always happen in the order of `Phase`.
+rounding never separates simultaneous events. Simultaneous events of different phases happen in the order of `Phase`.
 
 No other module uses private parts of SimPy.
 """
@@ -70,7 +70,8 @@ class Clock(simpy.Environment):
     def run(self, until: "SimTime | simpy.Event | None" = None) -> Any:
         """Run as `simpy.Environment.run` does, with less frequent garbage collection.
 
-        Most objects of a simulation stay alive; scanning them again and again takes a third of the time of a large run.
+        Most objects of a simulation stay alive. With the usual thresholds, repeated scans of these objects take a third
+        of the time of a large run.
 
         Raises:
             BaseException: the exception that a process raised, with its notes; SimPy itself raises a copy without them.
@@ -103,7 +104,7 @@ def generator_of(process: simpy.Process) -> Any:
 
 
 def parts_of(event: simpy.Event) -> "Sequence[simpy.Event]":
-    """Return the events that a condition combines; for any other event, a list of the event itself."""
+    """Return the events that a condition combines; for any other event, a list with only this event."""
     return event._events if isinstance(event, Condition) else [event]
 
 

@@ -14,7 +14,7 @@ Disc = tuple[tuple[float, float], float]
 
 
 class FaultState:
-    """The active faults of a network; faults may overlap, and the caller that starts a fault also ends it."""
+    """The active faults of a network. Faults may overlap; each lasts until the caller ends it."""
 
     def __init__(self, positions: PositionFunction | None = None):
         self._positions = None if positions is None else as_position_source(positions)
@@ -52,13 +52,13 @@ class FaultState:
         self._down[node] -= 1
 
     def partition(self, groups: Iterable[Iterable[int]]) -> Cut:
-        """Separate groups of nodes from each other and from all other nodes; return the cut, to pass to `rejoin`."""
+        """Separate groups of nodes from each other and from all other nodes; return the cut, which `rejoin` ends."""
         cut = {node: number for number, group in enumerate(groups) for node in group}
         self._cuts.append(cut)
         return cut
 
     def rejoin(self, cut: Cut) -> None:
-        """End a partition."""
+        """End a partition, given the cut that `partition` returned."""
         self._cuts = [each for each in self._cuts if each is not cut]
 
     def jam(self, disc: Disc) -> None:

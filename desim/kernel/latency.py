@@ -41,12 +41,12 @@ class Constant(Value):
         return self.value
 
     def quantile(self, u: Floats) -> Floats:
-        """Return the latency, s, which does not depend on u."""
+        """Return the latency, s, which is the same for every u."""
         return np.full_like(u, self.value)
 
 
 class _Drawn(Value):
-    """The base of models whose draws are independent of the link."""
+    """Base of the models whose draws do not depend on the link."""
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Return (count,) draws, s."""
@@ -77,7 +77,7 @@ class Uniform(_Drawn):
         return self
 
     def quantile(self, u: Floats) -> Floats:
-        """Return low + u (high - low), s."""
+        """Return the u-quantile low + u (high - low), s."""
         return self.low + u * (self.high - self.low)
 
 
@@ -95,14 +95,14 @@ class ShiftedExponential(_Drawn):
         return self.offset + rng.exponential(self.mean, count)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return d0 - m ln(1 - u), s."""
+        """Return the u-quantile d0 - m ln(1 - u), s."""
         from scipy.special import xlog1py
 
         return self.offset - np.asarray(xlog1py(self.mean, -u))
 
 
 class Gamma(_Drawn):
-    """A fixed part plus a gamma-distributed one, the sum of several exponential stages."""
+    """A fixed part plus a gamma-distributed one; for integer k, the sum of k exponential stages."""
 
     kind: Literal["gamma"] = "gamma"
     offset: Time = 0.0
@@ -141,7 +141,7 @@ class Lognormal(_Drawn):
         return self.offset + rng.lognormal(log(self.mean) - self._variance / 2, sqrt(self._variance), count)
 
     def quantile(self, u: Floats) -> Floats:
-        """Return offset + mean exp(s z(u) - s^2 / 2) in seconds, where z(u) is the standard normal quantile."""
+        """Return the u-quantile offset + mean exp(s z(u) - s^2 / 2), s; z(u) is the standard normal quantile."""
         from scipy.special import ndtri
 
         logarithms = sqrt(self._variance) * np.asarray(ndtri(u)) - self._variance / 2
@@ -269,9 +269,9 @@ class _Pairs:
 
 
 def mean_latency(model: Latency) -> float | None:
-    """Return the mean latency of a built-in model, s; None for a model of a user.
+    """Return the mean latency of a built-in model, s; None for a user's model, also within `PerPair`.
 
-    Of `Propagation`, it is the fixed part, because the distances are not known.
+    For `Propagation` the fixed part is returned, because the distances are not known.
     """
     match model:
         case Constant():

@@ -1,7 +1,7 @@
 """Named random streams: many independent generators from one seed, none of them global.
 
-A stream depends only on the seed, its name and its index, not on other streams or on any swept value, so two scenarios
-with the same seed use common random numbers.
+A stream depends only on the seed, its name and its index, not on other streams or on swept values. Two scenarios with
+the same seed therefore use common random numbers.
 """
 
 import zlib
@@ -25,13 +25,13 @@ def pair_uniform(
     """Return (k,) uniform draws in (0, 1), one per pair (src, dst[k]), the same in every call with equal arguments.
 
     Each draw is a splitmix64 hash of the arguments (Steele, Lea & Flood 2014, "Fast Splittable Pseudorandom Number
-    Generators"), because a table for ten thousand nodes would have 10^8 entries.
+    Generators"). Draws are not stored, because a table for ten thousand nodes would have 10^8 entries.
 
     Args:
         seed: the seed of the run.
         name: the name of the random quantity.
-        src: one node.
-        dst: (k,) other nodes.
+        src: the first node of all pairs.
+        dst: (k,) the second node of each pair.
         number: the index of the draw of a pair, for instance the number of a message.
         symmetric: whether (i, j) and (j, i) have the same draw.
     """

@@ -83,7 +83,7 @@ def equilibria(phi: Sequence[float], reward: float, gain: Gain = gain, hearing: 
 
 
 def relay_pursuer(phi: Sequence[float], reward: float) -> int | None:
-    """Return the pursuer of least (phi, index), or None if its phi >= reward."""
+    """Return the pursuer of least capture time phi (ties: the lowest index), or None if its phi >= reward."""
     least = min(phi)
     return phi.index(least) if least < reward else None
 
@@ -120,8 +120,8 @@ def gibbs(phi: Sequence[float], reward: float, tau: float) -> Floats:
 def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]:
     """Return the probability of each action under log-linear learning, given the utilities (s).
 
-    The probabilities are proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), computed without overflow.
-    They are uniform at infinite temperature (inverse temperature 0), even for infinite utilities.
+    The probabilities are proportional to exp(utility / tau) (Lee & Bakolas, Algorithm 1), computed without overflow;
+    `inverse_temperature` is 1 / tau, 1/s. If it is 0, the probabilities are uniform, even for infinite utilities.
     """
     if inverse_temperature == 0.0:
         return [1.0 / len(utilities)] * len(utilities)
@@ -132,9 +132,10 @@ def logit(utilities: Sequence[float], inverse_temperature: float) -> list[float]
 
 
 def greedy_maximal_independent_set(phi: Sequence[float], reward: float, hearing: Hearing) -> Profile:
-    """Return the greedy maximal independent set of the pursuers with phi < reward, as a profile.
+    """Return the greedy maximal independent set of the graph of hearing, as a profile.
 
-    In order of (phi, index), a pursuer becomes active if it hears no active one.
+    The nodes are the pursuers with phi < reward. In order of (phi, index), a pursuer becomes active if it hears no
+    active one.
     """
     active = [False] * len(phi)
     for i in sorted(range(len(phi)), key=phi.__getitem__):

@@ -1,7 +1,7 @@
 """Guidance laws: the heading of a pursuer that chases an evader.
 
-A law maps the observed motion of the evader to the velocities of the whole team. Points and velocities are complex
-numbers, as in `desim.pursuit.state`.
+A law maps the observed positions and velocities of the evaders to the velocities of the whole team. Points and
+velocities are complex numbers, as in `desim.pursuit.state`.
 """
 
 from typing import Literal, Protocol
@@ -50,8 +50,8 @@ class ConstantBearing(Value):
 
     The point is x_e + w t for the least t > 0 with |x_e + w t - x_i| = v_i t. The line of sight keeps its direction b
     (parallel navigation): the pursuer matches the velocity of the evader across this line, and uses the rest of its
-    speed along it, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) - w_along;
-    if it is not positive, there is no intercept point.
+    speed along the line, u = b (sqrt(v^2 - w_across^2) + i w_across). The closing speed is sqrt(v^2 - w_across^2) -
+    w_along. There is no intercept point if the closing speed is not positive, or if |w_across| > v.
     """
 
     kind: Literal["constant_bearing"] = "constant_bearing"
@@ -72,7 +72,7 @@ class ConstantBearing(Value):
 def guided_velocities(
     law: Guidance, gaps: Points, aims: Points, evader_velocity: EvaderVelocity, speeds: Floats
 ) -> Points:
-    """Return the (N,) velocities given by a law, m/s; the arguments are those of `Guidance`.
+    """Return the (N,) velocities that a law gives, m/s; for the other arguments see `Guidance`.
 
     Raises:
         ValueError: if the law exceeds the speed of a pursuer.
@@ -84,7 +84,7 @@ def guided_velocities(
 
 
 def guided_velocity(law: Guidance, gap: complex, aim: complex, evader_velocity: complex, speed: float) -> complex:
-    """Return the velocity given by a law to one pursuer, m/s; see `guided_velocities`."""
+    """Return the velocity that a law gives one pursuer, m/s; see `guided_velocities`."""
     if isinstance(law, PurePursuit):  # the same result, several times faster
         return aim * (speed / max(abs(aim), SMALLEST))
     return complex(guided_velocities(law, np.array([gap]), np.array([aim]), evader_velocity, np.array([speed]))[0])

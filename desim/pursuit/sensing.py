@@ -1,9 +1,9 @@
 """Sensing of evaders by pursuers with a limited range, and estimation from past sightings.
 
-Within the sensing radius a pursuer sees the true position of an evader. Beyond it, the pursuer extrapolates the newest
-sighting it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its guidance use this estimate. The
-limit applies to evaders only: positions of teammates are sensed or announced over any distance, and all pursuers know
-which evaders are captured.
+Within the sensing radius a pursuer sees the true position of an evader. Beyond this radius, the pursuer estimates the
+position from the newest sighting that it knows, its own or a reported one (`Sensing.estimate`). Its decisions and its
+guidance use this estimate. The sensing radius applies to evaders only: teammates are sensed at any distance or announce
+their positions, and all pursuers know which evaders are captured.
 """
 
 from cmath import rect
@@ -103,7 +103,7 @@ class TeamSensor:
         self.look(state.now)
 
     def look(self, now: int) -> None:
-        """Record the evaders in the sensing range of each pursuer that is not down, at an instant, ns."""
+        """Record a sighting, at time now (ns), of each evader in the sensing range of a pursuer that is not down."""
         state, able = self._state, ~self._state.broken
         for evader in state.at_large:
             seeing = able & (state.distances(evader) <= self.sensing.radius)
@@ -113,7 +113,7 @@ class TeamSensor:
             self._velocities[row, seeing] = state.velocity(evader)
 
     def blind(self, actions: "Actions") -> list[int]:
-        """Return the pursuers whose evader is out of sensing range now, given the (N,) actions."""
+        """Return the pursuers that chase an evader out of their sensing range now, given the (N,) actions."""
         unseen = np.zeros(self._state.size, dtype=bool)
         for evader in self._state.at_large:
             unseen |= (actions == evader) & (self._state.distances(evader) > self.sensing.radius)
@@ -139,10 +139,10 @@ class SensedView(View):
     Args:
         state: the true state of the world.
         prune: which pursuers may not chase an evader.
-        pursuer: its id.
+        pursuer: the id of the pursuer.
         sensor: the sensors of the team, which keep the pursuer's own sightings.
         network: the network that delivers reports.
-        clock: its local clock.
+        clock: the local clock of the pursuer.
     """
 
     unlimited: ClassVar[bool] = False
@@ -162,11 +162,11 @@ class SensedView(View):
         self._reported: dict[int, Sighting] = {}
 
     def sees(self, evader: int) -> bool:
-        """Return whether an evader is within its sensing radius now."""
+        """Return whether an evader is within the sensing radius of the pursuer now."""
         return bool(self.state.distances(evader)[self._id] <= self._sensing.radius)
 
     def newest(self, evader: int) -> Sighting | None:
-        """Return the newest sighting of an evader, its own or a reported one; None if there is none."""
+        """Return the newest sighting of an evader, the pursuer's own or a reported one; None if there is none."""
         self._read_reports()
         reported = self._reported.get(evader)
         if self.sees(evader):
@@ -200,7 +200,7 @@ class SensedView(View):
         )
 
     def report(self) -> None:
-        """Send the neighbours the sightings that have not expired: its own and, with `relay`, reported ones."""
+        """Send the neighbours the newest sightings that have not expired; reported ones only with `relay`."""
         oldest = self._clock.now - self._sensing.track_timeout
         newest = [each for each in map(self.newest, self.state.at_large) if each is not None and each.seen >= oldest]
         reports = tuple(each for each in newest if self._sensing.relay or each is not self._reported.get(each.evader))
@@ -208,14 +208,14 @@ class SensedView(View):
             self._network.send(self._id, None, reports, port=PORT)
 
     def forget(self, *, heard_only: bool) -> None:
-        """Delete the reported sightings, and its own as well unless `heard_only`."""
+        """Delete the reported sightings and, unless `heard_only`, the pursuer's own."""
         self._read_reports()
         self._reported.clear()
         if not heard_only:
             self._sensor.forget(self._id)
 
     def _read_reports(self) -> None:
-        """Process the reports that have arrived."""
+        """Keep the newest sighting of each evader in the reports that have arrived."""
         for message in self._network.inbox(self._id, PORT).drain():
             for sighting in message.body:
                 known = self._reported.get(sighting.evader)
@@ -226,7 +226,8 @@ class SensedView(View):
 def spiral(length: float, apart: float) -> complex:
     """Return the point (m) at an arc length (m) on an Archimedean spiral from the origin with turns `apart` (m) apart.
 
-    The angle follows from r = apart angle / 2 pi and the arc length r angle / 2, an approximation for many turns.
+    The angle follows from the radius r = apart * angle / (2 pi) and the arc length r * angle / 2, which is accurate
+    after many turns.
     """
     if apart == 0.0:
         return 0j

@@ -23,17 +23,17 @@ GIT_VARIABLES = {"GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE", "GIT_COMMON_DIR",
 
 
 def environment() -> dict[str, Any]:
-    """Return all that results depend on besides scenario and seed, as JSON values."""
+    """Return the environment that results depend on in addition to the scenario and the seed, as JSON values."""
     commit, dirty = _checkout()
     return {"versions": _versions(), "platform": _platform(), "commit": commit, "dirty": dirty, "code": code()}
 
 
 @cache
 def code() -> str:
-    """Return a hash of the source code that a run depends on: the packages of `COMPUTING` and protocols.
+    """Return a hash of the code that a run depends on: `desim/*.py`, the packages of `COMPUTING`, and `protocols`.
 
-    Code that only lists metrics, stores or shows results is left out: `METRICS_MODULE`, `desim/cli`, `desim/results`,
-    `desim/study` and `desim/view`.
+    Code that only lists metrics, or stores or shows results, is left out: `METRICS_MODULE`, `desim/cli`,
+    `desim/results`, `desim/study` and `desim/view`.
     """
     here = Path(__file__).parents[1]
     files = [*here.glob("*.py"), *(file for part in COMPUTING for file in (here / part).glob("*.py"))]
@@ -47,7 +47,7 @@ def code() -> str:
 
 
 def _versions() -> dict[str, str | None]:
-    """Return the versions of python, desim, the distributions of `NUMERICS`, and those that add models to desim."""
+    """Return the versions of python, desim, the distributions of `NUMERICS`, and the installed plugins of desim."""
     plugged = {
         each.dist.name
         for group in entry_points().groups
@@ -77,9 +77,9 @@ def _platform() -> dict[str, str]:
 
 
 def _checkout() -> tuple[str | None, bool | None]:
-    """Return the commit that desim is imported from, and whether it has local changes; (None, None) without a commit.
+    """Return the commit that desim is imported from, and whether its files have changed; (None, None) without a commit.
 
-    The repository must track the package. A project with desim installed in its .venv, for example, does not track it.
+    The repository must track the package. For example, the repository of a project with desim in its .venv does not.
     """
     package = Path(__file__).parents[1]
     tracked = _git(package.parent, "ls-files", "--error-unmatch", "--", f"{package.name}/__init__.py")

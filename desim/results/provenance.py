@@ -1,6 +1,6 @@
 """The provenance of results: `run.json` records the command, scenario, seed and code, so that a run can be repeated.
 
-It has no date: the same command on the same code, in the same environment and folder, gives the same bytes.
+The file has no date: the same command on the same code, in the same environment and folder, writes the same bytes.
 """
 
 import json
@@ -73,8 +73,8 @@ def document(
     Args:
         what: the command (`RUN` or one of `OTHER_COMMANDS`) or the name of a study.
         scenario: the scenario of the runs, if there is only one.
-        seed: seed of the first run; the recorded scenario has it, too.
-        runs: number of runs; those of `desim run` have the seeds s, s + 1, ...
+        seed: seed of the first run; it replaces the seed in the recorded scenario.
+        runs: number of runs; the runs of `desim run` have the seeds `seed`, `seed` + 1, ...
         folder: folder of the scenario file, in which modules named by the scenario are looked up.
         more: further entries; infinity becomes the string "Infinity", as in the scenario.
     """
@@ -93,7 +93,7 @@ def document(
 
 
 def of_one(made: Document, seed: int) -> Document:
-    """Return the document of one of several runs."""
+    """Return the document of the run with this seed, given the document of several runs."""
     return made | {"seed": seed, "runs": 1, "scenario": made["scenario"] | {"seed": seed}}
 
 
@@ -114,8 +114,8 @@ def read(path: Path) -> Document:
     """Return the document in the run.json of runs, a sweep or a study.
 
     Raises:
-        ProvenanceError: if it is not a run.json; the message names all missing keys or wrong values.
-        OSError: if it cannot be read.
+        ProvenanceError: if the file is not a run.json; the message names all missing keys or wrong values.
+        OSError: if the file cannot be read.
     """
     content = regular_or_missing(path).read_bytes()
     try:
@@ -156,7 +156,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
     are looked up in the folder of the run.json, because an untrusted file may record any folder.
 
     Raises:
-        ProvenanceError: if it does not record runs, or names a model that cannot be imported.
+        ProvenanceError: if the document does not record runs, or names a model that cannot be imported.
         ScenarioError: if an override is wrong.
     """
     from desim.scenario.overrides import Source
@@ -179,7 +179,7 @@ def source(path: Path, made: Document, overrides: Sequence[str] = (), *, allow_i
 
 
 def differences(then: Document, now: Document) -> list[str]:
-    """Return the reasons why results may differ from the recorded ones: changed versions, platform or code."""
+    """Return the reasons why results may differ: changed versions, platform or code, and unrecorded parameters."""
     found = [
         f"{name} was {then[key].get(name) or 'unknown'} and is {now[key].get(name) or 'unknown'}"
         for key in ("versions", "platform")
@@ -208,10 +208,10 @@ def _errors(made: Document) -> Iterator[str]:
 
 
 def _given(scenario: Document) -> Document:
-    """Return the tables of a recorded scenario in a form in which each key can be overridden as in a file.
+    """Return the tables of a recorded scenario, in which each key can be overridden as in a scenario file.
 
-    Infinity becomes a number again. Network values equal to those of the preset, or to the defaults without a preset,
-    are removed, because they would override another preset.
+    The string "Infinity" becomes a number again. Network values equal to those of the preset (without one, to the
+    defaults) are removed, so that an override of the preset takes effect.
     """
     from desim.kernel.links import Links
     from desim.kernel.presets import PRESETS
@@ -235,7 +235,7 @@ def _not_importable(node: Any, place: tuple[str | int, ...] = ()) -> Iterator[tu
 
 
 def _unrecorded(node: Any, place: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted key of each object of a user's class that has parameters but is not a model or dataclass."""
+    """Yield the dotted key of each callable object with state of a class that is neither a model nor a dataclass."""
     from pydantic import BaseModel
 
     if isinstance(node, BaseModel):

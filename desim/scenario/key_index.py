@@ -1,4 +1,4 @@
-"""All keys of scenario files: where each lives, and with which kinds."""
+"""All keys of scenario files: the table and the allowed kinds of each key."""
 
 from collections.abc import Iterator
 from difflib import get_close_matches
@@ -30,14 +30,14 @@ class Key(NamedTuple):
 
 @cache
 def all_keys() -> tuple[Key, ...]:
-    """Return every key of scenario files, once for each kind of its table, those at the top first."""
+    """Return every key of scenario files, once for each kind of its table; keys of outer tables come first."""
     return tuple(sorted(_keys(Scenario, (), None, ()), key=lambda key: len(key.place)))
 
 
 def _keys(
     model: type[BaseModel], above: tuple[str, ...], owner: str | None, outer: tuple[type[BaseModel], ...]
 ) -> Iterator[Key]:
-    """Yield the keys of a model and of the models that it may hold; a model within itself is not entered again."""
+    """Yield the keys of a model and of the models within it; the recursion stops at a model that contains itself."""
     for name, field in fields_of(model).items():
         if name == "kind":
             continue
@@ -52,7 +52,7 @@ def _keys(
 
 
 def homes_of(name: str) -> list[Key]:
-    """Return the keys of this name in the outermost tables that have any; of the most similar name without any."""
+    """Return the outermost keys with a name; if there are none, those with the most similar name."""
     names = {key.place[-1] for key in all_keys()}
     wanted = name if name in names else next(iter(get_close_matches(name, names, n=1, cutoff=0.8)), None)
     found = [key for key in all_keys() if key.place[-1] == wanted]

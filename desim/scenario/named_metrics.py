@@ -1,4 +1,4 @@
-"""Metrics that a scenario names: functions of a user; the summary of a run has them beside the built-in metrics."""
+"""Metrics that a scenario names: a user's functions, which the summary of a run adds to the built-in metrics."""
 
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -34,7 +34,7 @@ def installed_metrics() -> Mapping[str, EntryPoint]:
 
 
 def _named(value: Any, info: ValidationInfo) -> NamedMetric:
-    """Return the metric that a text or a function stands for; an untrusted text may only name installed code."""
+    """Return the metric given as a function or a name; an untrusted scenario may only name installed code."""
     if isinstance(value, NamedMetric):
         return value
     if isinstance(value, FunctionType):
@@ -63,7 +63,7 @@ def _named(value: Any, info: ValidationInfo) -> NamedMetric:
 
 
 def _check_called(given: str, of: Any) -> None:
-    """Raise ValueError if an object is not a function of one argument."""
+    """Raise ValueError if an object cannot be called with one argument, or is a class."""
     if not callable(of) or isinstance(of, type):
         raise ValueError(f"{given!r} should be a function of a result (got {of!r})")
     try:

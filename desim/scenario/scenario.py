@@ -156,7 +156,7 @@ class Evader(Value):
     """Delay of its observations of the pursuers' positions and actions, s."""
 
     def start(self, seed: int, index: int = 0) -> NDArray[np.float64]:
-        """Return the (2,) initial position, m, of the evader with this index among all evaders of the scenario."""
+        """Return the (2,) initial position, m; `index` counts all evaders of the scenario from 0."""
         if self.position is not None:
             return np.array(self.position)
         return stream(seed, "evader", index).uniform(*self.box, size=2)
@@ -167,10 +167,10 @@ class Evader(Value):
         return StrategyTraits.of(self.strategy).listens
 
     def controller(self, rng: np.random.Generator, speeds: NDArray[np.float64], radius: float) -> EvaderController:
-        """Return the controller of one such evader in a run.
+        """Return the controller of one evader with these parameters in a run.
 
         Args:
-            rng: its own random stream.
+            rng: the random stream of the evader.
             speeds: (N,) speeds of the pursuers, m/s.
             radius: capture radius, m.
         """
@@ -274,23 +274,23 @@ class Scenario(Value):
 
     @property
     def evaders(self) -> tuple[Evader, ...]:
-        """(M,) parameters of each evader; evader j has index j - 1."""
+        """The parameters of each of the M evaders; evader j has index j - 1."""
         kinds = self.evader if isinstance(self.evader, tuple) else (self.evader,)
         return tuple(kind for kind in kinds for _ in range(kind.count))
 
     @property
     def protocol_name(self) -> str:
-        """The kind of its protocol, or the name of a protocol without a kind."""
+        """The kind of the protocol, or the name of its function or class if it has no kind."""
         return self.protocol_traits.kind or name_of(self.protocol)
 
     @property
     def protocol_traits(self) -> ProtocolTraits:
-        """The optional attributes of its protocol, with defaults."""
+        """The optional attributes of the protocol, with defaults."""
         return ProtocolTraits.of(self.protocol)
 
     @property
     def schedule_traits(self) -> ScheduleTraits:
-        """The optional attributes of the schedule of its protocol; the defaults if it has no schedule."""
+        """The optional attributes of the schedule of the protocol; the defaults if the protocol has no schedule."""
         return ScheduleTraits.of(self.protocol_traits.schedule)
 
     @property
@@ -352,7 +352,7 @@ class Scenario(Value):
 
 
 def _given(model: Value, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted key and the value of each field that differs from its default, in tables of one kind, too."""
+    """Yield the dotted key and the value of each field that differs from its default, also within tables."""
     for name, value in model.given().items():
         usual = type(model).model_fields[name].get_default(call_default_factory=True)
         if isinstance(value, Value) and type(value) is type(usual):

@@ -62,7 +62,7 @@ class Sweep(Value):
     @field_validator("grid")
     @classmethod
     def _names_no_code(cls, grid: dict[str, tuple[Any, ...]], info: ValidationInfo) -> dict[str, tuple[Any, ...]]:
-        """Refuse code named by an untrusted file here, because the values of a key are validated only later."""
+        """Reject code that an untrusted file names in the grid; the values themselves are validated later."""
         named = [] if is_trusted(info) else [(key, kind) for key, kind in _kinds(grid) if is_unlisted_import(kind)]
         if named:
             text = "; ".join(f"{key}: {refusal(kind)}" for key, kind in named)
@@ -94,7 +94,7 @@ def _kinds(grid: dict[str, tuple[Any, ...]]) -> Iterator[tuple[str, Any]]:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a value that JSON can represent; a function or class of a script is represented by its import name."""
+    """Return a value in a form that JSON can represent; of a function or an object, only the import name is kept."""
     if isinstance(value, Value):
         return value.model_dump()
     if isinstance(value, dict):

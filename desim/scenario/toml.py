@@ -61,10 +61,10 @@ BASE_DESCRIPTION = (
 
 
 def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
-    """Yield the source of a file without its key `base`, that of its base, that of the base of its base, and so on.
+    """Yield the source of a file without its key `base`, then the source of its base, and so on up the chain of bases.
 
     Raises:
-        ScenarioError: if a file is not valid TOML, or a base is not allowed, cannot be read or leads to a circle.
+        ScenarioError: if a file is not valid TOML, a base is not allowed or cannot be read, or the bases form a cycle.
         OSError: if the first file cannot be read.
     """
     source = _parsed(file, allow_import)
@@ -93,7 +93,7 @@ def _with_bases(file: Path, allow_import: bool) -> Iterator[Source]:
 
 
 def _relocate(tables: Any, folder: Path) -> None:
-    """Put a folder before the paths of data files that tables name; a user's class reads its parameters itself."""
+    """Prefix the paths of data files in tables with a folder, except the parameters of a user's class."""
     inner = tables.values() if isinstance(tables, dict) else tables if isinstance(tables, list) else ()
     for each in inner:
         _relocate(each, folder)
@@ -109,7 +109,7 @@ def _parsed(file: Path, allow_import: bool) -> Source:
         raise ScenarioError(f"{file}:{line}: not TOML: a key of more than 100 parts")
     try:
         tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also for a number too long, or tables nested too deeply
+    except (ValueError, RecursionError) as error:  # also if a number is too long or tables are nested too deeply
         raise ScenarioError(_syntax_error(file, str(error), text)) from error
     return Source(str(file), tables, key_lines(text), allow_import=allow_import)
 
@@ -125,7 +125,7 @@ def validate(source: Source) -> Scenario:
 
 
 def dump(scenario: Scenario) -> str:
-    """Return a scenario as TOML with every default filled in."""
+    """Return a scenario as TOML with all defaults; values of None are left out, because TOML has no null."""
     return tomli_w.dumps(scenario.model_dump(exclude_none=True))
 
 
@@ -139,7 +139,7 @@ def _read_text(file: Path) -> str:
 
 
 def _syntax_error(file: str | Path, message: str, text: str) -> str:
-    """Return the error message for a text that is not TOML, with file and line."""
+    """Return the message, with file and line, for a text that is not TOML."""
     found = re.search(r" \(at (?:line (\d+), column \d+|end of document)\)$", message)
     last = text.rstrip().count("\n") + 1
     if not found and (unread := unreadable(text)):  # a message without a line
@@ -193,8 +193,8 @@ def _locate(
 ) -> tuple[KeyPath, type[BaseModel] | None, FieldInfo | None]:
     """Return the place of an error in the file, the model of its table, and the field of its key.
 
-    The path in a pydantic error also contains the kind of each table that has one. For the other arguments see
-    `_explain`; `node` is the table.
+    The path in a pydantic error also contains the kind of each table that has one; the place does not. The argument
+    `node` is the table itself; for the others see `_explain`.
     """
     place = above
     owner: type[BaseModel] | None = None
@@ -216,7 +216,7 @@ def _locate(
 
 
 def _tags(info: FieldInfo) -> set[str]:
-    """Return the tags of kinds and union members, which pydantic adds to a path after a field or its item."""
+    """Return the kinds and the tags of union members; pydantic inserts them into a path after a field or its item."""
     markers = markers_of(info)
     kinds = {kind for each in markers if isinstance(each, OneOf) for kind in each.choices()}
     return kinds | {each.tag for each in markers if isinstance(each, Tag)}
@@ -305,16 +305,16 @@ def _suggestion(word: str, allowed: Sequence[str]) -> str:
 
 
 def _similar(word: str, allowed: Sequence[str]) -> list[str]:
-    """Return the allowed word for another one, or none."""
+    """Return the allowed words to suggest for another word: one, or none."""
     return [RENAMED[word]] if RENAMED.get(word) in allowed else get_close_matches(word, allowed, n=1)
 
 
 def _other_key(place: KeyPath, allowed: Sequence[str]) -> str:
-    """Return the keys to suggest for an unknown one: of its table, or of the same name in another table or kind."""
+    """Return a hint for an unknown key: a similar key of its table, or the same key in another table or kind."""
     word = str(place[-1]).split(".")[-1]
     close = _similar(word, allowed)
     homes = homes_of(word) or homes_of(RENAMED.get(word, word))
-    if close:  # then only a key of exactly this name is worth mentioning, and none if the word is an old name
+    if close:  # then suggest other tables only for a key of exactly this name, and none for a renamed key
         homes = [key for key in homes if key.place[-1] == word and close != [RENAMED.get(word)]]
     here = [each for each in place if isinstance(each, str)]
     if kinds := [key.owner for key in homes if key.owner and [each for each in key.place if each != "0"] == here]:

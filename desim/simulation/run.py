@@ -79,7 +79,7 @@ class Result:
         return trajectory(self, size)
 
     def replay(self) -> "Replay":
-        """Return the replay, a page that a notebook shows and `write` writes; needs jinja2 (the extra `plot`)."""
+        """Return the replay, a page to show in a notebook or to `write` to a file; needs jinja2 (the extra `plot`)."""
         from desim.view.replay import Replay
 
         return Replay.of(self)
@@ -88,9 +88,9 @@ class Result:
         return f"<{type(self).__name__} of {escaped(self.scenario.name)}, seed {self.seed}: {self._ended}>"
 
     def _repr_html_(self) -> str:
-        """Return a table for notebooks: scenario, seed, protocol, outcome, events; metrics are in `desim.analysis`.
+        """Return a table for notebooks: scenario, seed, protocol, outcome and number of events.
 
-        The trajectories follow, if positions were recorded and matplotlib (the extra `plot`) is installed.
+        A picture of the trajectories follows if positions were recorded and matplotlib (the extra `plot`) is installed.
         """
         rows = {
             "scenario": self.scenario.name,
@@ -109,7 +109,7 @@ class Result:
 
     @property
     def _picture(self) -> str:
-        """The trajectories as an image of HTML; "" if they cannot be drawn."""
+        """The trajectories as an HTML image; "" if positions were not recorded or matplotlib is missing."""
         if not self.trace.of(Sampled):
             return ""
         try:
@@ -208,7 +208,7 @@ class _PursuerPositions(PositionSource):
 def _sensor(
     scenario: Scenario, state: WorldState, network: Network, clocks: "Sequence[NodeClock]"
 ) -> TeamSensor | None:
-    """Return the sensors of a team with limited sensing; None if its sensing is unlimited."""
+    """Return the sensors of the team; None if sensing is unlimited or the protocol is omniscient."""
     if not scenario.sensing.limited or scenario.protocol_traits.omniscient:
         return None
     return TeamSensor(scenario.sensing, state, scenario.prune, network, clocks)
@@ -249,7 +249,7 @@ class _Team:
                 env.process(agent.repeat(view.report, period, "sightings"))
 
     def crashed(self, crash: Crash) -> None:
-        """Stop a pursuer if its robot, not only its radio, breaks down."""
+        """Stop a pursuer, unless only its radio crashes."""
         if crash.scope == "robot":
             self._open_crashes[crash.node].append(crash)
             if len(self._open_crashes[crash.node]) == 1:
@@ -261,7 +261,7 @@ class _Team:
                         process.interrupt(self._recoveries[crash.node])
 
     def recovered(self, crash: Crash) -> None:
-        """Resume a pursuer when the last of its overlapping crashes ends."""
+        """End a crash: resume the pursuer unless it has another crash, and delete the memory that it has lost."""
         node, remembers = crash.node, True
         if crash.scope == "robot":
             self._open_crashes[node].remove(crash)

@@ -14,7 +14,7 @@ Measured = TypeVar("Measured")
 
 
 def seeds_from(seed: int, runs: int) -> range:
-    """Return the seeds of a number of runs: run k has the seed `seed` + k, so any run can be repeated alone."""
+    """Return the seeds of several runs: run k has the seed `seed` + k, so each run can be repeated alone."""
     return range(seed, seed + runs)
 
 
@@ -37,7 +37,7 @@ def run_many(
         simulate: performs a run; called in the worker.
 
     Raises:
-        Exception: the first exception of a run.
+        Exception: the exception of the first run that is reported as failed.
         BrokenExecutor: if a run ended its worker process.
     """
     measured: list[Any] = [None] * len(tasks)

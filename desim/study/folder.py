@@ -1,4 +1,4 @@
-"""Reading of results: the run or the sweep in a folder, whichever it is."""
+"""Reading the results in a folder: a run or a sweep."""
 
 import shlex
 from collections.abc import Iterable
@@ -17,13 +17,13 @@ def open(path: str | Path, *, allow_import: bool = False) -> Result | SweepResul
     Use it in a notebook for results that the command line made: `desim.open("out/relay").plot()`.
 
     Args:
-        path: a folder written by `desim run -o`, `sweep -o`, `explain -o` or `merge -o`; or, of a folder with several
-            results, the file with one of them: trace.jsonl, or the store, which ends in .sqlite.
+        path: a folder written by `desim run -o`, `sweep -o`, `explain -o` or `merge -o`, or the file of one result:
+            trace.jsonl, or a store (.sqlite). Give the file if a folder has a run and a sweep.
         allow_import: whether run.json may name code to be imported; see `desim.load`. A sweep is read without imports.
 
     Raises:
-        ValueError: if the path has no run and no sweep, or several; the message says what it has. Or if a file does not
-            have the form that it was written in.
+        ValueError: if the path has no run and no sweep, or both (the message says what it has), or if a file is
+            damaged or of another format.
         OSError: if a file does not exist or cannot be read.
     """
     path = Path(path)
@@ -41,7 +41,7 @@ def _file_in(folder: Path) -> Path:
     """Return the file with the result in a folder.
 
     Raises:
-        ValueError: if there is none, or if there are several.
+        ValueError: if the folder has no result, or both a run and a sweep.
     """
     found = [folder / name for name in (TRACE, STORE) if (folder / name).exists()]
     if len(found) == 1:
@@ -65,6 +65,6 @@ def _contents(folder: Path) -> str:
 
 
 def _names(names: Iterable[str]) -> str:
-    """Return the first three names in order, as text; "" if there are none."""
+    """Return the first three names in alphabetical order, as text; "" if there are none."""
     ordered = sorted(names)
     return f"{', '.join(ordered[:3])}{' ...' if len(ordered) > 3 else ''}"

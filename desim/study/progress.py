@@ -1,4 +1,4 @@
-"""The progress bar of many runs: on a terminal and in a notebook, and not in a pipe."""
+"""The progress bar of many runs, shown on a terminal and in a notebook, but not in a pipe."""
 
 import sys
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ def progress(total: int, what: str, unit: str) -> "tqdm[Any]":
         what: the text before the bar.
         unit: the name of a step.
     """
-    in_notebook = "ipykernel.zmqshell" in sys.modules  # whose streams are no terminal
+    in_notebook = "ipykernel.zmqshell" in sys.modules  # the output streams of a notebook are not a terminal
     found: tqdm[Any] = bar_of_this_place(
         total=total, desc=escaped(what), unit=unit, disable=False if in_notebook else None
     )

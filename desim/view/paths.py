@@ -1,4 +1,4 @@
-"""A compact plan view of a pursuit: paths of active pursuers, alone and with others, and the handovers.
+"""A compact plan view of a pursuit: the paths of pursuers active alone and with others, and the handovers.
 
 If there are several evaders, each has a number, a marker and a hue; its pursuers are drawn in the same hue.
 """
@@ -54,7 +54,7 @@ class EvaderStyle(NamedTuple):
 
 
 class ActivePeriod(NamedTuple):
-    """An interval in which a pursuer chased an evader: alone all the time, or with others all the time."""
+    """An interval in which a pursuer chased an evader, either always alone or always with others."""
 
     pursuer: int
     begin: int
@@ -144,8 +144,8 @@ class Paths:
 def draw_pursuit(axes: Axes, result: Result) -> None:
     """Draw the paths of active pursuers, bold while alone and thin with others, with a square at each handover.
 
-    The first square of an evader marks the first pursuer that chases it alone. A pursuer that was never active has
-    only the circle at its initial position. `label_handovers` adds the numbers of the pursuers.
+    The first square of an evader marks the first pursuer that chases it alone. Of a pursuer that was never active, only
+    the circle at its initial position is drawn. `label_handovers` adds the numbers of the pursuers.
 
     Raises:
         ValueError: if no positions were recorded.
