@@ -5,8 +5,8 @@ Paper: BestResponse: Cournot; Monderer & Shapley 1996, "Potential Games", for th
     2007, "Regret Based Dynamics".
 Parameters: schedule, utility; alpha (probability of changing).
 Assumes: announcements of all teammates. Best response ends in an equilibrium of any potential game if revisions happen
-    one at a time; in the relay game it does so under any schedule. Better reply with inertia does so with any revision
-    order.
+    one at a time, and in an equilibrium of the relay game under any schedule. Better reply with inertia ends in an
+    equilibrium under any revision order.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
 """

@@ -1,15 +1,15 @@
 """Regret matching: a pursuer draws each action with probability proportional to its regret for not having taken it.
 
 Paper: RegretMatching: Hart & Mas-Colell 2000, "A Simple Adaptive Procedure Leading to Correlated Equilibrium", its
-    unconditional variant: the regret of an action is the gain had it been taken at every turn. The conditional
-    procedure of the paper's title (regrets of each action against each other action, and an inertia constant), which
-    leads to correlated equilibria, is not implemented.
+    unconditional variant: the regret of an action is the mean gain if it had been taken at every turn. The conditional
+    procedure of the paper (a regret for each pair of actions, and an inertia constant) is not implemented; it is the
+    one that leads to correlated equilibria.
     GeneralisedRegretMatching: Marden, Arslan & Shamma 2007, "Regret Based Dynamics: Convergence in Weakly Acyclic
     Games", with fading memory and inertia.
 Parameters: schedule, utility; rho (rate of forgetting), alpha (probability of choosing anew).
 Assumes: announcements of all teammates; any revision order. With the default parameters, regret matching has no regret
     in the long run, and the empirical frequencies of profiles tend to the coarse correlated equilibria: to the relay
-    profile in the relay game with one evader and constant capture times. The generalised one settles in a pure
+    profile in the relay game with one evader and constant capture times. Generalised regret matching settles in a pure
     equilibrium.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats.
@@ -31,7 +31,7 @@ class RegretMatching(LearningRule):
     """Each action is drawn with probability proportional to its positive regret.
 
     The regret of an action is its utility minus that of the action taken, averaged over the turns. If no regret is
-    positive, the present action is kept. Drawing uniformly would be possible, too, but most runs would not settle.
+    positive, the present action is kept; with a uniform draw instead, most runs would not settle.
     """
 
     kind: Literal["regret_matching"] = "regret_matching"

@@ -64,17 +64,17 @@ def not_absent(token: Token, pursuers: list[int]) -> list[int]:
 
 
 def visited(token: Token, pursuer: int) -> tuple[int, ...]:
-    """Return the visits of the token, with a visit to a pursuer at the present hop."""
+    """Return the visits of the token after a visit to a pursuer at the present hop."""
     return (*token.visits[:pursuer], token.hop, *token.visits[pursuer + 1 :])
 
 
 def neglects(token: Token) -> bool:
-    """Return whether a pursuer that is not absent had its last visit more than N hops ago, and may presume a loss."""
+    """Return whether a pursuer was last visited over N hops ago and is not absent; it may think the token lost."""
     return any(last < token.hop - len(token.visits) for j, last in enumerate(token.visits) if j not in token.absent)
 
 
 def longest_absent(token: Token, pursuers: list[int]) -> int | None:
-    """Return the absent pursuer whose last delivery or probe is longest ago, if that is N hops or more, else None."""
+    """Return the absent pursuer whose last visit, delivery or probe is the oldest, if at least N hops ago, or None."""
     long_ago = token.hop - len(token.visits)
     due = [j for j in pursuers if j in token.absent and token.visits[j] <= long_ago]
     return min(due, key=token.visits.__getitem__, default=None)
@@ -88,7 +88,7 @@ Choice = Callable[[Agent, Token], int | None]
 
 
 def circulate(me: Agent, revise: Callable[[], None], holding_time: float, attempts: int, choose: Choice) -> Process:
-    """Revise whenever the pursuer has held the token for the holding time, and forward it; regenerate a lost token."""
+    """Hold each token for the holding time, then revise, announce and forward it; regenerate a lost token."""
     node = TokenNode(me, holding_time, attempts)
     if me.id == 0:
         node.regenerate()
@@ -113,10 +113,15 @@ def hop_time(me: Agent) -> float:
 
 
 class TokenNode:
-    """The circulation of the token as run by one pursuer.
+    """The part of one pursuer in the circulation of the token.
 
-    It is watching (no token; regenerates it after `loss_timeout` without a sign of it), holding (has the token for
-    `holding_time`), or forwarding (has sent the token and awaits its receipt). A newer epoch ends the last two states.
+    A node has three states:
+
+    - watching: it has no token; after `loss_timeout` without a sign of the token it regenerates it;
+    - holding: it keeps the token for `holding_time`;
+    - forwarding: it has sent the token and awaits the receipt.
+
+    A message with a newer epoch ends holding and forwarding.
 
     Attributes:
         token: the token while holding or forwarding, else None.
@@ -143,8 +148,8 @@ class TokenNode:
     def loss_timeout(self) -> float:
         """The time without a sign of the token after which this pursuer regenerates it, s.
 
-        It is three rounds plus the time to give up a neighbour, and two hops more for each pursuer of lower id. The
-        notice of a regenerated token therefore arrives before the next pursuer regenerates another.
+        It is three rounds plus the time to give up a neighbour, and two hops more for each pursuer of lower id. After
+        one pursuer has regenerated the token, its notice therefore reaches the next before this one does the same.
         """
         hops = 3 * self._me.team_size + 2 * self._me.id
         return hops * (self._hop_time + self._holding_time) + sum(map(self._time_out, range(self._attempts)))
@@ -191,7 +196,10 @@ class TokenNode:
         self._next = None
 
     def _wait(self, until: float) -> Waiting:
-        """Wait for a message or until a time (s, local clock), answer all messages; return whether the time is up."""
+        """Wait for a message or until a time (s, local clock), and process all messages.
+
+        Return whether the time is up; False after a crash.
+        """
         me = self._me
         due = yield from arrival_or_timeout(me, PORT, until)
         crashed = me.now > until + self._holding_time
@@ -272,7 +280,7 @@ class TokenNode:
         self._newest = max(self._newest, self._taken)
 
     def _renew(self, token: Token) -> None:
-        """Hold a token in a newer epoch than all known ones, and notify the neighbours."""
+        """Hold a token under an epoch newer than all known ones, and broadcast a notice of it."""
         self._memory_lost = False
         self._answered.clear()
         self._take(token._replace(epoch=self._epoch()))
@@ -283,13 +291,16 @@ class TokenNode:
         return self._newest[0][0] + 1, self._me.id, self._me.now
 
     def _without(self, token: Token, dst: int) -> Token:
-        """Record a silent pursuer as absent and start a new epoch, which invalidates any copy it received."""
+        """Return the token in a new epoch, with a silent pursuer recorded as absent.
+
+        The new epoch invalidates the old token, in case the pursuer has received it.
+        """
         self._renew(token._replace(absent=(*token.absent, dst), visits=visited(token, dst)))
         assert self.token is not None
         return self.token
 
     def _updated(self, token: Token) -> Token:
-        """Return the token after a revision, with all known records."""
+        """Return the token after a revision: one more hop, all known records, and no absentee that has answered."""
         me = self._me
         token = token._replace(hop=token.hop + 1, absent=tuple(j for j in token.absent if j not in self._answered))
         self._answered.clear()

@@ -76,7 +76,7 @@ def static(schedule: Schedule, latency: float) -> Scenario:
 
 
 def pursuit(latency: float, slot: float) -> Scenario:
-    """Return the pursuit of the paper under Poisson clocks."""
+    """Return the scenario of the paper, with Poisson clocks."""
     return Scenario(
         name="pursuit",
         team=Team(count=N),
@@ -87,7 +87,7 @@ def pursuit(latency: float, slot: float) -> Scenario:
 
 
 def measure_law(options: Options) -> list[Point]:
-    """Return g for each schedule and delay.
+    """Return g for each schedule and each dimensionless latency of `DELAYS`.
 
     The token ring is measured without latency only, because the time between its revisions grows with the latency.
     """

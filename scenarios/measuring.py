@@ -1,4 +1,4 @@
-"""Measurement of costs: in alternating laps, in a separate process, or as a command; and their table."""
+"""Measurement of time and memory: in alternating laps, in a separate process, or of a command; and their table."""
 
 import gc
 import subprocess
@@ -29,7 +29,7 @@ class Cost:
 
 
 def table(found: Mapping[str, Sequence[Cost]]) -> str:
-    """Return all costs as text, one section per part; costs beyond their limit are marked."""
+    """Return all costs as text, one section per part; costs above their limit are marked."""
     rows = [("", "measured", "at most", "", "")]
     for part, costs in found.items():
         rows.append((part, "", "", "", ""))
@@ -47,7 +47,7 @@ def apart(function: Callable[..., Answer], *given: object) -> Answer:
 
 
 def memory(what: str) -> float:
-    """Return the current (VmRSS) or peak (VmHWM) resident memory of this process, B; nan unless on Linux."""
+    """Return the resident memory of this process, B: current ("VmRSS") or peak ("VmHWM"); nan unless on Linux."""
     status = Path("/proc/self/status")
     if not status.exists():
         return nan
@@ -71,7 +71,7 @@ def per_unit(variants: Mapping[str, Callable[[int], int]], seeds: Sequence[int])
 
 
 def command(*arguments: str) -> float:
-    """Return the time that Python takes to run with these arguments, s."""
+    """Return the wall time of Python with these arguments, s."""
     begin = time.perf_counter()
     subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
     return time.perf_counter() - begin

@@ -4,8 +4,8 @@ There are three scenarios: that of the paper, with one pursuer twice as fast as 
 with all pursuers equally fast; and that of the paper without sensing of teammates, so that announcements also carry
 positions. A pursuer announces exactly ten times a second, so protocols send equally many messages of unequal sizes.
 The centralised benchmark and, where positions are sensed, the geometric rules do not announce. Each pursuer decides ten
-times a second on average. The value of communication is the difference to a silent team, in which each pursuer decides
-alone; the cost of delay is the difference to the same protocol with the same seeds and without delay.
+times a second on average. The value of communication is the difference from a silent team, in which each pursuer
+decides alone. The cost of delay is the difference from the same protocol with the same seeds and without delay.
 """
 
 from collections import defaultdict
@@ -72,7 +72,7 @@ def _number(value: float | None, unit: str, digits: int = 2) -> str:
 
 
 def picture(cells: Sequence[Cell]) -> "Figure":
-    """Draw the active time of each protocol at each latency, in ascending order of the total over all cells."""
+    """Draw the active time of each protocol at each latency; protocols are in ascending order of their total."""
     from desim.analysis import plots
 
     total: dict[str, float] = defaultdict(float)

@@ -79,12 +79,12 @@ class Options:
 def study(
     name: str, doc: str | None, runs: int, *own: click.Option
 ) -> Callable[[Callable[[Options], None]], click.Command]:
-    """Return a decorator that turns a function of `Options` into a command.
+    """Return a decorator that turns a function of `Options` into the command of a study.
 
     Args:
         name: name of the study.
         doc: help text of the command.
-        runs: default number of runs.
+        runs: default number of runs per cell.
         own: options that only this study has; see `Options.own`.
     """
 

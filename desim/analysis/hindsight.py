@@ -1,22 +1,23 @@
 """Hindsight: the profile compared with the optimum of the game, at the true capture times.
 
 S(t) is the set of active pursuers, phi_i(t) the capture time of pursuer i, r(t) the time that is left. The relay
-pursuer i*(t) is the first by (phi, id) of the pursuers that are not broken, or none ({i*} is empty) if its phi >= r.
-The potential of the game is Phi(S) = r - mean of phi over S, Phi(empty) = 0; it is largest for S = {i*}. Integrals
-run from 0 to the end.
+pursuer i*(t) is the pursuer with the least phi among those that are not broken; ties go to the lowest id. If its phi is
+at least r, there is no relay pursuer, and {i*} is empty. The potential of the game is Phi(S) = r - mean of phi over S,
+with Phi(empty) = 0. It is largest for S = {i*}. Integrals run from 0 to the end of the run.
 
-With several evaders, each evader at large is such a game, S_j is the set of its pursuers, and Phi the sum of the
-potentials (`desim.pursuit.assignment`). Phi is largest for a profile with at most one pursuer on each evader: the relay
-pursuers of the evaders if they all differ, otherwise the pursuers that `optimal_assignment` gives.
+With several evaders, there is one such game for each evader that is not yet captured. S_j is the set of the pursuers
+that chase evader j, and Phi is the sum of the potentials of the games (`desim.pursuit.assignment`). Phi is largest for
+a profile with at most one pursuer on each evader: the relay pursuers of the evaders if they all differ, otherwise the
+pursuers that `optimal_assignment` gives.
 
 These metrics need positions: `record.trajectory` > 0, or a static game. Positions are interpolated linearly between two
 samples, and phi is evaluated in the middle of each piece (`desim.analysis.timeline`); in a static game that is exact.
 For example, take 12 seeds of scenarios/relay.toml, where i* never changes. Sampling every 0.05 s instead of every
 0.002 s does not change the misassigned time and the time to relay, and changes the potential gap by 0.01 % and the
 regret by 0.02 %. With all speeds 1.1 m/s, i* may change at every motion step, when the evader runs between two equally
-near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s (in one run it is off
-by 0.16 s), and a time to relay, which each such change restarts, of 1.25 s instead of 1.34 s. If that matters, sample
-at every motion step.
+near pursuers. Sampling every 0.05 s then gives a misassigned time of 1.244 s instead of 1.234 s; the error in one run
+is 0.16 s. The time to relay restarts at each change of i*, and is 1.25 s instead of 1.34 s. If that matters, sample at
+every motion step.
 """
 
 from collections.abc import Callable, Sequence
@@ -120,14 +121,14 @@ def _single_potential(part: Timeline, chaser: Integers) -> Floats:
 
 
 def _relayed(part: Timeline, best: Integers) -> Bools:
-    """Return (k,) whether the optimal pursuer chases alone, or none chases if none should."""
+    """Return (k,) whether the optimal pursuer chases alone; where there is none, whether no pursuer chases."""
     number, alone = part.active.sum(axis=1), part.active[np.arange(len(best)), best]
     found: Bools = np.where(best == NO_PURSUER, number == 0, (number == 1) & alone)
     return found
 
 
 def _potential(part: Timeline) -> Floats:
-    """Return the (k,) potential of the pursuers of the evader, s; as `desim.pursuit.game.potential`."""
+    """Return the (k,) potential of the pursuers that chase the evader, s; as `desim.pursuit.game.potential`."""
     counted = part.active & np.isfinite(part.phi)
     n = counted.sum(axis=1)
     mean = np.where(counted, part.phi, 0.0).sum(axis=1) / np.maximum(n, 1)
@@ -184,7 +185,7 @@ def time_to_relay(result: Result, window: float | None = None) -> float | None:
 
     Args:
         result: the result of a run whose positions were recorded.
-        window: s; W = 2 (L + N delta) if None, see `settling_window`.
+        window: the time for which S = {i*} has to hold, s; if None, W = 2 (L + N delta), see `settling_window`.
 
     Raises:
         ValueError: if positions were not recorded.
@@ -226,7 +227,7 @@ def _latency(result: Result) -> float:
 def network_regret(result: Result, metric: Callable[[Result], float] = potential_gap) -> float:
     """Return the excess of a metric over its value for the same scenario and seed with an ideal network.
 
-    It runs the scenario with the default `Links` (complete, without delay or loss) and without faults.
+    The reference is a new run with the default `Links` (complete, without delay or loss) and without faults.
 
     Args:
         result: the result of a run.

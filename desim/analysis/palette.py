@@ -1,7 +1,8 @@
-"""The colours and symbols of all pictures: one for each thing, the same in trajectory, space-time diagram and film.
+"""The colours and symbols of the players and messages, the same in all figures, the animation and the replay.
 
-The hues are those of Okabe & Ito 2008, "Color Universal Design", which the colour-blind can tell apart, but for LOST.
-Shapes repeat what the colours say. The replay has these hues on a light page, and lighter ones on a dark page.
+All hues except `LOST` are those of Okabe & Ito 2008, "Color Universal Design"; colour-blind readers can distinguish
+them. Shapes show the same distinctions as colours. The replay has these hues on a light page, and lighter ones on a
+dark page.
 """
 
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"

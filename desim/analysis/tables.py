@@ -79,7 +79,7 @@ def as_json(found: Estimate) -> dict[str, Any]:
 
 
 def from_json(made: Mapping[str, Any]) -> Estimate:
-    """Return the estimate from the values of `as_json`, up to rounding."""
+    """Return the estimate that `as_json` has given as JSON values, up to rounding."""
     from scipy.special import stdtrit
 
     mean, half_width = (nan if made[key] is None else float(made[key]) for key in ("mean", "half_width"))
@@ -88,7 +88,11 @@ def from_json(made: Mapping[str, Any]) -> Estimate:
 
 
 def _captures(scenario: Scenario, run: Summary) -> Iterator[tuple[str, str, str]]:
-    """Yield the row of the capture; with several evaders, the number captured, then a row for each, captured first."""
+    """Yield the row of the capture.
+
+    With several evaders, yield the number of captures, then a row for each evader: first the captured ones, in order of
+    capture, then the others; at most `SHOWN`.
+    """
     outcome = (
         f"after {run.capture_time:.3f} s by pursuer {run.capturer}"
         if run.captured

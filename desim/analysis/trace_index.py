@@ -1,4 +1,4 @@
-"""Reading a finished run: its first and last events, and a cache of quantities that several metrics derive from it."""
+"""The events of a finished run by type, and a cache of the quantities that several metrics derive from them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -43,13 +43,13 @@ def remembered(derive: Callable[[Result], Derived]) -> Callable[[Result], Derive
 
 @remembered
 def started(result: Result) -> Started:
-    """Return the first event of the run."""
+    """Return the `Started` event, the first of the run."""
     return result.trace.of(Started)[0]
 
 
 @remembered
 def ended(result: Result) -> Ended:
-    """Return the event of the end of the run."""
+    """Return the `Ended` event, which gives the time and the reason of the end of the run."""
     return result.trace.of(Ended)[0]
 
 
@@ -106,5 +106,5 @@ def require_messages(result: Result) -> None:
 
 @remembered
 def messages(result: Result) -> MessageCounts:
-    """Return the numbers of messages; each receiver of a broadcast counts as one."""
+    """Return the numbers of messages; a broadcast counts as one message per receiver."""
     return result.trace.of(MessageCounts)[0]

@@ -98,9 +98,9 @@ def run(
 
 
 def _fail_in(error: "MetricError") -> NoReturn:
-    """Print the calls in a user's metric that led to its exception, and end the program."""
+    """Print the traceback of an exception in a user's metric, and end the program with exit code `RAISED`."""
     cause = error.__cause__
-    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two are of desim
+    calls = [] if cause is None else extract_tb(cause.__traceback__)[2:]  # the first two calls are in desim
     echo("".join([*format_list(calls), str(error)]), err=True)
     sys.exit(RAISED)
 
@@ -164,9 +164,9 @@ def _scenario_to_run(
 
 
 def _recorded(path: Path, overrides: tuple[str, ...], metrics: tuple[str, ...]) -> "tuple[Scenario, Path, int]":
-    """Return the same as `_scenario_to_run` for a run.json.
+    """Return the scenario, the folder of its file, and the number of runs, as recorded in a run.json.
 
-    Warn if results may differ from the recorded ones. End the program if the file is invalid.
+    Print a warning if the results may differ from the recorded ones. End the program if the file is invalid.
     """
     from desim.results import provenance
     from desim.results.environment import environment

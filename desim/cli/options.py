@@ -33,7 +33,10 @@ FILE = click.argument("file", type=click.Path(path_type=Path))
 
 
 def _one_word_each(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the settings; end the program if one has no "=", before its value counts as another argument."""
+    """Return the settings; end the program if one has no "=".
+
+    In `--set KEY = VALUE` only KEY is the setting. Without this check, the error would be about superfluous arguments.
+    """
     for each in given:
         if "=" not in each:
             form = param.make_metavar(ctx)
@@ -142,9 +145,10 @@ def source_of(
 
 
 def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
-    """Add the metrics of --metric that are not built in to those that a scenario names.
+    """Add the metrics of --metric that are not built in to `record.metrics` of a scenario.
 
-    End the program if one does not exist, or is no number. A MODULE:FUNCTION is imported with the scenario.
+    End the program if a metric does not exist or is not numeric. A MODULE:FUNCTION is not imported here, but when the
+    scenario is validated.
     """
     if not metrics:
         return
@@ -168,7 +172,7 @@ def add_metrics(source: "Source", metrics: tuple[str, ...]) -> None:
 
 
 def shown_metrics(scenario: "Scenario", metrics: tuple[str, ...], usual: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Return the names of the metrics of --metric, or the usual ones and those that the scenario names."""
+    """Return the names of the metrics of --metric; if there are none, `usual` and the metrics of the scenario."""
     names = tuple(each.rpartition(":")[2] for each in metrics)
     return names or (*usual, *(each.name for each in scenario.record.metrics))
 
@@ -221,7 +225,7 @@ def write(page: bytes, path: Path) -> None:
 
 
 def page_at(out: Path | None, usual: Path) -> Path:
-    """Return the path of a page, `usual` by default; end the program if the suffix of `out` is not .html."""
+    """Return the path of a page, `usual` by default; end the program if `out` has a suffix other than .html."""
     try:
         return usual if out is None else files(out, [".html"], [".html"])[0]
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Invariants of every trace of a network, whatever its links and faults: watchers that follow each message.
+"""Watchers that check invariants of the trace of a network; they hold for all links and faults.
 
 A message is identified by its receiver and the number of its transmission. It is delivered if it is not lost by the end
 of its arrival instant. Faults start and end before the deliveries of an instant: a message that arrives at the instant
@@ -27,9 +27,10 @@ class Conservation:
     - A message is lost at most once: while it waits, at transmission, or on arrival.
     - A node whose radio is down neither transmits nor receives.
     - No message crosses a partition that is active at its transmission or at its arrival.
+    - A fault ends only after it has started.
 
-    Deliveries are checked in batches: before a fault starts or ends, when many transmissions are unchecked, and at each
-    `MessageCounts`.
+    Deliveries are checked in batches: before a fault starts or ends, when many transmissions are unchecked, at each
+    `MessageCounts`, and by `judge`.
 
     Args:
         fifo: whether to check also that no message overtakes an earlier one on its link.
@@ -132,7 +133,7 @@ class Conservation:
         _require(same, f"sent, delivered, lost, in flight are {found}, lost by cause {dict(self._lost)}", event)
 
     def judge(self) -> None:
-        """Check the deliveries before the last event; call it at the end of a run without `MessageCounts`."""
+        """Check the deliveries before the time of the last event; call it after a run without `MessageCounts`."""
         self._settle(self._now)
 
     def _settle(self, before: int) -> None:
@@ -161,10 +162,10 @@ class Conservation:
 
 
 class OneToken:
-    """A watcher of one run that raises AssertionError if there are two tokens where only one is allowed.
+    """A watcher of one run that raises AssertionError if there are more tokens than allowed.
 
-    - Each epoch has one token at any time: the hop numbers increase, and each hop has one sender and one receiver.
-    - From the time `settled` on, only one token is left: no epoch reappears after a hop of another epoch.
+    - An epoch has at most one token: its hop numbers increase, and each hop has one sender and one receiver.
+    - From the time `settled` on, there is only one token: no epoch reappears after a hop of another epoch.
 
     A retransmission of an unacknowledged token is not a new hop.
 

@@ -1,7 +1,8 @@
 """The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
-A transmission waits for its transmitter, then starts: its losses are drawn and its arrivals scheduled. If messages can
-still be lost on arrival (faults, range check at delivery, half duplex), each arrival is a SimPy event.
+A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled. If
+messages can still be lost on arrival (faults, range check at delivery, half duplex), each arrival time of a
+transmission is a SimPy event.
 """
 
 from collections import Counter
@@ -93,7 +94,7 @@ class LinkLayer:
         self._listeners.append(listener)
 
     def crash(self, node: int) -> None:
-        """Lose the unfinished transmissions of a node whose radio goes down now."""
+        """Lose the queued transmissions of a node whose radio goes down now; one on the air is lost on arrival."""
         self._crashes.setdefault(node, []).append(self._env.now)
         for transmission in self._transmitter.flush(node) if self._transmitter is not None else ():
             self._lose(transmission, transmission.receivers, "crash")
@@ -115,7 +116,7 @@ class LinkLayer:
     # The steps of a transmission.
 
     def transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
-        """Pass a new transmission to the transmitter of its node, unless the radio is down; see `Network.send`."""
+        """Pass a new transmission to the transmitter of its node, unless its radio is down; see `Network.send`."""
         if self._fault_state is not None and self._fault_state.down(src):
             return
         number, reachable, topology = next(self._numbers), True, self._topology
@@ -207,7 +208,7 @@ class LinkLayer:
             )
 
     def _land(self, transmission: Transmission, nodes: list[int], interval: tuple[int, int], _: "simpy.Event") -> None:
-        """Deliver a transmission to nodes now, or lose it there; it was transmitted in `interval` (start, end), ns."""
+        """Deliver or lose a transmission at each node now; `interval` is the (start, end) of its airtime, ns."""
         self._arriving -= len(nodes)
         for node in nodes:
             cause = self._obstacle(transmission, node, interval)

@@ -1,7 +1,7 @@
 """Elementary functions of arrays, rounded identically on every processor.
 
 On processors with AVX-512, numpy uses its own loops; on others it calls the C library, whose results differ in the last
-digits. These functions always call the C library, once for each element, at a cost of 0.06 microseconds per element.
+digits. These functions call the C library for each element, at a cost of 0.06 microseconds per element.
 """
 
 import math

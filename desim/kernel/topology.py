@@ -34,10 +34,11 @@ class Topology:
         reception: the probability of reception as a function of distance; a disk if None.
         per_link: whether random reception is drawn once per pair of nodes; if not, for every message.
         seed: the seed of these draws.
-        now: returns the time, s; with it, a query need not compare all positions if the speed of the nodes is bounded.
+        now: returns the time, s. With it and a bounded speed of the nodes, a query of the cell list need not compare
+            all positions.
 
     Raises:
-        ValueError: if the nodes are not 0 .. n - 1, one is linked to itself, or the range is finite without positions.
+        ValueError: if the nodes are not 0 .. n - 1, a node has a self-loop, or the range is finite without positions.
     """
 
     def __init__(
@@ -160,7 +161,7 @@ class Topology:
         return self._all if self._complete else self._candidate_lists[node]
 
     def _near(self, node: int, candidates: Nodes, message: int | None = None) -> Nodes:
-        """Return the candidates that receive from a node; these must include the node itself, which is not returned."""
+        """Return the candidates that receive from a node; the candidates must include the node, the result does not."""
         assert self._positions is not None
         own = int(candidates.searchsorted(node))
         apart = distances(self._positions.of(candidates), own)
@@ -178,9 +179,9 @@ class Topology:
         return received
 
     def _uniforms(self, src: int, dst: Nodes, message: int | None) -> Floats:
-        """Return the (k,) uniform draws in (0, 1) of the pairs of nodes.
+        """Return the (k,) uniform draws in (0, 1) of the pairs (src, dst[k]).
 
-        With fading per message, the number `message` selects the draws; if it is None, all of them are 0.5.
+        With fading per message, the number `message` selects the draws; if it is None, each draw is replaced by 0.5.
         """
         if not self._per_link:
             if message is None:
@@ -209,7 +210,7 @@ class _AllOthers(dict[int, list[int]]):
 
 
 def _check(graph: "nx.Graph[int]") -> None:
-    """Raise ValueError if the nodes are not 0 .. n - 1, or one is linked to itself."""
+    """Raise ValueError if the nodes are not 0 .. n - 1, or a node has a self-loop."""
     if is_implicit(graph):
         return
     if set(graph) != set(range(len(graph))):

@@ -1,4 +1,4 @@
-"""Beliefs of a pursuer about its teammates: their last announcements, while trusted, extrapolated to the present."""
+"""Beliefs of a pursuer about its teammates: their last announcements, until they expire, and dead reckoning."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -51,12 +51,12 @@ class Beliefs:
     """The beliefs of one pursuer.
 
     Args:
-        pursuer: its id.
+        pursuer: the id of the pursuer.
         clock: its local clock.
         view: its view of the world.
         network: the network that delivers announcements.
         announcements: the content of announcements, and how long they are believed.
-        announcement: returns an announcement, from which the airtime is computed.
+        announcement: returns an announcement of the pursuer, from which the airtime is computed.
     """
 
     def __init__(
@@ -80,14 +80,18 @@ class Beliefs:
         """Return the newest announcement of each teammate that arrived at most `belief_timeout` ago.
 
         Args:
-            period: time between two announcements of a teammate, s, if it is not the heartbeat.
+            period: time between two announcements of a teammate, s; the heartbeat if None. It counts only if
+                `belief_timeout` is "auto".
         """
         oldest = self._clock.true - (self._timeout if period is None else self._timeout_for(period))
         received = self._network.latest_records(self._id)
         return {j: record for j, (arrival, record) in received.items() if arrival >= oldest}
 
     def rivals(self, evader: int) -> tuple[float, list[int], list[float]]:
-        """Return its own capture time of an evader, s, and the ids and capture times of teammates believed to chase."""
+        """Return the pursuer's own capture time, and the ids and capture times of the teammates believed to chase.
+
+        Capture times are for `evader`, in s; nan if unknown.
+        """
         oldest, matching = self._clock.true - self._timeout, self._network.matching(self._id)
         chasing = [j for j in sorted(matching) if matching[j][1].body.active == evader and matching[j][0] >= oldest]
         if self.senses_others:
@@ -97,7 +101,7 @@ class Beliefs:
         return own, chasing, [self._capture_time(matching[j][1], evader) for j in chasing]
 
     def about_teammates(self, period: float | None, evader: int, orders: Orders = UNORDERED) -> dict[int, Belief]:
-        """Return the belief about each trusted teammate, with the capture time of one evader; see `Agent.beliefs`."""
+        """Return the belief about each trusted teammate, with its capture time for an evader; see `Agent.beliefs`."""
         now = self._clock.stamp
         return {
             j: Belief(record.body.active, self._capture_time(record, evader, orders), (now - record.stamp) / SECOND)
@@ -105,9 +109,9 @@ class Beliefs:
         }
 
     def team_estimate(self, evader: int) -> TeamEstimate:
-        """Return the estimated positions and speeds of the team, and the capture times of an evader.
+        """Return the estimated positions and speeds of the team, and the capture times for an evader.
 
-        Positions are sensed, or extrapolated from trusted announcements.
+        Positions are sensed, or dead-reckoned from announcements that have not expired.
         """
         view, state = self._view, self._view.state
         if self.senses_others:

@@ -1,8 +1,8 @@
-"""Dead reckoning: the present position of a pursuer that has chased since its last known position.
+"""Dead reckoning: the present position of a pursuer that has chased an evader since its last known position.
 
-During a motion step every pursuer observes an evader that moves straight from its position at the start of the step.
-Guidance depends only on this motion and on the position and speed of the pursuer that chases, so a pursuer that has
-observed the evader can retrace the path of a teammate.
+During a motion step, all pursuers observe the same motion of the evader: a straight line from its position at the start
+of the step. Guidance depends only on this motion and on the position and speed of the pursuer that chases. A pursuer
+that has observed the evader can therefore retrace the path of a teammate.
 """
 
 from bisect import bisect_left, bisect_right
@@ -37,7 +37,7 @@ class TrackSegment(NamedTuple):
 class EvaderTrack:
     """The observed path of an evader: the present motion step and, if `remembers`, all steps before it.
 
-    Calls of `see` and of `position` must be in the order of time.
+    Calls of `see` must be in order of time, and so must calls of `position` with the same start of the chase.
 
     Attributes:
         last: the present step.
@@ -57,16 +57,16 @@ class EvaderTrack:
             self._segments.append(self.last)
 
     def position(self, position: complex, speed: float, since: int, now: int) -> complex:
-        """Return the position at `now` (ns) of a pursuer that has chased from `position` (m) since `since` (ns), m.
+        """Return the position, m, at time `now` of a pursuer that began to chase at `position` (m) at time `since`.
 
-        The previous result for the same start is cached, so the cost is O(motion steps since the previous call). A
-        start before time 0 counts as 0, because nothing moves before.
+        Times are in ns. The previous result for the same start is cached, so the cost is O(motion steps since the
+        previous call). A `since` before time 0 counts as 0, because nothing moves before time 0.
         """
         assert self._remembers
         known = (position, speed, since)
         began, origin = t, place = self._retracings.pop(known, (max(since, 0), position))
         first = bisect_right(self._segments, t, key=itemgetter(0)) - 1
-        last = bisect_left(self._segments, now, key=itemgetter(0))  # the chase may have ended before
+        last = bisect_left(self._segments, now, key=itemgetter(0))  # `now` is in the past if the chase has ended
         ends = [segment.begun for segment in self._segments[first + 1 : last]] + [now]
         for segment, end in zip(self._segments[first:], ends, strict=False):  # at time 0 there may be no segment yet
             began, origin = t, place

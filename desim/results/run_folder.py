@@ -37,7 +37,7 @@ def simulate(folder: Path, scenario: Scenario, seed: int) -> Result:
     without_symlink(folder / f"{TRACE}.part")
     with TraceFile(folder / TRACE) as trace:
         result = run(scenario, seed, trace)
-        clear(folder)  # before the trace gets its name, else it could be read with another run's run.json
+        clear(folder)  # before the trace is renamed, so that it never lies beside the run.json of another run
         return result
 
 
@@ -144,7 +144,7 @@ def _matches_start(result: Result) -> bool:
 
 
 def events(folder: str | Path) -> Iterator[Event]:
-    """Yield the events of the run in a folder one by one; use it instead of `read` for a trace larger than the memory.
+    """Yield the events of the run in a folder one by one; unlike `read`, it does not hold the trace in memory.
 
     Raises:
         ValueError: if a line of the trace is not a valid event, or if the trace has another format.
@@ -162,7 +162,7 @@ def events(folder: str | Path) -> Iterator[Event]:
 
 
 def _check_format(first: Sequence[str]) -> None:
-    """Check the format of a trace, given its first line; a line that is not the start of a run is left to `events_of`.
+    """Check the format of a trace, given its first line; `events_of` reports a line that is not a `Started` event.
 
     Raises:
         ValueError: if the line is the start of a run in another format.
@@ -176,7 +176,7 @@ def _check_format(first: Sequence[str]) -> None:
 
 
 def _limits(start: Any) -> Limits:
-    """Return the limits of the numbers in a trace, given its first event."""
+    """Return the constraints on the fields of events in a trace, given its first event."""
     size, evaders = len(start.pursuers), len(start.evaders)
     return {
         "node": Field(lt=size),

@@ -1,13 +1,17 @@
 """The identity of the runs of a configuration: a hash of its parameters, its user code and their data files.
 
-User code is hashed with the source of its module and of the user modules that this one imports, with the versions of
-the installed packages that these import, and with the values that its objects hold. An installed package is hashed with
-all its modules. In a script or a notebook, compiled code and the globals that it reads are hashed, as the rest of the
-script may change.
+The hash of a user object covers
 
-The source is read when a run is identified. Reload a module that was edited after its import: the imported code is the
-old one, and the hash that of the new. The values of a module's globals, and of attributes of its functions and classes,
-do not count beyond its source, so values that a program assigns to them later do not distinguish runs.
+- the values that it holds;
+- the source of its module and of the user modules that this module imports, directly or indirectly;
+- the versions of the installed packages that these modules import.
+
+If its module belongs to an installed package, all modules of the package are hashed. If it is defined in a script or a
+notebook, its compiled code and the globals that this code reads are hashed, because the rest of the script may change.
+
+The source is read when a run is identified. Reload a module that was edited after its import; otherwise the old code
+runs, and the hash is that of the new code. The globals of a module and the attributes of its functions and classes
+count only through its source: values that a program assigns to them later do not distinguish runs.
 """
 
 import ast
@@ -79,10 +83,10 @@ class Identity(NamedTuple):
 
 
 def identify(scenario: Scenario) -> Identity:
-    """Return the identity of the runs of a scenario; the same in every process, with equal versions of Python.
+    """Return the identity of the runs of a scenario; the same in every process with the same version of Python.
 
     Raises:
-        ScenarioError: if an object has no stable hash, or a data file cannot be read; the text names its key.
+        ScenarioError: if an object has no stable hash, or a data file cannot be read; the message names its key.
     """
     pickler = StablePickler({}, {})
     for key, each in _user_objects(scenario):
@@ -103,7 +107,7 @@ def object_hash(value: Any) -> str:
     """Return a hash of an object, its user code and its data files; the same in every process.
 
     Raises:
-        Exception: if it has no stable hash.
+        Exception: if the object has no stable hash.
     """
     pickler = StablePickler({}, {})
     whole = [pickler.digest(value), pickler.code, sorted(pickler.files.values())]
@@ -117,7 +121,7 @@ def tables(scenario: Scenario) -> dict[str, Any]:
 
 
 def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield each callable and model that is not of desim inside a model or a list, with its dotted key."""
+    """Yield each user-defined callable or model in a model or a list, with its dotted key."""
     inner: Any = ()
     if (callable(value) or isinstance(value, BaseModel)) and _root(definition_of(value).__module__) not in OURS:
         yield key, value
@@ -132,10 +136,10 @@ def _user_objects(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
     """Pickles objects and code of equal content to equal bytes in every process; the bytes are only hashed.
 
-    Two references to one list, dict or object differ from references to two equal ones: they change together.
+    The bytes show aliases: two references to one list, dict or object are not equal to references to two equal ones.
 
-    cloudpickle itself writes sets in the order of hashes, equal texts by identity, the folder of a script, and a random
-    number for each class.
+    The bytes of cloudpickle itself differ between processes. They depend on the order of sets and on the identity of
+    equal strings, and contain the folder of a script and a random number for each class.
 
     Args:
         code: receives the hash of the source of each user module, and of each function or class of a script, by name.
@@ -148,7 +152,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         self.code, self.files = code, files
 
     def digest(self, *values: Any) -> str:
-        """Return the hash of all objects so far, after adding some."""
+        """Pickle more objects, and return the hash of all objects pickled so far."""
         for value in values:
             self.dump(value)
         return content_hash(self._content.getvalue())
@@ -175,7 +179,7 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return None
 
     def reducer_override(self, value: Any) -> Any:
-        """Return an object as `__reduce__` does, or NotImplemented."""
+        """Return the reduced value of an object, as its `__reduce__` would; NotImplemented for the default."""
         kind = type(value)
         if kind is CodeType:
             parts = [getattr(value, f"co_{name}") for name in CODE + COUNTS]
@@ -199,10 +203,10 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
             return make, args, {name: each for name, each in state.items() if name not in cached}, *rest
         else:
             return super().reducer_override(value)
-        return object, (), [kind, *parts]  # as a state, in which the object may occur again
+        return object, (), [kind, *parts]  # the state, unlike the arguments, may contain the object itself
 
     def _import_name(self, value: Any) -> str:
-        """Return the name by which a module, function or class can be imported from a source; "" if by none."""
+        """Return the name by which a module, function or class with a source can be imported; "" if there is none."""
         module, name = (value.__name__, "") if isinstance(value, ModuleType) else (value.__module__, value.__qualname__)
         if module == "builtins":  # where some types have no name
             return f"{module}:{name}"
@@ -213,17 +217,17 @@ class StablePickler(cloudpickle.Pickler):  # type: ignore[misc]
         return f"{module}:{name}" if found is value and self._add_module(module) else ""
 
     def _add_code(self, home: Any, code: Any) -> bool:
-        """Add the source of a function's or class's module; if it has none, add the code itself and return False."""
+        """Add the source of the module of a function or class; without one, add the code itself and return False."""
         module = str(home.__module__)
         if self._add_module(module):
             return True
         self.files |= opened_by(module)
-        if "<" not in home.__qualname__:  # several lambdas have one name
+        if "<" not in home.__qualname__:  # the names of lambdas and of local functions are not unique
             self.code[f"{module}:{home.__qualname__}"] = StablePickler({}, {}).digest(code)
         return False
 
     def _add_module(self, name: str) -> bool:
-        """Add the source of a module, of the user modules that it imports, and the files that they opened.
+        """Add the source of a module and of the user modules that it imports, and the data files that they opened.
 
         Return whether the module has a source, or is in `KNOWN`.
         """
@@ -257,7 +261,7 @@ def is_installed(file: Path) -> bool:
 
 @cache
 def _package(root: str, file: Path) -> Mapping[str, str]:
-    """Return the hash of all modules of an installed package, and the versions of what its distribution requires.
+    """Return the hash of all modules of an installed package, and the versions of its distribution and requirements.
 
     Args:
         root: the name of the package, or of a module without a package.
@@ -302,7 +306,7 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _imported(text: bytes, package: str) -> frozenset[str]:
-    """Return the names that the source of a module of a package may import, also within functions."""
+    """Return the names of all modules that a source in a package may import, also within functions."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -320,13 +324,13 @@ def _root(module: Any) -> str:
 
 
 def globals_read(code: CodeType) -> set[str]:
-    """Return the names of the globals that a function reads, functions inside it included."""
+    """Return the names of the globals that a function and the functions inside it read."""
     own = {each.argval for each in get_instructions(code) if each.opname in {"LOAD_GLOBAL", "LOAD_NAME"}}
     return own.union(*(globals_read(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
 def _is_generated(name: str, attribute: Any) -> bool:
-    """Return whether an attribute of a class is added by Python, dataclasses or pydantic, and no method."""
+    """Return whether Python, dataclasses or pydantic add an attribute to a class; of methods, only `ANNOTATORS`."""
     is_method = isinstance(attribute, FunctionType | staticmethod | classmethod | property)
     is_generated = name in GENERATED or name.startswith("__pydantic_")
     return name in ANNOTATORS or (is_generated and not is_method)

@@ -9,10 +9,10 @@ from desim.results.provenance import Document
 
 
 def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
-    """Return commands as lines for a shell, without the absolute folders of their author.
+    """Return commands as lines for a shell, without absolute paths.
 
-    If they were typed in several folders, a comment has the name of the folder wherever it changes. A path within the
-    working folder is relative to it; of another absolute path, the name is left.
+    If the commands were given in several folders, a comment names the folder wherever it changes. An absolute path
+    within the working folder is made relative to it; any other is replaced by its last component.
 
     Args:
         commands: the working folder and the words of each command.
@@ -29,7 +29,7 @@ def shell_lines(commands: Sequence[tuple[str, Sequence[str]]]) -> list[str]:
 
 
 def _without_folder(word: str, folder: Path) -> str:
-    """Return a word of a command with its path, if it has an absolute one, in the form that `shell_lines` states."""
+    """Return a word of a command; an absolute path in it is replaced as `shell_lines` states."""
     option, equals, last = word.rpartition("=")
     path = Path(last)
     if not path.is_absolute():
@@ -49,7 +49,10 @@ def _command(argv: Sequence[str], folder: Path) -> str:
 
 
 def wanted(made: Document, commands: Sequence[tuple[str, Sequence[str]]]) -> int | None:
-    """Return the number of runs that the only command of a sweep requests; None if it was not fixed in advance."""
+    """Return the number of runs that a sweep requests.
+
+    It is None if the number was not fixed in advance: with --until, with several commands, or if this is not a sweep.
+    """
     is_fixed = made["what"] == "sweep" and len(commands) == 1
     is_until = any(word.startswith("--until") for _, argv in commands for word in argv)
     return int(made["runs"]) if is_fixed and not is_until else None

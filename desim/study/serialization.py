@@ -1,7 +1,7 @@
 """Serialization of calls for other processes: as bytes, with user code by value.
 
 Functions and classes that are defined in a script, a notebook or a module beside a scenario file therefore work in any
-worker. They also work with any executor, because its pickler sees only bytes and the function `called`.
+worker. They also work with any executor, because the executor pickles only bytes and the function `called`.
 """
 
 import pickle
@@ -19,7 +19,7 @@ Call = partial[Any]
 
 
 def packed(call: Call) -> bytes:
-    """Return a call as bytes that include the functions and classes of modules that are not installed."""
+    """Return a call as bytes, which include the functions and classes of user modules."""
     own = [sys.modules[name] for name in _own_modules() - set(cloudpickle.list_registry_pickle_by_value())]
     for module in own:
         cloudpickle.register_pickle_by_value(module)
@@ -36,7 +36,7 @@ def called(call: bytes) -> bytes:
 
 
 def _own_modules() -> set[str]:
-    """Return the names of the imported modules that are not installed; cloudpickle includes `__main__` anyway."""
+    """Return the names of the imported user modules; not `__main__`, which cloudpickle includes by itself."""
     return {name for name in tuple(sys.modules) if name != "__main__" and _is_own(name)}
 
 

@@ -71,12 +71,13 @@ def animate(
         path: the output file.
         begin: the start of the window, s.
         end: the end of the window, s; None = the end of the run.
-        speed: simulated seconds per second of the film.
+        speed: simulated seconds per second of the animation.
         fps: frames per second, at most 50; rounded up such that a frame lasts a whole number of hundredths of a second,
             the time unit of GIF.
 
     Raises:
-        ValueError: if no positions were recorded, or the window is empty, or has too many frames.
+        ValueError: if no positions were recorded, `speed` or `fps` is out of bounds, or the window is empty or has too
+            many frames.
     """
     last = seconds(ended(result).t) if end is None else min(end, seconds(ended(result).t))
     if not 0.0 <= begin < last:
@@ -174,7 +175,7 @@ class _EvaderArtists:
 
 
 def _by_layer(artists: Sequence[tuple[Artist, ...]]) -> list[Artist]:
-    """Return artists in drawing order, the first of each tuple first."""
+    """Return artists in drawing order: the first of every tuple, then the second of every tuple, and so on."""
     return [each for layer in zip(*artists, strict=True) for each in layer]
 
 
@@ -250,8 +251,8 @@ class _Scene:
     def _chases(self, t: int) -> dict[int, int]:
         """Return the evader that each active pursuer chases at a time, ns.
 
-        The last frame shows the pursuers that were active until the end of the run. With several evaders, the last
-        frame omits pursuers whose evader was captured at the end.
+        At the end of the run, the pursuers that were active until then are included. With several evaders, those whose
+        evader is captured at the end are not.
         """
         lone, end = self._paths.count == 1, ended(self._result).t
         return {

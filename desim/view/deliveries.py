@@ -1,9 +1,9 @@
 """The data that pictures show besides positions: deliveries of messages, chases, handovers and outages.
 
 In the replay and the animation, a message moves at constant speed from the position of its sender at transmission to
-that of its receiver at arrival. In a space-time diagram it is an arrow between two lines. A lost message ends in a
-cross, which shows the receiver that missed it. In the replay and the animation the cross is just short of the receiver
-and appears at the time of the loss, whatever its cause. For the cross in a space-time diagram see
+that of its receiver at arrival. In a space-time diagram a message is an arrow between two lines. A lost message ends in
+a cross, which shows the receiver that missed it. In the replay and the animation the cross is just short of the
+receiver and appears at the time of the loss, whatever its cause. For the cross in a space-time diagram see
 `desim.view.spacetime`.
 """
 
@@ -103,7 +103,7 @@ def chasing(result: Result) -> list[list[Chase]]:
 
 
 class Handover(NamedTuple):
-    """The start of an interval in which one pursuer chases an evader alone: the first one, or after a handover."""
+    """A pursuer begins to chase an evader alone: it is the first to do so, or replaces the previous one."""
 
     t: int
     """ns"""
@@ -113,7 +113,7 @@ class Handover(NamedTuple):
 
 
 def handover_events(result: Result) -> list[Handover]:
-    """Return the handovers of all evaders, in order of time; the first of each evader has no predecessor."""
+    """Return the handovers of all evaders, in order of time, with the first pursuer that chases each evader alone."""
     count = len(started(result).evaders)
     return sorted(Handover(t, who, evader) for evader in range(1, count + 1) for t, who in relays(result, evader))
 
