@@ -57,7 +57,7 @@ class OneHop(Value):
 class Flooding(Value):
     """Each receiver of a new announcement rebroadcasts it once, up to a number of hops; duplicates are dropped.
 
-    A copy with more hops left than the one before is not a duplicate and is rebroadcast, too.
+    A copy with more hops left than the last copy that was rebroadcast is not a duplicate and is rebroadcast, too.
     Robust to loss: where there are several paths. Messages: one transmission per pursuer and announcement, plus one
     for each such copy.
     """

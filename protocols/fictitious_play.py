@@ -4,9 +4,9 @@ Paper: FictitiousPlay: Brown 1951; Monderer & Shapley 1996, "Fictitious Play Pro
     Interests". JointStrategyFictitiousPlay: Marden, Arslan & Shamma 2009, "Joint Strategy Fictitious Play with Inertia
     for Potential Games", with fading memory.
 Parameters: schedule, utility; alpha (probability of changing), rho (rate of forgetting).
-Assumes: announcements of all teammates, with revisions in any order. The empirical frequencies of fictitious play
-    converge to the equilibria of every potential game with constant capture times. The frequencies are averages over
-    all turns, so they adapt slowly when capture times change.
+Assumes: announcements of all teammates, with revisions in any order. While capture times are constant, the empirical
+    frequencies of fictitious play converge to the equilibria of every potential game. The frequencies are averages
+    over all turns, so they adapt slowly when capture times change.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats; the last action received counts again at each turn.
 """

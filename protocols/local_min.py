@@ -5,9 +5,9 @@ These are its active neighbours (`LocalMin`) or all known teammates (`ArgminKnow
 Paper: LocalMin: the greedy maximal independent set of the communication graph, in order of (phi, id); computed in
     local rounds as in Métivier, Robson, Saheb-Djahromi & Zemmari 2011. ArgminKnown: none, a heuristic.
 Parameters: schedule.
-Assumes: symmetric links. LocalMin leaves one pursuer active in every neighbourhood. ArgminKnown leaves one in the whole
-    team if announcements reach all (over several hops: `announce.dissemination`); otherwise it may leave a
-    neighbourhood without an active pursuer.
+Assumes: symmetric links. LocalMin leaves at least one pursuer active in every neighbourhood, and no two neighbours
+    chase the same evader. ArgminKnown leaves one active pursuer per evader in the whole team if announcements reach all
+    (over several hops: `announce.dissemination`); otherwise it may leave a neighbourhood without an active pursuer.
 Messages: announcements, see `announce` in the scenario.
 Robust to loss: yes, with heartbeats. Both rules settle under any schedule.
 """

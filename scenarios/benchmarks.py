@@ -3,12 +3,12 @@
 Nodes take turns, one per millisecond: a node reads the messages it has received and broadcasts the number of the turn.
 Several ways deliver the broadcasts. `publish` and `send` are the two ways of desim. `heapq` is a bare loop over a heap
 with one entry per broadcast. simpy-broadcast uses one SimPy event per broadcast. simpy-message uses one Timeout per
-delivery; simpy-drawn-at-once does, too, but draws all latencies of a broadcast at once. simpy-documented uses a store
-per node and a process per message. All of these must end with the same tables of received numbers. The other simulators
-are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian packages that are unpacked, not
-installed; no root needed), Mesa, GrADyS-SIM and mango. They must make the same number of deliveries. The ways run in
-rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The other costs follow, some
-with a limit.
+delivery; simpy-drawn-at-once does so, too, but draws all latencies of a broadcast at once. simpy-documented uses a
+store per node and a process per message. All of these must end with the same tables of received numbers. The other
+simulators are installed or built in a temporary folder: ns-3 and SimGrid in C++ (from Debian packages that are
+unpacked, not installed; no root needed), Mesa, GrADyS-SIM and mango. They must make the same number of deliveries. The
+ways run in rotation, lap after lap; each rate is the median over the laps, per second of CPU time. The costs of large
+teams, whole runs, recording and starting follow, in time and memory; some have a limit.
 """
 
 from collections.abc import Mapping, Sequence

@@ -59,10 +59,10 @@ class Laps:
         self._seconds: dict[str, list[float]] = {}
 
     def lap(self, name: str) -> None:
-        """Run one lap of a way, unless its first lap was longer than `SLOW_LAP`.
+        """Run one lap of a way, unless it is missing or its first lap was longer than `SLOW_LAP`.
 
         Raises:
-            RuntimeError: if the way ends with other tables than the ways before it.
+            RuntimeError: if the way ends with tables that differ from those of the ways before it.
         """
         if name in self._missing or self._seconds.get(name, [0.0])[0] > SLOW_LAP:
             return
@@ -100,7 +100,7 @@ class Laps:
 
 @contextmanager
 def environments(names: Sequence[str], missing: dict[str, str]) -> Iterator[Commands]:
-    """Make temporary environments of other simulators; put the reason into `missing` for each that is unavailable."""
+    """Create temporary environments of other simulators; add the reason for each unavailable one to `missing`."""
     with TemporaryDirectory(prefix="peers-") as folder:
         commands = {}
         for name in tqdm(names, desc="environments", unit="", disable=None):

@@ -73,7 +73,7 @@ def table(cells: Sequence[Cell], sight: Sequence[Sighted], runs: int) -> str:
 
 
 def claims(cells: Sequence[Cell]) -> list[str]:
-    """Return whether an evader that ignores inactive pursuers survives longer under SAP, as a line per network."""
+    """Return a line per network: whether an evader that ignores inactive pursuers survives longer under SAP."""
     lines = []
     for each in cells:
         if each.strategy == CLAIMED and each.protocol in (IDEAL, "sap"):

@@ -24,7 +24,7 @@ Node = Annotated[int, Field(ge=0, strict=True)]
 
 
 class GraphModel(Protocol):
-    """A model of the graph: `graph(size)` has the nodes 0 .. size - 1; see `Edge` for the attributes of its edges."""
+    """A graph model: `graph(size)` returns a graph of the nodes 0 .. size - 1; see `Edge` for its edge attributes."""
 
     def __call__(self, size: int) -> "nx.Graph[int]": ...  # noqa: D102
 
@@ -157,7 +157,7 @@ class Edges(Value):
 
     @classmethod
     def of(cls, graph: "nx.Graph[int]") -> "Edges":
-        """Convert a networkx graph with nodes 0 .. n - 1; see `Edge` for the attributes of its edges."""
+        """Return a networkx graph with the nodes 0 .. n - 1 as a model; see `Edge` for its edge attributes."""
         return cls.model_validate(_fields(graph))
 
     def __call__(self, size: int) -> "nx.Graph[int]":
@@ -211,7 +211,7 @@ def _check_plain(xml: bytes) -> None:
 
 
 def _fields(graph: "nx.Graph[Any]") -> dict[str, Any]:
-    """Convert a networkx graph to the fields of `Edges`."""
+    """Return a networkx graph as the fields of `Edges`."""
     size = len(graph)
     if set(graph) != set(range(size)):
         raise ValueError(f"the nodes of the graph should be 0 .. {size - 1}, got {node_names(graph)}")
@@ -233,7 +233,7 @@ def as_model(name: str, value: Any) -> Any:
     """Return an edge attribute as a model; a number stands for a constant latency (s) or a loss probability.
 
     Raises:
-        ValueError: if it is no order of messages.
+        ValueError: if the attribute is an order other than those of `Order`.
     """
     if name == "order" and value not in (None, *get_args(Order)):
         raise ValueError(f"the order of an edge should be {' or '.join(get_args(Order))} (got {value!r})")

@@ -36,5 +36,10 @@ class LinkContext:
         return distances(as_position_source(self.positions).of(nodes), -1)[:-1]
 
     def uniform(self, name: str, *, symmetric: bool = True) -> NDArray[np.float64]:
-        """Return (k,) uniform draws in (0, 1), one per pair of nodes; a pair has the same draw throughout a run."""
+        """Return (k,) uniform draws in (0, 1), one per receiver, that stay the same throughout a run.
+
+        Args:
+            name: the name of the random quantity; different names have independent draws.
+            symmetric: whether both directions of a link have the same draw.
+        """
         return pair_uniform(self.seed, name, self.src, self.dst, symmetric=symmetric)

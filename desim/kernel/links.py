@@ -24,7 +24,7 @@ class Processing(Value):
 
 
 def _completed(given: Any, table: dict[str, Any]) -> Any:
-    """Fill in the missing keys of a table from another; return a table of a different kind unchanged."""
+    """Return a table with its missing keys taken from another of the same kind; other values are returned unchanged."""
     alike = isinstance(given, dict) and given.get("kind", table["kind"]) == table["kind"]
     return table | given if alike else given
 

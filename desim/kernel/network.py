@@ -135,7 +135,7 @@ class Network:
         return _new(Record, (src, next(self._seq[src]), self._env.now if stamp is None else stamp, as_sent(body)))
 
     def insert(self, node: int, record: Record) -> None:
-        """Insert a record that did not arrive by `publish`; it is ignored if the node has a newer one of its source."""
+        """Insert a record received by other means than `publish`, unless the node is its source or has one as new."""
         if not 0 <= node < self._size:
             raise self._unknown(node)
         if record.src != node:
@@ -211,7 +211,7 @@ class Network:
         self._link_layer.crash(node)
 
     def recover(self, node: int, *, memory: bool = True) -> None:
-        """End one crash of a node; without memory its received records and waiting messages are deleted."""
+        """End one crash of a node; without memory, its received records and unread messages are deleted."""
         self.fault_state.recover(node)
         if not memory:
             self._records.forget(node)

@@ -8,7 +8,7 @@ from desim.pursuit.state import State
 
 
 class EvaderObservation(State):
-    """The observation of an evader: the perceived state of the pursuit, its own parameters and its previous heading.
+    """The observation of an evader: the perceived state of the pursuit, its own parameters and its present heading.
 
     Unobserved pursuers are left out of all arrays. The others keep their order, but an index is not a pursuer id.
 
@@ -31,7 +31,7 @@ class EvaderObservation(State):
         elapsed: float = 0.0,
         handover: bool = False,
     ):
-        self.__dict__.update(state.__dict__)  # shares its arrays
+        self.__dict__.update(state.__dict__)  # shares the arrays of `state`
         for array in (self.offsets, self.distances):
             array.setflags(write=False)
         self.speeds = speeds

@@ -1,6 +1,7 @@
 """The optional attributes of protocols, schedules, utilities, disseminations and evaders' strategies.
 
-Each may be a frozen model, an object of a user's class or a function, and has the defaults of the traits that it lacks.
+A protocol, schedule, ... may be a frozen model, an object of a user's class or a function. Attributes that it lacks
+have the defaults given here.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -153,8 +153,9 @@ UTILITIES = OneOf(
 def _nodes(count: int) -> tuple[Floats, Floats]:
     """Return the nodes and weights of Gauss-Legendre quadrature over [0, 1].
 
-    The nodes are the roots of the Legendre polynomial, by Newton's method (Press et al. 2007, "Numerical Recipes",
-    4.6.1). numpy computes them as eigenvalues with LAPACK, whose last digits depend on the processor.
+    The nodes are the roots of the Legendre polynomial, computed by Newton's method (Press et al. 2007, "Numerical
+    Recipes", 4.6.1). NumPy computes the roots as eigenvalues with LAPACK instead, so their last digits depend on the
+    processor.
     """
     x = np.array([cos(pi * (k + 0.75) / (count + 0.5)) for k in range(count)])
     for _ in range(NEWTON_STEPS):

@@ -70,10 +70,11 @@ def _all_too_slow(fastest: float, evader_speeds: Sequence[float], pruned: bool) 
 
 
 def latency_warnings(scenarios: Collection[Scenario]) -> Iterator[tuple[str, str]]:
-    """Yield the key and the text of each latency that is probably in milliseconds, in a scenario or in a sweep.
+    """Yield the key and the text of a warning for each latency that is probably in milliseconds.
 
-    A sweep may vary a latency from short to long on purpose. A key of several scenarios therefore gives a warning only
-    if its mean latency is long (`LONG_LATENCY`) in all scenarios where it is positive, or reaches the horizon in one.
+    The scenarios are those of a sweep, or only one. A sweep may vary a latency from short to long on purpose. With
+    several scenarios, a latency therefore gives a warning only if its mean is long (`LONG_LATENCY`) in all scenarios
+    where it is positive, or reaches the horizon in one.
     """
     found: dict[str, list[tuple[float, float]]] = {}
     for scenario in scenarios:
@@ -125,7 +126,7 @@ def _mean_latencies(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 
 def _time_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the times that round to 0, and the periods that are longer than the run."""
+    """Yield the warnings about times that round to 0, and about periods that are longer than the horizon."""
     used = {"announce.heartbeat": _has_heartbeats(scenario), "sensing.period": scenario.sensing.limited}
     for key, time, markers in _numbers(scenario):
         if Counted in markers and 0.0 < time <= RESOLUTION / 2:
@@ -151,7 +152,7 @@ def _has_heartbeats(scenario: Scenario) -> bool:
 
 
 def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the keys of sensing that have no effect, and a sensing radius within the capture radius."""
+    """Yield the warnings about keys of sensing without effect, and about a sensing radius within the capture radius."""
     sensing = scenario.sensing
     if not sensing.limited:
         default = dict(Sensing())
@@ -166,7 +167,7 @@ def _sensing_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _network_warnings(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """Yield the keys of network, announcements and faults that override a preset, have no effect or cause overload."""
+    """Yield the warnings about the network, announcements and faults: overridden presets, no effect, overload."""
     network, announce = scenario.network, scenario.announce
     if network.preset is not None:
         values, preset = dict(network), dict(Links(preset=network.preset))

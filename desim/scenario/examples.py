@@ -17,7 +17,7 @@ def examples() -> Mapping[str, Path]:
 
 
 def example(name: str) -> Path:
-    """Return the path of the example of a name, with or without the suffix .toml.
+    """Return the path of an example, given its name with or without the suffix .toml.
 
     Raises:
         ValueError: if there is no such example.
@@ -45,8 +45,8 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
     Args:
         name: the name of the example.
-        target: a path that ends in .toml is the scenario file, any other the folder to put it in. Missing folders are
-            created.
+        target: the path of the copied scenario file if it ends in .toml and is not a folder, else the folder for all
+            copies. Missing folders are created.
 
     Raises:
         ValueError: if there is no such example.
@@ -61,7 +61,7 @@ def copy_example(name: str, target: Path = Path()) -> list[Path]:
 
 
 def _named_files(path: Path) -> list[Path]:
-    """Return the files beside a scenario file that its values name."""
+    """Return the existing files that the values of a scenario file name, relative to its folder."""
     beside = (path.parent / each for each in _texts(tomllib.loads(path.read_text(encoding="utf-8"))))
     return sorted({each for each in beside if each.is_file()})
 

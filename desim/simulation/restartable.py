@@ -24,7 +24,7 @@ class RestartableProcess(simpy.Process):
         """Yield the events of the behaviour; pursuers start at time 0 in the order of ids, not of creation.
 
         Raises:
-            TypeError: if the behaviour yields something else.
+            TypeError: if the behaviour yields anything but an event.
         """
         awaited: simpy.Event = agent.at(agent.now, phase)
         missed: simpy.Event | None = None  # the awaited event, if it happened while the robot was down

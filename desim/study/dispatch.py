@@ -1,4 +1,4 @@
-"""The driver: dispatches runs to workers in batches and reports the outcome of each run, also of one that crashes."""
+"""The driver: dispatches runs to workers in batches and reports the outcome of each run, even if it crashes."""
 
 import pickle
 import traceback
@@ -166,7 +166,7 @@ def _outcome(task: Task, measure: Measurement, simulate: Simulate) -> Outcome:
 
 
 def _picklable(error: BaseException) -> BaseException | None:
-    """Return an exception that can be pickled, if necessary without its traceback; None if it cannot be pickled at all.
+    """Return the exception, without traceback and context if they cannot be pickled; None if it cannot be pickled.
 
     Once Dask's package `distributed` is imported, exceptions are pickled with their tracebacks.
     """

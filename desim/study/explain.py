@@ -5,8 +5,8 @@ imperfection is the paired difference between the scenario as it is and the scen
 up to the difference that all imperfections make together, the imperfections interact. For example, if either of two is
 enough to delay a capture, removing one alone saves nothing.
 
-An interaction is declared only beyond a 99 % interval, which is corrected for the number of metrics (`INTERACTION_RISK`
-in `desim.study.explanation`).
+An interaction is declared only if its 99 % interval, corrected for the number of metrics, excludes 0
+(`INTERACTION_RISK` in `desim.study.explanation`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -98,7 +98,7 @@ class Variants:
             check_numeric(metric, dict(self.plan.metrics))
 
     def carry_out(self, store: Store, workers: Workers, shown: Sequence[str] = tuple(EXPLAINED)) -> Explanation:
-        """Perform the runs that a store lacks, and return the comparison of the variants in each of some metrics.
+        """Perform the runs that a store lacks, and compare the variants in each of the metrics `shown`.
 
         Raises:
             RunError: if no seed completes in all variants.
@@ -134,7 +134,7 @@ def _cost(
 ) -> Cost:
     """Return the cost of each imperfection in a metric, over the seeds for which all variants have a value.
 
-    `confidence` is that of the interval by which an interaction is judged.
+    `confidence` is the level of the interval that decides whether the imperfections interact.
     """
     shared_seeds = [k for k in complete if all(found[k].value(metric) is not None for found in rows.values())]
     values = {name: [float(found[k].value(metric)) for k in shared_seeds] for name, found in rows.items()}

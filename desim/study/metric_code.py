@@ -1,4 +1,4 @@
-"""The hash of the code of each metric, by which a store notices that a metric has changed since it was computed."""
+"""The hash of the code of each metric, by which a store detects that a metric has changed since it was computed."""
 
 import hashlib
 import inspect
@@ -11,7 +11,7 @@ from desim.study.config_hash import globals_read, object_hash
 
 
 def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
-    """Return the unit and the hash of the code of each metric by name: of the built-in ones and of a user's.
+    """Return the unit and the hash of the code of each metric, by name: the built-in metrics and those of a user.
 
     Raises:
         ValueError: if a metric holds an object without a stable hash.
@@ -27,7 +27,10 @@ def units_and_codes(own: UsersMetrics) -> dict[str, tuple[str, str]]:
 
 @cache
 def _source_hash(metric: Metric) -> str:
-    """Return a hash of the source of a built-in metric; a store records that of all code outside of its module."""
+    """Return a hash of the source of a built-in metric, as far as it is in the module `desim.analysis.metrics`.
+
+    A store also records `desim.results.environment.code`, a hash of the other code that a run depends on.
+    """
     try:
         source = "".join(map(inspect.getsource, _functions(metric.of)))
     except OSError:  # desim is installed without its source
@@ -36,7 +39,7 @@ def _source_hash(metric: Metric) -> str:
 
 
 def _functions(of: Any) -> list[Any]:
-    """Return the function of a metric and those of the module of metrics that it calls, directly or not."""
+    """Return the function of a metric and the functions of `desim.analysis.metrics` that it calls, even indirectly."""
     found = [of]
     for each in found:
         called = [each.__globals__.get(name) for name in sorted(globals_read(each.__code__))]

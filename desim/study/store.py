@@ -3,9 +3,9 @@
 Committed rows survive a driver that is killed. Configuration, replication and root seed identify a row, so a run that
 is in the store is not repeated. `SELECT * FROM results` has a column per metric.
 
-A row has the metrics that were computed for its run, and the store the code of each. A metric that is added later is
-missing in earlier rows, until their runs are repeated because it is asked for. Values of a metric whose code has
-changed since are removed.
+A row has the metrics that were computed for its run. The store records a hash of the code of each metric. A metric that
+is added later is missing in earlier rows, until a command that needs it repeats their runs. If the code of a metric
+changes, its values are removed when the new code is registered.
 """
 
 import json
@@ -171,7 +171,7 @@ class Store(StoreFile):
 
     @naming_the_file
     def note_command(self, folder: str, argv: Sequence[str]) -> None:
-        """Record a command that adds runs to the store, and its working folder; one that is there is not repeated."""
+        """Record a command that adds runs to the store, and its working folder, unless this is recorded already."""
         with self.writing() as database:
             values = with_checksum((folder, json.dumps(argv)))
             database.execute("INSERT OR IGNORE INTO commands VALUES (?, ?, ?)", values)
@@ -186,7 +186,7 @@ class Store(StoreFile):
     def add(self, key: str, root: int, row: Row) -> None:
         """Add a run of a configuration and a root seed.
 
-        It replaces the same run if that one failed. A run that did not fail only receives the metrics that it lacks.
+        A stored run that failed is replaced. A stored run that succeeded only receives the metrics that it lacks.
 
         Raises:
             StoreError: if another process has registered other code of a metric since this one did.
@@ -200,7 +200,7 @@ class Store(StoreFile):
         self.added += 1
 
     def _add(self, row: tuple[Any, ...], numbers: Mapping[str, Any] | None, *, keeps_failed: bool = False) -> None:
-        """Add the row of a run and its metrics; see `add`. With `keeps_failed` no failure replaces another."""
+        """Add the row of a run and its metrics; see `add`. With `keeps_failed`, a failed run replaces no other."""
         there = list(self.rows("runs", "WHERE configuration = ? AND replication = ? AND root_seed = ?", row[:3]))
         known = self._values(there[0]) if there else None
         if known is None:
@@ -269,7 +269,7 @@ class Store(StoreFile):
         self.register_metrics(metrics)
         for folder, argv in other.commands:
             self.note_command(folder, argv)
-        # Runs first: if `other` is being written, each of them then has its configuration.
+        # Runs are read first: if `other` is being written meanwhile, the configuration of each run is read, too.
         runs, configurations = list(other.rows("runs")), list(other.rows("configurations"))
         with self.writing() as database:
             database.executemany(

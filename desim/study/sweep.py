@@ -66,7 +66,7 @@ class SweepPlan:
     ) -> Self:
         """Return the plan in a scenario's table `sweep`; the arguments take precedence over it.
 
-        `metrics` are measured beside those that the scenario names (`record.metrics`).
+        `metrics` are measured in addition to those that the scenario names (`record.metrics`).
 
         Raises:
             ScenarioError: if the grid is invalid; the message lists the errors.
@@ -191,15 +191,15 @@ def sweep(
         reps: the number of runs of each configuration; None = that of `scenario.sweep`.
         executor: a number of worker processes (1: all runs in this process; 0: one per core), the address of a Dask
             scheduler ("tcp://host:8786"), or any executor of `concurrent.futures`, which is not shut down.
-        seed: the seed of the first run; None = that of the scenario.
+        seed: the root seed, from which the seeds of all runs are derived; None = the seed of the scenario.
         store: the file that receives each run as it ends; its successful runs are not repeated; None = no file.
         until: a metric and a half width: each configuration is run until the 95 % interval of the mean of the metric
             has at most this half width. The interval is first checked after 30 runs, and `reps` (10,000 if None) is the
             maximum number of runs.
         fail_fast: whether the first run that fails ends the sweep.
         timeout: the wall time after which a run counts as failed, s; see `desim.simulation.watchdog`.
-        metrics: metrics to compute beside the built-in ones, by name; see `desim.analysis.metrics`. A stored run that
-            lacks one is repeated. A run whose metric raises an exception counts as failed.
+        metrics: metrics to compute in addition to the built-in ones, by name; see `desim.analysis.metrics`. A stored
+            run that lacks one is repeated. A run whose metric raises an exception counts as failed.
 
     Raises:
         ScenarioError: if the grid is invalid; the message lists the errors.

@@ -49,7 +49,7 @@ class Workers:
         return self.executor.submit(called, content)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Wait until at least one of some calls has ended, and return the calls that have.
+        """Wait until at least one of the given calls has ended, and return all that have.
 
         Raises:
             ConnectionError: if no call can end because the workers are lost.
@@ -80,7 +80,7 @@ class Workers:
         raise BrokenExecutor(f"a worker died, so {self._name} accepts no more calls: give a number of workers")
 
     def stop(self) -> None:
-        """Abandon the calls that have been submitted."""
+        """End the calls that are running, where the kind of workers allows it; do nothing by default."""
 
     def __enter__(self) -> Self:
         return self
@@ -156,7 +156,7 @@ class Cluster(Workers):
         super().__init__(self._client.get_executor(pure=False), sum(self._client.nthreads().values()), address)
 
     def done(self, futures: Collection[Future[Any]]) -> set[Future[Any]]:
-        """Wait until at least one of some calls has ended, and return the calls that have; check for lost workers."""
+        """Wait until at least one of the given calls has ended, and return all that have; check for lost workers."""
         while not (found := wait(futures, self._patience, FIRST_COMPLETED).done):
             self._check()
         return found
@@ -208,7 +208,10 @@ def _pool(count: int) -> Executor:
 
 
 def _within(patience: float, act: Callable[[], Returned]) -> Returned:
-    """Return the result of a request, or raise TimeoutError; the client itself may wait forever for a scheduler."""
+    """Return the result of a request, or raise TimeoutError after 1.5 `patience`, s.
+
+    The time-out of the Dask client is not enough: the client may wait forever for a scheduler.
+    """
     found: Future[Returned] = Future()
 
     def make() -> None:
@@ -225,8 +228,8 @@ def _within(patience: float, act: Callable[[], Returned]) -> Returned:
 def _block_signals() -> Iterator[None]:
     """Block interrupts while processes start, so that they inherit the block; interrupts are delivered afterwards.
 
-    Another thread, which does not block signals, may receive one, and Python then runs the handler in the main thread.
-    Signals that arrive are therefore recorded, and the first is raised afterwards.
+    Another thread, which does not block signals, may receive one, and Python then runs its handler in the main thread.
+    Temporary handlers therefore record the signals, and the first recorded signal is raised afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -150,7 +150,7 @@ def _about(result: Result) -> str:
 
 
 def conditions(scenario: Scenario) -> str:
-    """Return the communication of a scenario in one line: latency, loss, range, heartbeat, and models not default."""
+    """Return a one-line description of the communication: latency, loss, range, announcements, other models."""
     links, announce = scenario.network, scenario.announce
     latency, loss = links.latency, links.loss
     parts = [
@@ -346,7 +346,7 @@ def _path(result: Result, ticks: _Ticks) -> ReplayData:
 
 
 def _decisions(result: Result, ticks: _Ticks) -> ReplayData:
-    """Return the decisions as columns, including those that a breakdown or the capture of the evader forces."""
+    """Return as columns the decisions, the breakdowns, and the releases of pursuers by the capture of their evader."""
     found = list(_acts(result))
     why = {Decided: DECIDED, BrokeDown: BROKE_DOWN, Released: RELEASED}
     return {
