@@ -1,8 +1,8 @@
 """The colours and symbols of the players and messages, the same in all figures, the animation and the replay.
 
-All hues except `LOST` are those of Okabe & Ito 2008, "Color Universal Design"; colour-blind readers can distinguish
-them. Shapes show the same distinctions as colours. The replay has these hues on a light page, and lighter ones on a
-dark page.
+All hues except `LOST` and grey are those of Okabe & Ito 2008, "Color Universal Design"; colour-blind readers can
+distinguish them. Shapes show the same distinctions as colours. The replay has these hues on a light page, and lighter
+ones on a dark page.
 """
 
 ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
@@ -28,9 +28,9 @@ PURSUER_MARK = "o"
 EVADER_MARK = "D"
 CAPTURE_MARK = "*"
 HANDOVER_MARK = "s"
-"""A pursuer at the place and time at which it takes over."""
+"""The place and time at which a pursuer takes over the chase of an evader from another one."""
 LOST_MARK = "x"
 EVADER_MARKS = (EVADER_MARK, "^", "v", "P")
 """Marks of the evaders, if there are several."""
 HUES = (BLUE, GREEN, PURPLE)
-"""Hues of the pursuers by evader, if there are several evaders."""
+"""Hues of the pursuers that chase the first, second, ... of several evaders; they repeat from the fourth on."""

@@ -65,7 +65,7 @@ class OneOf:
         group: the group in `protocols.KINDS`, and the entry point group.
         needs: attributes that a callable object must have.
         takes: names of the arguments that a callable object is called with.
-        traits: the optional attributes of the objects.
+        traits: the class that declares and checks the optional attributes of a model or callable object.
         number: the kind and the key for a bare number. With ("constant", "value"), 0.1 stands for
             {kind = "constant", value = 0.1}. A bare string always stands for a kind.
     """
@@ -133,7 +133,7 @@ class OneOf:
         return parameters | {"kind": import_name(definition_of(value))}
 
     def _from_table(self, table: Any, info: ValidationInfo) -> Any:
-        """Return the model that a table describes; raise ValidationError if the table is invalid."""
+        """Return the model that a table describes, or a model itself; raise an error of pydantic if it is invalid."""
         if not (isinstance(table, dict) or hasattr(table, "kind")):
             text = "should be a table with a kind, a built-in model or an object that can be called"
             raise PydanticCustomError("union_tag_not_found", text)
@@ -179,7 +179,8 @@ class OneOf:
     def _imported(self, table: dict[str, Any], info: ValidationInfo) -> Any:
         """Return the function, or the model with its parameters, that a table of the kind "module:name" selects.
 
-        The module is imported only if the file is trusted. A class is instantiated only if its instances are callable.
+        An unlisted module is imported only if the file is trusted; see `is_unlisted_import`.
+        A class is instantiated only if its instances are callable.
         """
         kind = table["kind"]
         if is_unlisted_import(kind) and not is_trusted(info):
@@ -220,7 +221,7 @@ def is_unlisted_import(kind: Any) -> bool:
 
 
 def _builtin_points(group: str) -> list[EntryPoint]:
-    """Return an entry point for each kind of a group in `protocols.KINDS`; they need not be installed."""
+    """Return an entry point for each kind of a group in `protocols.KINDS`; no distribution needs to declare it."""
     return [EntryPoint(kind, definition, group) for kind, definition in _builtin_kinds().get(group, {}).items()]
 
 
@@ -252,9 +253,9 @@ def _named_by_entry_points() -> Mapping[str, EntryPoint]:
 def load_named(kind: str, folder: Path | None) -> Any:
     """Return the object "module:name"; the name may have dots, for example "module:Outer.Inner".
 
-    If no entry point refers to the object, `folder` is added to `sys.path`, which worker processes copy, and the module
-    is imported. This runs its code, so the caller must first check that the file which names the object is trusted; see
-    `is_unlisted_import`.
+    An object that `protocols.KINDS` or an entry point refers to is loaded from there. For any other object, `folder` is
+    first added to `sys.path`, so that worker processes, which copy `sys.path`, find the module, too. An import runs the
+    code of the module. The caller must first check that the file that names it is trusted; see `is_unlisted_import`.
 
     Raises:
         ValueError: if the object cannot be imported.
@@ -297,7 +298,7 @@ def _constructed(model: type, kind: str, parameters: dict[str, Any], context: An
 
 
 def _parameters_of(model: type) -> list[str] | None:
-    """Return the parameters of a class, sorted; None if no check is needed (all accepted, or the model checks)."""
+    """Return the names of the parameters of a class, sorted; None if it accepts any name, or checks names itself."""
     if issubclass(model, BaseModel):
         names = {*model.model_fields, *(field.alias for field in model.model_fields.values() if field.alias)}
         return sorted(names) if model.model_config.get("extra", "ignore") == "ignore" else None

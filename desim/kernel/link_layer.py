@@ -1,8 +1,8 @@
 """The link layer: the steps of a transmission, from the queue of its transmitter to its arrival or loss.
 
 A transmission waits until its transmitter is free. When it starts, its losses are drawn and its arrivals scheduled. If
-messages can still be lost on arrival (faults, range check at delivery, half duplex), each arrival time of a
-transmission is a SimPy event.
+messages can still be lost on arrival (faults, range check at delivery, half duplex), a SimPy event at each arrival time
+decides that. Otherwise they are stored at once, with their arrival times.
 """
 
 from collections import Counter
@@ -45,7 +45,7 @@ class Transmission(NamedTuple):
     port: str
     """Port of the inbox, for a message."""
     reachable: bool
-    """Whether the receiver of `send` was linked and within range; True for a broadcast."""
+    """Whether the receiver of `send` was linked and, if that is checked now, within range; True for a broadcast."""
 
 
 class LinkLayer:
@@ -116,7 +116,10 @@ class LinkLayer:
     # The steps of a transmission.
 
     def transmit(self, src: int, dst: int | None, content: Record | Message, size: int | None, port: str = "") -> None:
-        """Pass a new transmission to the transmitter of its node, unless its radio is down; see `Network.send`."""
+        """Queue a new transmission, or start it if the medium is unlimited, unless the node's radio is down.
+
+        See `Network.send`.
+        """
         if self._fault_state is not None and self._fault_state.down(src):
             return
         number, reachable, topology = next(self._numbers), True, self._topology

@@ -1,4 +1,4 @@
-"""The medium: frozen models of the airtime of a message as a function of its size, and of access to the channel."""
+"""Models of the medium: the airtime of a message of a given size, and how nodes share the channel."""
 
 from math import ceil, inf
 from typing import Annotated, ClassVar, Literal, Protocol

@@ -1,6 +1,6 @@
 """Reception models: the probability that a message is received as a function of distance and range.
 
-All other parameters are independent of the unit of length, so a study can scale any model by its range alone.
+The range is the only parameter with a unit of length, so a study can scale any model by its range alone.
 """
 
 from math import inf, log
@@ -80,7 +80,7 @@ class LogDistance(Value):
         return np.asarray(ndtr(margin / self.shadowing))
 
     def bound(self, range: float) -> float:  # noqa: A002
-        """Return the distance d with P(d) = NormalCDF(-8.3) = 5e-17, m; `pair_uniform` draws no number so small."""
+        """Return the distance, m, at which P = NormalCDF(-8.3) = 5e-17: `pair_uniform` draws no number so small."""
         ranges: float = 10.0 ** min(0.83 * self.shadowing / self.exponent, 300.0)
         return ranges * range
 

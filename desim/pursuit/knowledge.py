@@ -103,8 +103,8 @@ class Knowledge:
     def believed_chasers(self, evader: int = 1) -> dict[int, float]:
         """Return the believed capture time, s, of each teammate that it believes to chase an evader.
 
-        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is nan
-        if it is not announced, and the teammate's position is neither announced nor sensed.
+        A teammate whose last announcement arrived more than `belief_timeout` ago is not believed active. The time is
+        nan if it is not announced, and the position of the teammate is neither announced nor sensed.
         """
         _, rivals, times = self._beliefs.rivals(evader)
         return dict(zip(rivals, times, strict=True))

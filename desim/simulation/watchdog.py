@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from linecache import getline
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread, get_ident
-from traceback import extract_tb
+from traceback import walk_tb
 from types import GeneratorType
 from typing import TYPE_CHECKING
 from weakref import WeakSet
@@ -88,8 +88,10 @@ def within(limit: float) -> Iterator[None]:
 
 def place_of(error: BaseException) -> str:
     """Return the file, line and function in which an error was raised."""
-    at = extract_tb(error.__traceback__)[-1]
-    return f"{short(at.filename)}:{at.lineno} ({at.name})"
+    *_, (frame, line) = walk_tb(error.__traceback__)
+    code = frame.f_code
+    where = line or code.co_firstlineno  # an instruction may belong to no line
+    return f"{short(code.co_filename)}:{where} ({code.co_name})"
 
 
 def short(file: str) -> str:

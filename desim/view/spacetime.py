@@ -1,8 +1,9 @@
-"""The space-time diagram of a run: a line per pursuer, time to the right, messages as arrows from sending to arrival.
+"""The space-time diagram of a run: a line per pursuer, time to the right, an arrow per message.
 
-After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. A message lost at
-transmission or in the queue has no arrival time: its line ends just short of that of its receiver, with the mean
-latency of the messages that are not lost. A message lost on arrival ends on the line of its receiver.
+After Lamport 1978, "Time, Clocks, and the Ordering of Events in a Distributed System", figure 1. The arrow of
+a message begins at its transmission and ends at its arrival. A message lost at transmission or in the queue has no
+arrival time: it is drawn as if it took the mean latency of the other messages, and ends just short of the line of its
+receiver. A message lost on arrival ends on the line of its receiver.
 """
 
 from collections.abc import Sequence

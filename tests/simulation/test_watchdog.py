@@ -5,6 +5,7 @@ import time
 from contextlib import nullcontext, suppress
 from queue import SimpleQueue
 from threading import Event
+from types import FunctionType
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from desim.results import run_folder
 from desim.scenario.scenario import Motion, Scenario, Team
 from desim.simulation import watchdog
 from desim.simulation.run import run
-from desim.simulation.watchdog import TimedOut, within
+from desim.simulation.watchdog import TimedOut, place_of, within
 from desim.study.sweep import sweep
 
 
@@ -174,6 +175,17 @@ def test_an_interrupt_is_not_taken_for_it(look):
 
 
 @pytest.mark.slow
+def test_the_place_of_an_instruction_without_a_line_is_the_begin_of_its_function():
+    def interrupted():
+        raise ValueError
+
+    code = interrupted.__code__
+    for table, line in ((code.co_linetable, code.co_firstlineno + 1), (b"", code.co_firstlineno)):
+        with pytest.raises(ValueError) as caught:
+            FunctionType(code.replace(co_linetable=table), {})()
+        assert place_of(caught.value) == f"simulation/test_watchdog.py:{line} (interrupted)"
+
+
 def test_no_limit_is_lost_in_a_serialiser():
     """Of 87 limits raised once 15 were lost here, and 69 became a PydanticSerializationError."""
 
