@@ -11,6 +11,7 @@ This package exports the parts of a scenario and the functions for scripts, such
 schedules are in the package `protocols`.
 """
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -129,8 +130,9 @@ def __getattr__(name: str) -> object:
     """Import a public name on first access."""
     if name not in _HOMES:
         raise AttributeError(f"module 'desim' has no attribute {name!r}")
-    check_visible("protocols")
-    return getattr(import_module(_HOMES[name]), name)
+    if (home := _HOMES[name]) not in sys.modules:
+        check_visible("protocols")
+    return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:
