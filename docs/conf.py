@@ -69,7 +69,7 @@ suppress_warnings = ["ref.python"]
 
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 MARKUP = re.compile(r"[|*]|(?<=\w)_(?!\w)")
-"""What means something in reStructuredText, and stands for itself in our docstrings."""
+"""Characters of markup in reStructuredText that docstrings use literally."""
 
 
 def _docstring(_app: Sphinx, what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:

@@ -1,10 +1,10 @@
 """Several evaders: how good an assignment the team finds, and how soon all evaders are captured.
 
 With one evader the game has one equilibrium. With several it has many, some of them poor: if two pursuers should swap
-their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0, in
-which nobody moves: as the welfare of the final profile divided by the welfare of the best assignment, for several
-numbers of negotiation slots, constant temperatures and protocols. In a second experiment all players move, and the time
-until all evaders are captured is measured.
+their evaders, both utilities fall before both rise. The value of cooling is measured in the static game of t = 0: the
+welfare of the final profile is divided by that of the best assignment, for several numbers of negotiation slots,
+constant temperatures and protocols. In a second experiment all players move, and the time until all evaders are
+captured is measured.
 """
 
 from collections.abc import Sequence

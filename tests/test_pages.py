@@ -1,4 +1,4 @@
-"""What the README and the pages of the documentation say runs, and what they name exists.
+"""The code and the commands of the README and the pages run, and the modules and keys that they name exist.
 
 A block whose first line is `# NAME.py` or `# NAME.toml` is the content of that file. In a folder that holds a copy of
 the scenarios, the files of a page are written first; then its Python runs, block after block; then its commands.

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 
 def called(*words, cwd):
-    """Call a program where nothing leads to the repository, and return what it prints."""
+    """Run a program in a folder outside of the repository, and return its output."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "MYPY"))}
     done = subprocess.run(
         words, cwd=cwd, env=environment | {"PYTHONUTF8": "1"}, capture_output=True, text=True, check=False

@@ -508,7 +508,7 @@ def test_an_evader_that_flees_is_captured_by_little_more_than_one(auction, sched
         excess.append(excess_time(result))
         idle.append(idle_time(result))
     assert np.mean(excess) < 0.5
-    assert np.mean(idle) < 0.7
+    assert np.mean(idle) < 0.5
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ pytestmark = [
 
 
 def finish(file, out, *options):
-    """Let a sweep go on to its end; return what it prints, its table as exported, and all that its store has."""
+    """Resume a sweep until its end; return its output, its exported table, and the rows of its store."""
     made = command("sweep", file, "--allow-import", "-o", out, *options)
     assert made.exit_code == 0, made.output
     assert command("export", out, out / "runs.csv").exit_code == 0

@@ -491,7 +491,7 @@ def test_a_metric_is_added_to_the_repository_in_one_place(tmp_path):
     (tmp_path / "x.toml").write_text(FILE.replace('metrics = ["mine_of_commands:gap"]', ""))
 
     def said(*commands):
-        """Return what each of the commands prints, given in one process."""
+        """Run commands in one process, and return the output of each."""
         made = subprocess.run(
             [sys.executable, "-c", SAYS, *commands],
             cwd=tmp_path,
