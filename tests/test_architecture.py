@@ -29,7 +29,6 @@ TOP = {"desim": set().union(*LAYERS) - {"scenarios"}, "desim.__main__": {"desim.
 """What the modules beside the packages import."""
 METHODS = {
     "desim.simulation.run": {"desim.analysis.plots", "desim.view.spacetime", "desim.view.replay"},
-    "desim.study.result": {"desim.study.figures"},
 }
 """What methods of results show, as `result.plot()`: they import it when they are called, from above or in a circle."""
 FORBIDDEN = {

@@ -116,7 +116,7 @@ def sweep(
     """
     from desim.results import provenance
     from desim.scenario.overrides import ScenarioError
-    from desim.study.result import SHOWN
+    from desim.study.runs import SHOWN
     from desim.study.store import Store
     from desim.study.sweep import MAX_RUNS, SweepPlan, carry_out, check_target
 
@@ -233,11 +233,14 @@ def export(store: Path, file: Path) -> None:
 
 def _store_files(stores: tuple[Path, ...]) -> list[Path]:
     """Return the files of stores; a folder stands for all stores in it, shards included."""
-    return [
-        file
-        for each in stores
-        for file in ((sorted(each.glob("sweep*.sqlite")) or [each / STORE]) if each.is_dir() else [each])
-    ]
+    return [file for each in stores for file in (_stores_in(each) if each.is_dir() else [each])]
+
+
+def _stores_in(folder: Path) -> list[Path]:
+    """Return the files of the stores in a folder; end the program if it has none."""
+    from desim.study.folder import contents
+
+    return sorted(folder.glob("sweep*.sqlite")) or fail(f"{folder}: {contents(folder)}")
 
 
 def _plan_text(

@@ -75,7 +75,11 @@ class Pair(click.ParamType[tuple[str, str]]):
     help="Output file; its suffix sets the format: .svg, .png or .pdf for diagrams. Default: a file in DIR, or in the"
     " working directory for a FILE; diagrams as SVG and PNG. Names include the kind and the metric.",
 )
-@click.option("--size", metavar="WIDTH[xHEIGHT]", help="Size of a diagram in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm.")
+@click.option(
+    "--size",
+    metavar="WIDTH[xHEIGHT]",
+    help="Size of a trajectory, spacetime or means in cm, mm or in, e.g. 8.5cm or 8.5cmx6cm.",
+)
 @click.option("-y", "--y", metavar="METRIC", help="Of a sweep: the metric on the ordinate; default: active_time.")
 @click.option("-x", "--x", metavar="KEY", help="The key on the abscissa; default: the first with several numbers.")
 @click.option(
@@ -222,7 +226,7 @@ def _split_at_value(result: "SweepResult", first: str, second: str) -> tuple[str
     A value of the sweep may contain "=", so the label is split after the shortest text that is such a value. If there
     is none, it is split at the first "=".
     """
-    from desim.study.result import text
+    from desim.study.runs import text
 
     values = {text(each) for key in result.keys for each in result.values(key)}
     parts = f"{first}={second}".split("=")

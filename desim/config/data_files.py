@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from desim.config.traits import attributes
 from desim.config.trust import regular_or_missing
 
 OPENED = "__opened_data__"
@@ -58,7 +59,7 @@ def declared(model: Any) -> dict[str, str]:
     Raises:
         DataFileError: if `depends_on` is not a tuple or list of paths, or a file cannot be read.
     """
-    paths = getattr(model, "depends_on", ())
+    paths = attributes(model, ["depends_on"]).get("depends_on", ())
     if callable(paths):
         paths = paths()
     if not (isinstance(paths, tuple | list) and all(isinstance(path, str | Path) for path in paths)):

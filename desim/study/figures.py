@@ -26,7 +26,7 @@ from desim.config.model import fields_of, models_in
 from desim.config.trust import escaped
 from desim.study.configurations import in_words
 from desim.study.explanation import AS_IT_IS, IDEAL, Cost, Explanation
-from desim.study.result import SHOWN, Group, SweepResult, kind_of, text
+from desim.study.runs import SHOWN, Group, SweepRuns, kind_of, text
 
 MARKERS = "osD^v"
 APART = 0.012
@@ -54,7 +54,7 @@ Such an axis also requires that half of the positive values are below a quarter 
 
 
 def means(
-    result: SweepResult,
+    result: SweepRuns,
     metric: str,
     *,
     x: str | None = None,
@@ -144,7 +144,7 @@ Point = tuple[Group, Estimate | None]
 """A configuration and the estimate of a metric, or None for a reference."""
 
 
-def _points(result: SweepResult, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
+def _points(result: SweepRuns, metric: str, against: Mapping[str, Any] | None) -> list[Point]:
     """Return each configuration with the mean of a metric, or with its difference from a reference."""
     if against is None:
         return list(zip(result.groups, result.estimates(metric), strict=True))
@@ -155,7 +155,7 @@ def _points(result: SweepResult, metric: str, against: Mapping[str, Any] | None)
     ]
 
 
-def _abscissa(result: SweepResult, x: str | None, by: Sequence[str]) -> str | None:
+def _abscissa(result: SweepRuns, x: str | None, by: Sequence[str]) -> str | None:
     """Return the key on the abscissa; None if each configuration has a row."""
     if x is not None:
         result.values(x)
@@ -176,7 +176,7 @@ def _label(axes: Axes, xlabel: str | None, ylabel: str | None) -> None:
     axes.yaxis.label.set_wrap(True)
 
 
-def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
+def multiples(result: SweepRuns, metrics: Sequence[str]) -> Figure:
     """Draw several metrics by configuration, each as `means` does, in small panels with one legend.
 
     Raises:
@@ -217,7 +217,7 @@ def multiples(result: SweepResult, metrics: Sequence[str]) -> Figure:
     return figure
 
 
-def phase(result: SweepResult, metric: str) -> Figure:
+def phase(result: SweepRuns, metric: str) -> Figure:
     """Draw the mean of a metric over the first two keys that take several numbers, as a heat map with printed values.
 
     The values of a key are equally spaced. Each combination of the other keys has a panel; all panels share one colour
@@ -282,12 +282,12 @@ def _cell_text(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
 
 
-def swept_numbers(result: SweepResult) -> list[str]:
+def swept_numbers(result: SweepRuns) -> list[str]:
     """Return the keys of the grid that take several numbers, at least one of them finite."""
     return [key for key in result.keys if _is_swept_number(result, key)]
 
 
-def _with_unit(metric: str, result: SweepResult, against: Mapping[str, Any] | None = None) -> str:
+def _with_unit(metric: str, result: SweepRuns, against: Mapping[str, Any] | None = None) -> str:
     unit, what = unit_of_metric(metric, result.units), words(metric)
     if against is not None:
         what = f"difference in {what} from {in_words(against)}"
@@ -299,14 +299,14 @@ def _key_with_unit(key: str) -> str:
     return _literal(f"{key} ({unit})" if unit else key)
 
 
-def _is_swept_number(result: SweepResult, key: str) -> bool:
+def _is_swept_number(result: SweepRuns, key: str) -> bool:
     values = {group.settings[key] for group in result.groups}
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return numbers and len(values) > 1 and any(map(isfinite, values))
 
 
 def _draw_lines(
-    axes: Axes, result: SweepResult, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
+    axes: Axes, result: SweepRuns, abscissa: str, lines: Mapping[str, Sequence[tuple[Any, Estimate]]]
 ) -> None:
     """Draw estimates over a key, joined by lines if its values are numbers, and at equal distances if not."""
     given = result.values(abscissa)

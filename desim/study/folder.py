@@ -48,10 +48,10 @@ def _file_in(folder: Path) -> Path:
         return found[0]
     if found:
         raise ValueError(f"{folder}: has a run and a sweep: give {found[0]} or {found[1]}")
-    raise ValueError(f"{folder}: {_contents(folder)}")
+    raise ValueError(f"{folder}: {contents(folder)}")
 
 
-def _contents(folder: Path) -> str:
+def contents(folder: Path) -> str:
     """Return a description of a folder that has no result of its own."""
     where = shlex.quote(str(folder))
     if parts := _names(each.name for each in folder.glob(STORE_PARTS)):

@@ -52,7 +52,7 @@ LOCK_TIMEOUT = 30.0
 """The time-out for a file that another process has locked, s of wall time."""
 PAUSE = 0.02
 """The pause between two attempts where SQLite itself does not wait, s of wall time."""
-HINT = "remove it, or choose another folder (-o)"
+HINT = "remove it, or choose another folder (-o, in Python store=)"
 ROWID = "ORDER BY rowid"
 Arguments = ParamSpec("Arguments")
 Returned = TypeVar("Returned")

@@ -24,7 +24,8 @@ from desim.study.configurations import Configuration, SweepGrid, configurations,
 from desim.study.dispatch import drive, simulation
 from desim.study.metric_code import units_and_codes
 from desim.study.progress import progress
-from desim.study.result import SHOWN, SweepResult
+from desim.study.result import SweepResult
+from desim.study.runs import SHOWN
 from desim.study.store import Row, Store, flat
 from desim.study.workers import Workers, workers_for
 

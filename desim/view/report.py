@@ -22,7 +22,8 @@ from desim.results import provenance
 from desim.study.explanation import Explanation
 from desim.study.figures import unit_of
 from desim.study.history import shell_lines, wanted
-from desim.study.result import SHOWN, SweepResult, text
+from desim.study.result import SweepResult
+from desim.study.runs import SHOWN, text
 from desim.study.store import Store, flat
 
 if TYPE_CHECKING:

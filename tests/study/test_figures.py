@@ -12,7 +12,8 @@ from desim.analysis.plots import save
 from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
 from desim.study.figures import INK, means, multiples, phase
-from desim.study.result import Group, SweepResult
+from desim.study.result import SweepResult
+from desim.study.runs import Group
 from desim.study.store import Row
 from tests.summaries import changed
 

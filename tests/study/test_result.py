@@ -15,7 +15,8 @@ from desim.analysis.statistics import Estimate, estimate, paired, wilson
 from desim.scenario.scenario import Scenario, Team
 from desim.simulation.run import run
 from desim.study.metric_code import units_and_codes
-from desim.study.result import SHOWN, Group, SweepResult
+from desim.study.result import SweepResult
+from desim.study.runs import SHOWN, Group
 from desim.study.store import Row, Store
 from desim.study.store_file import StoreError
 from tests.command import strict_json
@@ -455,6 +456,11 @@ def test_a_store_that_was_never_used_has_no_results():
 def test_the_failed_are_in_order():
     assert [(row.replication, row.status) for row in FAILING.failed] == [(1, "error"), (2, "crashed")]
     assert PLAIN.failed == []
+
+
+def test_one_metric_may_be_given_by_its_name_alone():
+    assert PLAIN.document("active_time") == PLAIN.document(["active_time"])
+    assert PLAIN.table("active_time") == PLAIN.table(["active_time"])
 
 
 def test_nan_is_nothing_in_a_document():
