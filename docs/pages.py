@@ -1,4 +1,4 @@
-"""The pages that are made from the code: the keys of scenario files, protocols, metrics, and the gallery.
+"""The pages that are made from the code: the keys of scenario files, protocols, metrics, events, and the gallery.
 
 They are written before each build, into the folders `reference` and `gallery`, and are not kept in the repository.
 """
@@ -19,6 +19,7 @@ from desim.analysis.plots import save, trajectory
 from desim.cli.description import default_of, summary
 from desim.config.choice import choices_of
 from desim.config.model import docs_of, fields_of, models_in
+from desim.results.run_folder import EVENTS
 from desim.scenario.scenario import PROTOCOLS, Scenario
 from desim.view.replay import replay
 
@@ -45,9 +46,8 @@ FIRST = (
 
 def write(docs: Path) -> None:
     """Write all generated pages below a folder."""
-    pages = {"reference/keys.md": keys(), "reference/protocols.md": protocols(), "reference/metrics.md": metrics()}
-    for name, text in pages.items():
-        _write(docs / name, text)
+    for page in (keys, protocols, metrics, events):
+        _write(docs / "reference" / f"{page.__name__}.md", page())
     gallery(docs / "gallery")
 
 
@@ -102,6 +102,25 @@ def metrics() -> str:
         text = docs.get(name) or (metric.of.__doc__ or "").strip()
         unit = f" ({metric.unit})" if metric.unit else ""
         parts.append(f"## {name}{unit}\n\n{_markdown(text) or metric.note}")
+    return "\n\n".join(parts) + "\n"
+
+
+def events() -> str:
+    """Return the page of the events of a trace: where each is imported from, and its fields."""
+    parts = [
+        "# Events of a trace",
+        "`result.trace` is iterated in the order of time, and `result.trace.of(Decided)` has the events of one type."
+        " `t` is a time in integer nanoseconds: divide it by `desim.kernel.clock.SECOND` for seconds. The events of"
+        " messages are recorded with `record.messages = true`, `Sampled` with `record.trajectory` > 0.",
+    ]
+    for event in EVENTS:
+        docs = docs_of(event)
+        fields = [f"- `{name}`{': ' * (name in docs)}{_markdown(docs.get(name, ''))}" for name in event._fields]
+        parts += [
+            f"## {event.__name__}\n\n{_markdown(event.__doc__ or '')}",
+            f"```python\nfrom {event.__module__} import {event.__name__}\n```",
+            "\n".join(fields),
+        ]
     return "\n\n".join(parts) + "\n"
 
 

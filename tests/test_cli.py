@@ -1132,7 +1132,7 @@ def test_an_option_of_a_sweep_out_of_range_is_refused(file, options):
 def test_the_store_of_another_sweep_is_refused_with_the_differences(file, tmp_path):
     path, out = file(COINS), tmp_path / "out"
     accepted("sweep", path, "-o", out, "-n", 1)
-    store, hint = out / "sweep.sqlite", "; remove it, or choose another folder (-o)"
+    store, hint = out / "sweep.sqlite", "; remove it, or choose another folder (-o, in Python store=)"
     assert refused("sweep", path, "-o", out, "--set", "horizon=0.6") == [
         f"{store}: was made by another scenario: horizon was 0.5, is 0.6{hint}"
     ]
@@ -1149,7 +1149,12 @@ def test_a_file_that_is_not_a_store_is_refused(file, tmp_path):
     (tmp_path / "folder").mkdir()
     target = tmp_path / "x.csv"
     assert refused("export", tmp_path / "none.sqlite", target) == [f"{tmp_path}/none.sqlite: there is no such store"]
-    assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder/sweep.sqlite: there is no such store"]
+    nothing = "has no result of desim: neither trace.jsonl nor sweep.sqlite"
+    assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder: {nothing}"]
+    (tmp_path / "folder" / "delay").mkdir()
+    (tmp_path / "folder" / "delay" / "sweep.sqlite").write_text("")
+    below = "has no result itself, but its folders have (delay): give one of them"
+    assert refused("export", tmp_path / "folder", target) == [f"{tmp_path}/folder: {below}"]
     assert refused("export", tmp_path / "hello.sqlite", target) == [f"{tmp_path}/hello.sqlite: file is not a database"]
     assert refused("export", tmp_path / "empty.sqlite", target) == [f"{tmp_path}/empty.sqlite: is empty"]
     assert not target.exists()

@@ -45,6 +45,10 @@ class Estimate:
     """Standard deviation / sqrt(count); nan for a single run."""
     count: int
 
+    def __str__(self) -> str:
+        runs = f"{self.count:,} run{'' if self.count == 1 else 's'}"
+        return f"{self.mean:.4g} +- {self.half_width:.2g} (95 % interval, {runs})"
+
     @property
     def half_width(self) -> float:
         """Half the width of the 95 % t interval; nan for a single run."""

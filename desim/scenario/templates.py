@@ -169,19 +169,26 @@ desim run FILE --metric NAME:NAME --allow-import             the same of any sce
 desim sweep FILE --metric NAME:NAME --allow-import           its mean in each configuration
 """
 
-from desim.analysis.metrics import Metric, end_time, handovers
+from desim.analysis.metrics import Metric
+from desim.kernel.clock import SECOND
+from desim.pursuit.events import Decided
 from desim.simulation.run import Result
 
 
-def handovers_per_second(result: Result) -> float:
-    """Return the number of handovers per second of a run, 1/s.
+def longest_pause(result: Result) -> float | None:
+    """Return the longest time between two decisions of a pursuer, s; None if no pursuer decided twice.
 
-    The trace of the run is `result.trace`; the functions of `desim.analysis.metrics` read it. None means undefined.
+    `result.trace` has the events of the run; the reference page "Events of a trace" lists their fields. The functions
+    of `desim.analysis.metrics` are the built-in metrics.
     """
-    return handovers(result) / end_time(result)
+    last, longest = dict[int, int](), 0
+    for event in result.trace.of(Decided):
+        longest = max(longest, event.t - last.get(event.pursuer, event.t))
+        last[event.pursuer] = event.t
+    return longest / SECOND if longest else None
 
 
-NAME = Metric(handovers_per_second, "1/s", "over the whole run")
+NAME = Metric(longest_pause, "s", "between two decisions of a pursuer")
 '''
 
 _USER_SCENARIO = """\
@@ -201,11 +208,14 @@ kind = "NAME:CLASS"
 inertia = 0.3
 schedule = { kind = "poisson", rate = 5.0 }             # 1/s per pursuer
 
+[announce]
+warm_start = false                                      # nobody knows the initial actions, so messages matter
+
 [sweep]
 reps = 20                                               # runs of each configuration
 
 [sweep.grid]
-"protocol.kind" = ["NAME:CLASS", "sap"]
+"protocol.kind" = ["sap", "NAME:CLASS"]                 # differences are from the first
 "network.latency.value" = [0.0, 0.1]                    # s
 """,
         "latency": """\

@@ -20,6 +20,11 @@ def test_the_interval_of_1_to_5_is_that_of_the_tables():
     assert found.half_width == pytest.approx(2.7764451052 * sqrt(0.5), rel=1e-10)
 
 
+def test_an_estimate_as_text_has_its_interval():
+    assert str(estimate([1, 2, 3, 4, 5])) == "3 +- 2 (95 % interval, 5 runs)"
+    assert str(estimate([4.5])) == "4.5 +- nan (95 % interval, 1 run)"
+
+
 @pytest.mark.parametrize(
     ("count", "quantile"), [(2, 12.7062047364), (3, 4.3026527300), (11, 2.2281388520), (31, 2.0422724563)]
 )

@@ -65,7 +65,7 @@ def test_a_new_file_runs_with_the_command_that_is_printed(what, folder):
     assert run.stdout.startswith(f"my_{what}: 8 pursuers")
     assert run.stderr == ""
     if what == "metric":
-        assert "1/s" in run.stdout.split("my metric")[1].splitlines()[0]
+        assert "between two decisions of a pursuer" in run.stdout.split("my metric")[1].splitlines()[0]
     elif what != "scenario":
         assert f"my_{what}:My{what.title()}" in accepted("check", *words[1:]).stdout
     planned = accepted("sweep", *words[1:], "--dry-run")
@@ -91,7 +91,7 @@ def test_a_new_file_overwrites_nothing(folder):
         ("metric", "lambda", "'lambda' should be an identifier"),
         ("evader", "random", "'random' is the name of an installed module, which would hide random.py"),
         ("latency", "protocols", "'protocols' is the name of an installed module, which would hide protocols.py"),
-        ("metric", "handovers", "'handovers' is the name of a function or class that handovers.py uses"),
+        ("metric", "longest_pause", "'longest_pause' is the name of a function or class that longest_pause.py uses"),
     ],
 )
 def test_a_name_that_no_module_can_have_is_refused(what, name, why, folder):

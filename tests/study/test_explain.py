@@ -794,7 +794,7 @@ def test_the_folder_of_another_scenario_is_refused(file):
     before = (file.parent / "out/late/explain/explain.json").read_text()
     result = command(file, "-n", 2, "--set", "horizon=0.2")
     assert result.exit_code == 2
-    assert "horizon was 0.1, is 0.2; remove it, or choose another folder (-o)" in result.stderr
+    assert "horizon was 0.1, is 0.2; remove it, or choose another folder (-o, in Python store=)" in result.stderr
     assert (file.parent / "out/late/explain/explain.json").read_text() == before
 
 

@@ -93,14 +93,17 @@ def test_a_store_of_another_version_is_refused(tmp_path, file, name, monkeypatch
             pass
     told = refused("sweep", file, "--allow-import", "-o", tmp_path)
     assert told.startswith(f"{tmp_path / 'sweep.sqlite'}: was made by another version of desim")
-    assert told.endswith("; remove it, or choose another folder (-o)")
+    assert told.endswith("; remove it, or choose another folder (-o, in Python store=)")
 
 
 def test_an_export_of_no_store_or_an_empty_one_is_refused(tmp_path):
     missing = tmp_path / "none"
     assert refused("export", missing, tmp_path / "a.csv") == f"{missing}: there is no such store"
     missing.mkdir()
-    assert refused("export", missing, tmp_path / "a.csv") == f"{missing / 'sweep.sqlite'}: there is no such store"
+    assert (
+        refused("export", missing, tmp_path / "a.csv")
+        == f"{missing}: has no result of desim: neither trace.jsonl nor sweep.sqlite"
+    )
     assert not (missing / "sweep.sqlite").exists()
     with Store(missing / "sweep.sqlite"):
         pass

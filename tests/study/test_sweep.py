@@ -376,7 +376,9 @@ CHANGED = {
 def test_a_store_of_another_sweep_is_refused_with_the_differences(tmp_path, change, grid, options, why):
     store = tmp_path / "s.sqlite"
     sweep(BASE, GRID, 1, store=store)
-    with pytest.raises(StoreError, match=why.replace("$", r"; remove it, or choose another folder \(-o\)$")):
+    with pytest.raises(
+        StoreError, match=why.replace("$", r"; remove it, or choose another folder \(-o, in Python store=\)$")
+    ):
         sweep(BASE.model_copy(update=change), GRID | grid, 1, store=store, **options)
     with closing(sqlite3.connect(store)) as database:
         assert database.execute("SELECT count(*) FROM runs").fetchone() == (4,)
