@@ -1,11 +1,13 @@
-"""All keys of scenario files: the table and the allowed kinds of each key."""
+"""All keys of scenario files: the table, the allowed kinds and the unit of each key."""
 
+import re
 from collections.abc import Iterator
 from difflib import get_close_matches
 from functools import cache
 from typing import NamedTuple, get_origin
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from desim.config.choice import choices_of
 from desim.config.model import fields_of, models_in
@@ -57,3 +59,32 @@ def homes_of(name: str) -> list[Key]:
     wanted = name if name in names else next(iter(get_close_matches(name, names, n=1, cutoff=0.8)), None)
     found = [key for key in all_keys() if key.place[-1] == wanted]
     return [key for key in found if len(key.place) == len(found[0].place)]
+
+
+UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
+"""Finds the unit in a description, such as "Mean one-way latency, s."."""
+
+
+def unit_in(field: FieldInfo) -> str | None:
+    """Return the unit in the description of a field; None if it has none."""
+    found = UNIT.search(field.description or "")
+    return found[1] if found else None
+
+
+@cache
+def unit_of(key: str) -> str | None:
+    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table."""
+    fields: list[FieldInfo] = []
+    models: list[type[BaseModel]] = [Scenario]
+    for part in (each for each in key.split(".") if not each.isdigit()):
+        fields = [fields_of(model)[part] for model in models if part in model.model_fields]
+        models = [model for field in fields for model in _models_of(field)]
+    units = {unit_in(field) for field in fields}
+    return units.pop() if len(units) == 1 else None
+
+
+def _models_of(field: FieldInfo) -> Iterator[type[BaseModel]]:
+    """Yield the models that a field may hold."""
+    for choice in choices_of(field):
+        yield from choice.choices().values()
+    yield from models_in(field.annotation)

@@ -1,9 +1,7 @@
 """Figures of sweeps and explanations."""
 
-import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
 from math import inf, isfinite, log10, nan
 from types import MappingProxyType
 from typing import Any
@@ -13,17 +11,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from desim.analysis.metrics import unit_of as unit_of_metric
 from desim.analysis.metrics import words
 from desim.analysis.palette import BLUE, GREEN, GREY, ORANGE, SERIES, VERMILION
 from desim.analysis.plots import NARROW, Axes, Figure, as_it_is, size_of, styled
 from desim.analysis.statistics import Estimate
-from desim.config.choice import choices_of
-from desim.config.model import fields_of, models_in
 from desim.config.trust import escaped
+from desim.scenario.key_index import unit_of
 from desim.study.configurations import in_words
 from desim.study.explanation import AS_IT_IS, IDEAL, Cost, Explanation
 from desim.study.runs import SHOWN, Group, SweepRuns, kind_of, text
@@ -451,28 +446,3 @@ def _mark(axes: Axes, at: int, base: float, found: Estimate, form: str) -> None:
     axes.errorbar(at, end, found.half_width, color="black", elinewidth=0.8, capsize=2)
     top = max(base, end + found.half_width)
     axes.annotate(f"{found.mean:{form}}", (at, top), textcoords="offset points", xytext=(0, 3), ha="center", fontsize=7)
-
-
-UNIT = re.compile(r", (1/s|m/s|rad/s|rad/sqrt\(s\)|bit/s|Hz|kHz|dB|dBm|rad|s|m)(?=[;:,.]|$)")
-"""Finds the unit in a description, such as "Mean one-way latency, s."."""
-
-
-@cache
-def unit_of(key: str) -> str | None:
-    """Return the unit of a dotted key; None if it has none, or if its unit depends on the kind of its table."""
-    from desim.scenario.scenario import Scenario
-
-    fields: list[FieldInfo] = []
-    models: list[type[BaseModel]] = [Scenario]
-    for part in (each for each in key.split(".") if not each.isdigit()):
-        fields = [fields_of(model)[part] for model in models if part in model.model_fields]
-        models = [model for field in fields for model in _models_of(field)]
-    units = {found[1] if (found := UNIT.search(field.description or "")) else None for field in fields}
-    return units.pop() if len(units) == 1 else None
-
-
-def _models_of(field: FieldInfo) -> Iterator[type[BaseModel]]:
-    """Yield the models that a field may hold."""
-    for choice in choices_of(field):
-        yield from choice.choices().values()
-    yield from models_in(field.annotation)

@@ -19,8 +19,8 @@ from desim.analysis.tables import with_half_width
 from desim.config.file_names import STORE
 from desim.config.trust import regular_or_missing
 from desim.results import provenance
+from desim.scenario.key_index import unit_of
 from desim.study.explanation import Explanation
-from desim.study.figures import unit_of
 from desim.study.history import shell_lines, wanted
 from desim.study.result import SweepResult
 from desim.study.runs import SHOWN, text

@@ -2,7 +2,7 @@
 
 import pytest
 
-from desim.study.figures import unit_of
+from desim.scenario.key_index import unit_of
 
 
 @pytest.mark.parametrize(
